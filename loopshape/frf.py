@@ -1,0 +1,104 @@
+"""A frequency response that says how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from loopshape.errors import WrongUseError
+from loopshape.units import Array, ComplexArray
+
+_ARRAYS = ("frequency_hz", "response", "covariance", "coherence", "input_power", "output_power", "cross_power")
+
+
+@dataclass(frozen=True, eq=False)
+class FRF:
+    """Response (nf, ny, nu) on `frequency_hz` (nf,), frequency first; SISO is 1 x 1, never squeezed.
+
+    `covariance` (nf, ny nu, ny nu) is E[d d^H] of d = vec(response) with columns stacked, for a circular
+    error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
+    `output_power` and `cross_power` (nf,) are those of the loop's own input and output (densities per Hz,
+    or line powers of a periodic record); None where an estimator has none. `trusted` (nf,) marks lines fit
+    for use. `method` says in one line how it was measured; `notes` are the estimator's warnings.
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    covariance: ComplexArray
+    trusted: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    method: str
+    recording: str = ""
+    loop: str = ""
+    rate_hz: float = 0.0
+    operating_point: Mapping[str, float] = field(default_factory=dict)
+    coherence: Array | None = None
+    input_power: Array | None = None
+    output_power: Array | None = None
+    cross_power: ComplexArray | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
+        if np.shape(self.response) != (nf, ny, nu):
+            raise WrongUseError("a response is (lines, outputs, inputs)", f"{np.shape(self.response)}")
+        if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
+            raise WrongUseError("a covariance is (lines, outputs inputs, outputs inputs)")
+        if np.any(np.diff(self.frequency_hz) <= 0.0):
+            raise WrongUseError("the lines of a FRF must rise")
+        for name in (*_ARRAYS, "trusted"):
+            value = getattr(self, name)
+            if value is not None:
+                copy = np.array(value)
+                copy.setflags(write=False)
+                object.__setattr__(self, name, copy)
+
+    @property
+    def siso(self) -> ComplexArray:
+        """Response (nf,) of a 1 x 1 FRF; refuses a larger one."""
+        if self.response.shape[1:] != (1, 1):
+            raise WrongUseError(
+                "one loop's response was asked of a FRF with several", f"{self.response.shape[1:]}", "pick an element"
+            )
+        return np.asarray(self.response[:, 0, 0])
+
+    @property
+    def variance(self) -> Array:
+        """Variance E|d|² of each element, (nf, ny, nu)."""
+        diagonal = np.real(np.einsum("fii->fi", self.covariance))
+        return diagonal.reshape(len(diagonal), len(self.inputs), len(self.outputs)).transpose(0, 2, 1)
+
+    def select(self, lines: np.ndarray) -> FRF:
+        """The same FRF on a mask or index of lines."""
+        changes = {n: getattr(self, n)[lines] for n in (*_ARRAYS, "trusted") if getattr(self, n) is not None}
+        return replace(self, **changes)
+
+    def between(self, f_low_hz: float, f_high_hz: float) -> FRF:
+        """The lines in a closed band; refuses a band without lines."""
+        mask = (self.frequency_hz >= f_low_hz) & (self.frequency_hz <= f_high_hz)
+        if not mask.any():
+            raise WrongUseError(
+                "no line of the FRF lies in the band",
+                f"{f_low_hz:g} to {f_high_hz:g} Hz",
+                f"the lines go from {self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz",
+            )
+        return self.select(mask)
+
+    def trusted_lines(self) -> FRF:
+        """The trusted lines; refuses a FRF without any."""
+        if not self.trusted.any():
+            raise WrongUseError(
+                f"no line of the FRF of {self.loop or 'this loop'} in {self.recording or 'this recording'} can be trusted",
+                self.method,
+                "excite more, or measure longer",
+            )
+        return self.select(self.trusted)
+
+    @property
+    def trusted_band_hz(self) -> tuple[float, float]:
+        """Lowest and highest trusted line, (nan, nan) without any."""
+        f = self.frequency_hz[self.trusted]
+        return (float(f[0]), float(f[-1])) if f.size else (float("nan"), float("nan"))

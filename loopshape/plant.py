@@ -1,0 +1,93 @@
+"""A plant: what the core knows of a simulated machine, whichever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from loopshape.channel import Channel
+from loopshape.controller import Controller
+from loopshape.effect import Effect
+from loopshape.errors import WrongUseError
+from loopshape.units import Array
+
+if TYPE_CHECKING:
+    from loopshape.experiment import Experiment
+    from loopshape.recording import Recording
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a plant: value, unit, bounds, the block it belongs to, and where it comes from."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+    block: str
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterTable:
+    """A plant's parameters in the order of its flat vector."""
+
+    rows: tuple[Parameter, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(row.name for row in self.rows)
+
+    def index(self, name: str) -> int:
+        """Place of a parameter in the vector; refuses an unknown name."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise WrongUseError(
+                "the plant has no such parameter", f"{name!r}", f"known are {', '.join(self.names)}"
+            ) from None
+
+    def vector(self, changes: Mapping[str, float] | None = None, effects: Iterable[Effect] = ()) -> Array:
+        """Flat vector (n,) of nominal values, with changes and effects applied; out of bounds is refused."""
+        values = np.array([row.value for row in self.rows])
+        moves = dict(changes or {})
+        for effect in effects:
+            moves |= dict(effect.moves)
+        for name, value in moves.items():
+            row = self.rows[self.index(name)]
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not row.low <= value <= row.high:
+                raise WrongUseError(
+                    f"parameter {name} is a number between {row.low:g} and {row.high:g} {row.unit}", f"{value!r}"
+                )
+            values[self.index(name)] = value
+        return values
+
+
+class Plant(Protocol):
+    """A simulated machine. Concrete plants live in `plants/` and are found by name in `registry`."""
+
+    name: str
+    loops: tuple[str, ...]
+    channels: tuple[Channel, ...]
+    parameters: ParameterTable
+
+    def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
+        """Controllers that hold the simulated machine over its working range."""
+
+    def check_operating_point(self, operating_point: Mapping[str, float]) -> None:
+        """Refuse an operating point that the machine cannot stand in."""
+
+    def simulate(
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        solver: str = "edges",
+        changes: Mapping[str, float] | None = None,
+        threads: int | None = None,
+    ) -> list[Recording]:
+        """One recording an experiment, in order; experiments run in parallel."""

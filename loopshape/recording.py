@@ -1,0 +1,64 @@
+"""A recording: the table that one experiment left, and what is known of that experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from loopshape.channel import sum_terms
+from loopshape.errors import BadSignalError
+from loopshape.units import Array
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """What `run.toml` says of one recording; see the run folder's page for each word."""
+
+    file: str
+    kind: str
+    injection: str
+    role: str = "estimation"
+    excites: str | None = None
+    closed_loop: bool = True
+    operating_point: Mapping[str, float] = field(default_factory=dict)
+    period_s: float | None = None
+    periodic_from_s: float | None = None
+    ended_early: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self.file.split(".")[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Columns (n,) by name at a constant rate. `columns` may load each column when it is asked for."""
+
+    info: RecordingInfo
+    rate_hz: float
+    columns: Mapping[str, Array]
+
+    def column(self, name: str) -> Array:
+        """A column (n,), read-only; refuses one that is missing or holds NaN."""
+        if name not in self.columns:
+            raise BadSignalError(
+                f"recording {self.info.file} has no column {name}", f"columns {', '.join(self.columns)}"
+            )
+        values = np.asarray(self.columns[name], dtype=float)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise BadSignalError(
+                f"column {name} of recording {self.info.file} holds {bad.size} values that are not numbers",
+                f"the first in row {bad[0]}",
+                "repair the recording or leave it out",
+            )
+        values.setflags(write=False)
+        return values
+
+    def output(self, expression: str) -> Array:
+        """A column, or the sum of columns that `expression` names, (n,)."""
+        terms = [self.column(term) for term in sum_terms(expression)]
+        return np.asarray(np.sum(terms, axis=0))

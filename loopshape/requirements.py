@@ -1,0 +1,215 @@
+"""Requirements, margins, verdict: what is wished, what is found, and whether it holds.
+
+`Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from loopshape.controller import BLOCK_KINDS, Block, block_kind
+from loopshape.errors import WrongUseError
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How a quantity is compared: `at_least` or `at_most`, its unit, and its name for people."""
+
+    name: str
+    sense: str
+    unit: str
+    label: str
+
+
+LIMITS: tuple[Limit, ...] = (
+    Limit("gain_margin_db", "at_least", "dB", "gain margin"),
+    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin"),
+    Limit("phase_margin_deg", "at_least", "deg", "phase margin"),
+    Limit("modulus_margin", "at_least", "1", "modulus margin"),
+    Limit("delay_margin_s", "at_least", "s", "delay margin"),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|"),
+    Limit("complementary_peak_db", "at_most", "dB", "peak |T|"),
+    Limit("control_peak_db", "at_most", "dB", "peak |CS|"),
+    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency"),
+    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)"),
+)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of one loop at one operating point, by definition from L = C P on the FRF's lines.
+
+    All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
+    `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
+    `stable` is "stable", "unstable" or "undecided", with `stability_reason`. Frequencies of the peaks and
+    of the worst margins stand beside them.
+    """
+
+    gain_margin_db: float
+    gain_reduction_margin_db: float
+    phase_margin_deg: float
+    modulus_margin: float
+    delay_margin_s: float
+    sensitivity_peak_db: float
+    complementary_peak_db: float
+    control_peak_db: float
+    control_high_frequency_db: float
+    bandwidth_hz: float
+    crossings_hz: tuple[float, ...]
+    phase_crossings_hz: tuple[float, ...]
+    at_hz: Mapping[str, float]
+    stable: str
+    stability_reason: str
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that tuning may move between `low` and `high`, starting at `start` where given."""
+
+    low: float
+    high: float
+    start: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTemplate:
+    """A block whose parameters are fixed numbers or `Free`; `tie` names parameters kept equal to another."""
+
+    kind: str
+    parameters: Mapping[str, float | Free]
+    tie: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> BlockTemplate:
+        """Template from TOML: a number fixes, `{ min, max, start }` frees, `"f1_hz"` ties to another."""
+        kind = block_kind(table)
+        names = BLOCK_KINDS[kind].parameters
+        given = {k: v for k, v in table.items() if k not in ("kind", "order")}
+        if set(given) != set(names):
+            raise WrongUseError(
+                f"a {kind} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
+            )
+        tie = {k: v for k, v in given.items() if isinstance(v, str)}
+        for name, target in tie.items():
+            if target not in names or target == name or target in tie:
+                raise WrongUseError(f"{name} of a {kind} block is tied to nothing", f"{target!r}")
+        return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
+
+    def block(self, values: Mapping[str, float]) -> Block:
+        """Block with the free parameters at `values`."""
+        known = {k: (values[k] if isinstance(v, Free) else v) for k, v in self.parameters.items()}
+        return Block(self.kind, known | {k: known[target] for k, target in self.tie.items()})
+
+
+def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
+    if not isinstance(value, Mapping):
+        return float(value)
+    if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
+        raise WrongUseError(
+            f"{name} of a {kind} block is a number or a table with min, max and perhaps start", f"{dict(value)!r}"
+        )
+    low, high, start = float(value["min"]), float(value["max"]), value.get("start")
+    if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
+        raise WrongUseError(
+            f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}"
+        )
+    return Free(low, high, None if start is None else float(start))
+
+
+@dataclass(frozen=True, eq=False)
+class Requirements:
+    """What one loop must keep at every operating point; None asks for nothing.
+
+    `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
+    the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
+    are looked at, and None takes the FRF's trusted band.
+    """
+
+    loop: str
+    gain_margin_db: float | None = None
+    gain_reduction_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    modulus_margin: float | None = None
+    delay_margin_s: float | None = None
+    sensitivity_peak_db: float | None = None
+    complementary_peak_db: float | None = None
+    control_peak_db: float | None = None
+    control_high_frequency_db: float | None = None
+    control_high_frequency_from_hz: float | None = None
+    bandwidth_hz: float | None = None
+    band_hz: tuple[float, float] | None = None
+    structure: tuple[BlockTemplate, ...] = ()
+    integrators: int | None = None
+
+    def __post_init__(self) -> None:
+        if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
+            raise WrongUseError(
+                f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
+                "one of them",
+                "give both or none",
+            )
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Requirements:
+        """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
+        known = {f.name for f in fields(cls)}
+        given = dict(table)
+        if "name" not in given:
+            raise WrongUseError("a [[loop]] of a requirements file needs a name", f"{given!r}")
+        given["loop"] = given.pop("name")
+        if unknown := set(given) - known:
+            raise WrongUseError(
+                f"unknown key in the requirements of loop {given['loop']!r}",
+                ", ".join(sorted(unknown)),
+                f"known are name, {', '.join(sorted(known - {'loop'}))}",
+            )
+        structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
+        band = given.pop("band_hz", None)
+        for name, value in given.items():
+            if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
+        if band is not None and not (len(band) == 2 and 0.0 < band[0] < band[1]):
+            raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
+        return cls(**given, structure=structure, band_hz=None if band is None else (band[0], band[1]))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a verdict: wished, found, spare (positive: room left), where, and whether it passes."""
+
+    quantity: str
+    unit: str
+    wished: float
+    found: float
+    spare: float
+    passed: bool
+    recording: str
+    at_hz: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """A check's outcome for one loop: the worst line of each requirement over all operating points.
+
+    `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
+    every operating point to be stable. A loop whose stability the data cannot decide does not pass.
+    """
+
+    loop: str
+    lines: tuple[Line, ...]
+    margins: Mapping[str, Margins]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def unstable(self) -> tuple[str, ...]:
+        """Recordings whose loop is unstable or undecided."""
+        return tuple(name for name, m in self.margins.items() if m.stable != "stable")
+
+    @property
+    def passed(self) -> bool:
+        """Whether the controller may be signed on these data."""
+        return not self.unstable and all(line.passed for line in self.lines)
