@@ -217,9 +217,7 @@ class Controller:
     def __post_init__(self) -> None:
         object.__setattr__(self, "blocks", tuple(self.blocks))
         if self.discretisation != "tustin":
-            raise WrongUseError(
-                "a discretisation is not known", f"{self.discretisation!r}", 'use "tustin"'
-            )
+            raise WrongUseError("a discretisation is not known", f"{self.discretisation!r}", 'use "tustin"')
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
             raise WrongUseError("a controller's rate must be positive", f"{self.rate_hz!r} Hz")
         if not self.blocks:

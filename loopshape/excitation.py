@@ -61,9 +61,7 @@ def ramp(n: int, ramp_n: int) -> Array:
 
 def _check_band(kind: str, f_low_hz: float, f_high_hz: float) -> None:
     if not 0.0 < f_low_hz < f_high_hz < np.inf:
-        raise WrongUseError(
-            f"a {kind}'s band must rise from above zero", f"{f_low_hz!r} to {f_high_hz!r} Hz"
-        )
+        raise WrongUseError(f"a {kind}'s band must rise from above zero", f"{f_low_hz!r} to {f_high_hz!r} Hz")
 
 
 def _check_below_half_rate(kind: str, f_high_hz: float, rate_hz: float) -> None:
@@ -333,9 +331,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         Staircase(self.times_s, self.values)
-        _check_positive(
-            self.kind, velocity=self.velocity, acceleration=self.acceleration, jerk=self.jerk
-        )
+        _check_positive(self.kind, velocity=self.velocity, acceleration=self.acceleration, jerk=self.jerk)
 
     def sampled(self, n: int, rate_hz: float, before: float) -> Array:
         """The profile, (n,)."""

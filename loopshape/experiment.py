@@ -82,13 +82,16 @@ class Experiment:
         ):
             if word not in known:
                 raise WrongUseError(
-                    f"the {what} of experiment {self.name!r} is not known", f"{word!r}", f"use {', '.join(known)}"
+                    f"the {what} of experiment {self.name!r} is not known",
+                    f"{word!r}",
+                    f"use {', '.join(known)}",
                 )
         for name in ("references", "injected"):
             values = getattr(self, name)
             if values.ndim != 2 or values.shape[1] != len(self.loops):
                 raise WrongUseError(
-                    f"{name} of experiment {self.name!r} must be (samples, {len(self.loops)})", f"{values.shape}"
+                    f"{name} of experiment {self.name!r} must be (samples, {len(self.loops)})",
+                    f"{values.shape}",
                 )
             values.setflags(write=False)
 

@@ -10,7 +10,15 @@ import numpy as np
 from loopshape.errors import WrongUseError
 from loopshape.units import Array, ComplexArray
 
-_ARRAYS = ("frequency_hz", "response", "covariance", "coherence", "input_power", "output_power", "cross_power")
+_ARRAYS = (
+    "frequency_hz",
+    "response",
+    "covariance",
+    "coherence",
+    "input_power",
+    "output_power",
+    "cross_power",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +69,9 @@ class FRF:
         """Response (nf,) of a 1 x 1 FRF; refuses a larger one."""
         if self.response.shape[1:] != (1, 1):
             raise WrongUseError(
-                "one loop's response was asked of a FRF with several", f"{self.response.shape[1:]}", "pick an element"
+                "one loop's response was asked of a FRF with several",
+                f"{self.response.shape[1:]}",
+                "pick an element",
             )
         return np.asarray(self.response[:, 0, 0])
 

@@ -101,7 +101,9 @@ class Fit:
             if estimate.name == name:
                 return estimate
         raise WrongUseError(
-            "a fit has no such parameter", f"{name!r}", f"use one of {', '.join(p.name for p in self.parameters)}"
+            "a fit has no such parameter",
+            f"{name!r}",
+            f"use one of {', '.join(p.name for p in self.parameters)}",
         )
 
     def values(self) -> dict[str, Any]:

@@ -110,7 +110,8 @@ def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
         return float(value)
     if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
         raise WrongUseError(
-            f"{name} of a {kind} block is a number or a table with min, max and perhaps start", f"{dict(value)!r}"
+            f"{name} of a {kind} block is a number or a table with min, max and perhaps start",
+            f"{dict(value)!r}",
         )
     low, high, start = float(value["min"]), float(value["max"]), value.get("start")
     if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
