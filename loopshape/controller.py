@@ -172,9 +172,7 @@ class Block:
     def to_table(self) -> dict[str, Any]:
         """The TOML table of this block, as `from_table` reads it."""
         order = BLOCK_KINDS[self.kind].order
-        head: dict[str, Any] = (
-            {"kind": "low_pass", "order": order} if order is not None else {"kind": self.kind}
-        )
+        head: dict[str, Any] = {"kind": "low_pass", "order": order} if order is not None else {"kind": self.kind}
         return head | dict(self.parameters)
 
     def section(self) -> Section:
@@ -190,9 +188,7 @@ class Block:
 
 def _finite(kind: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise WrongUseError(
-            f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number"
-        )
+        raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
     if name != "gain" and not (value > 0.0 or (name == "damping1" and value == 0.0)):
         raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give it above zero")
     return float(value)

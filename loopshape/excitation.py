@@ -100,9 +100,7 @@ class Sweep:
         _check_band(self.kind, self.f_low_hz, self.f_high_hz)
         _check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
         if self.spacing not in ("linear", "logarithmic"):
-            raise WrongUseError(
-                "a sweep's spacing is not known", f"{self.spacing!r}", "use linear or logarithmic"
-            )
+            raise WrongUseError("a sweep's spacing is not known", f"{self.spacing!r}", "use linear or logarithmic")
 
     @property
     def band_hz(self) -> tuple[float, float]:

@@ -101,7 +101,7 @@ class FRF:
         """The trusted lines; refuses a FRF without any."""
         if not self.trusted.any():
             raise WrongUseError(
-                f"no line of the FRF of {self.loop or 'this loop'} in {self.recording or 'this recording'} can be trusted",
+                f"no line of the FRF {self.loop} {self.recording} can be trusted".replace("  ", " "),
                 self.method,
                 "excite more, or measure longer",
             )

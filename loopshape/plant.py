@@ -60,11 +60,7 @@ class ParameterTable:
             moves |= dict(effect.moves)
         for name, value in moves.items():
             row = self.rows[self.index(name)]
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, (int, float))
-                or not row.low <= value <= row.high
-            ):
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not row.low <= value <= row.high:
                 raise WrongUseError(
                     f"parameter {name} is a number between {row.low:g} and {row.high:g} {row.unit}",
                     f"{value!r}",

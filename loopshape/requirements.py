@@ -115,9 +115,7 @@ def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
         )
     low, high, start = float(value["min"]), float(value["max"]), value.get("start")
     if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
-        raise WrongUseError(
-            f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}"
-        )
+        raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
     return Free(low, high, None if start is None else float(start))
 
 

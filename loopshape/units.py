@@ -62,9 +62,7 @@ SUFFIXES: dict[str, str] = {
 def to_stored(unit: str) -> tuple[str, float]:
     """Suffix and factor that bring a user's unit to the stored one; refuses a unit it does not know."""
     if unit not in UNITS:
-        raise WrongUseError(
-            "a unit is not known", f"{unit!r}", f"use one of {', '.join(UNITS)} (1 is dimensionless)"
-        )
+        raise WrongUseError("a unit is not known", f"{unit!r}", f"use one of {', '.join(UNITS)} (1 is dimensionless)")
     return UNITS[unit]
 
 

@@ -1,0 +1,1 @@
+"""Loop to Margins; with Requirements to Verdict."""

@@ -1,0 +1,1 @@
+"""Nouns to pictures; matplotlib lives here only."""

@@ -1,0 +1,1 @@
+"""Experiment to Recording: the simulated rig."""

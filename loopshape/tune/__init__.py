@@ -1,0 +1,1 @@
+"""FRFs and Requirements to Controller."""
