@@ -1,0 +1,20 @@
+"""The one way our kernels are compiled. With NUMBA_DISABLE_JIT=1 the plain functions beneath run instead.
+
+Numba's cache notices a change in a kernel's own file, not in a file it calls into: after editing a kernel,
+`make clean` empties the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def compiled(function: F) -> F:
+    """Compile with numba: cached, without the interpreter's lock, IEEE division, contraction allowed."""
+    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+    return cast(F, jit(function))

@@ -1,0 +1,202 @@
+"""The 1-DoF arm as a plant: experiments in, recordings out, in parallel over experiments."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from loopshape.channel import Channel
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.experiment import Experiment, LoopSetup
+from loopshape.kernels.noise import start_state
+from loopshape.plants.arm import closed_loop as kernel
+from loopshape.plants.arm.equilibrium import pressures, rest
+from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
+from loopshape.recording import Recording, RecordingInfo
+from loopshape.units import Array
+
+SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
+_INJECTIONS = {
+    "controller_input": kernel.CONTROLLER_INPUT,
+    "plant_input": kernel.PLANT_INPUT,
+    "reference": kernel.CONTROLLER_INPUT,
+    "control": kernel.CONTROL,
+}
+_ENDED = {
+    kernel.LEFT_ANGLE: "the angle left the model's range",
+    kernel.LEFT_PRESSURE: "a muscle's pressure left the model's range",
+    kernel.NOT_FINITE: "the state is no longer a number",
+}
+_DEFAULTS: dict[str, tuple[Block, ...]] = {
+    "theta2": (
+        Block("gain", {"gain": 11.0}),
+        Block("lead_lag", {"f1_hz": 2.2, "f2_hz": 18.0}),
+        Block("notch", {"f1_hz": 4.5, "f2_hz": 4.5, "damping1": 0.05, "damping2": 5.0}),
+        Block("low_pass_2", {"f_hz": 19.0, "damping": 0.55}),
+    ),
+    "p_ab": (Block("gain", {"gain": 6.0}), Block("low_pass_1", {"f_hz": 10.0})),
+}
+
+
+class Arm1:
+    """One joint, two antagonistic muscles A and B (`Plant`); loops theta2 and p_AB = p_A + p_B."""
+
+    name = "arm-1dof"
+    loops: tuple[str, ...] = ("theta2", "p_ab")
+    parameters = ARM1_PARAMETERS
+    channels: tuple[Channel, ...] = (
+        Channel("theta2", "rad"),
+        Channel("p_a", "bar"),
+        Channel("p_b", "bar"),
+        Channel("z_theta2", "v"),
+        Channel("z_p", "v"),
+        Channel("u_a", "v"),
+        Channel("u_b", "v"),
+    )
+
+    def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
+        """The angle controller's structure of the source with numbers that hold the printed model."""
+        return tuple(Controller(loop, blocks, rate_hz) for loop, blocks in _DEFAULTS.items())
+
+    def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
+        """Columns of both loops; what enters at the plant's input is in V."""
+        known = {c.loop: c for c in controllers}
+        if set(known) != set(self.loops):
+            raise WrongUseError(
+                "the 1-DoF arm needs a controller for each of its loops theta2 and p_ab", ", ".join(known) or "none"
+            )
+        volts = injection == "plant_input"
+        n_theta, n_p = ("n_theta2_v", "n_p_ab_v") if volts else ("n_theta2_rad", "n_p_ab_bar")
+        return (
+            LoopSetup("theta2", "r_theta2_rad", n_theta, "z_theta2_v", "theta2_rad", known["theta2"]),
+            LoopSetup("p_ab", "r_p_ab_bar", n_p, "z_p_v", "p_a_bar + p_b_bar", known["p_ab"]),
+        )
+
+    def setpoint(self, operating_point: Mapping[str, float]) -> tuple[float, float]:
+        """The references (rad, bar) at an operating point."""
+        self.check_operating_point(operating_point)
+        return float(np.radians(operating_point["theta2_deg"])), float(operating_point["p_ab_bar"])
+
+    def check_operating_point(self, operating_point: Mapping[str, float]) -> None:
+        """Refuse a point with other keys than theta2_deg and p_ab_bar, or without an equilibrium in range."""
+        if set(operating_point) != {"theta2_deg", "p_ab_bar"}:
+            raise WrongUseError(
+                "an operating point of the 1-DoF arm names theta2_deg and p_ab_bar", f"{dict(operating_point)!r}"
+            )
+        vector = self.parameters.vector()
+        theta, p_ab = operating_point["theta2_deg"], operating_point["p_ab_bar"]
+        low, high = (vector[self.parameters.index(f"range_{k}_bar")] for k in ("low", "high"))
+        pair = pressures(constants(vector), theta, p_ab)
+        if not (abs(theta) < 45.0 and low <= min(pair) and max(pair) <= high):
+            raise WrongUseError(
+                f"the 1-DoF arm cannot stand there: its model holds for {low:g} to {high:g} bar in each muscle",
+                f"theta2 {theta:g} deg, p_AB {p_ab:g} bar, which asks for {pair[0]:.3g} and {pair[1]:.3g} bar",
+                "choose a point inside",
+            )
+
+    def simulate(
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        solver: str = "edges",
+        changes: Mapping[str, float] | None = None,
+        threads: int | None = None,
+        steps_per_tick: int = 1,
+        states: bool = False,
+    ) -> list[Recording]:
+        """One recording an experiment, in order; kernels run in parallel on `threads` (default: all cores).
+
+        A simulation that leaves the model's range stops there: its recording ends early and says when and
+        why. `states` adds the true states as columns. Same experiments and seeds, same recordings, whatever
+        the number of threads.
+        """
+        if solver not in SOLVERS:
+            raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(SOLVERS)}")
+        workers = min(len(experiments), threads or os.cpu_count() or 1)
+
+        def one(experiment: Experiment) -> Recording:
+            return self._run(experiment, SOLVERS[solver], dict(changes or {}), steps_per_tick, states)
+
+        if workers <= 1:
+            return [one(e) for e in experiments]
+        with ThreadPoolExecutor(workers) as pool:
+            return list(pool.map(one, experiments))
+
+    def _run(self, e: Experiment, solver: int, changes: dict[str, float], steps: int, states: bool) -> Recording:
+        moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes
+        vector = self.parameters.vector(moves)
+        c, sensors = constants(vector), sensor_constants(vector)
+        period_ticks = _period_ticks(e.rate_hz, float(vector[self.parameters.index("pwm_frequency_hz")]))
+        x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
+        controllers = [_biquads(loop, e) for loop in e.loops]
+        state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
+        references = np.ascontiguousarray(e.references * np.array([1.0, 1e5]))
+        out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
+        ended, n = kernel.run(
+            c, sensors, x, controllers[0], controllers[1], state, references, np.ascontiguousarray(e.injected),
+            _INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, period_ticks,
+            float(vector[self.parameters.index("pwm_dead_zone")]), solver, steps, start_state(e.seed), out,
+        )  # fmt: skip
+        return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
+
+
+def _period_ticks(rate_hz: float, pwm_hz: float) -> int:
+    ticks = rate_hz / pwm_hz
+    if abs(ticks - round(ticks)) > 1e-9 or ticks < 1:
+        raise WrongUseError(
+            "a PWM period must be a whole number of controller samples", f"{pwm_hz:g} Hz at {rate_hz:g} Hz"
+        )
+    return round(ticks)
+
+
+def _biquads(loop: LoopSetup, e: Experiment) -> Array:
+    if loop.controller is None or loop.controller.rate_hz != e.rate_hz:
+        raise WrongUseError(f"loop {loop.name} needs a controller at the rig's rate {e.rate_hz:g} Hz")
+    return loop.controller.biquads()
+
+
+def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
+    return RecordingInfo(
+        file=f"{e.name}.parquet",
+        kind=e.kind,
+        injection=e.injection,
+        role=e.role,
+        excites=e.excites,
+        closed_loop=e.closed_loop,
+        operating_point=dict(e.operating_point),
+        period_s=e.period_s,
+        periodic_from_s=e.periodic_from_s,
+        ended_early=None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s",
+    )
+
+
+def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:
+    theta2, p_ab = e.loops
+    free = e.injection == "control"  # then what is injected is z itself
+    columns = {
+        "t_s": np.arange(n) / e.rate_hz,
+        str(theta2.reference): e.references[:n, 0],
+        str(theta2.injected): np.zeros(n) if free else e.injected[:n, 0],
+        "z_theta2_v": out[:, 3],
+        "theta2_rad": out[:, 0],
+        str(p_ab.reference): e.references[:n, 1],
+        str(p_ab.injected): np.zeros(n) if free else e.injected[:n, 1],
+        "z_p_v": out[:, 4],
+        "p_a_bar": 1e-5 * out[:, 1],
+        "p_b_bar": 1e-5 * out[:, 2],
+        "u_a_v": out[:, 5],
+        "u_b_v": out[:, 6],
+    }
+    if out.shape[1] > kernel.MEASURED:
+        columns |= {
+            "true_theta2_rad": out[:, 7],
+            "true_velocity_rad_s": out[:, 8],
+            "true_p_a_bar": 1e-5 * out[:, 9],
+            "true_p_b_bar": 1e-5 * out[:, 10],
+            "true_p_c_bar": 1e-5 * out[:, 11],
+        }
+    return columns

@@ -1,0 +1,223 @@
+"""The 1-DoF arm under its controllers: one compiled loop over 1 ms ticks.
+
+Order inside a tick: measure, control, log, start a PWM period if one is due (from this tick's u), integrate.
+Two ways to integrate: `EDGES` steps by the classical Runge-Kutta method of order 4 and splits each step where
+a valve closes; `GRID` is the source's way, Bogacki and Shampine's method of order 3 (1989) with the valves
+looked up at each stage's time, so that an edge is seen late or early by up to a stage.
+"""
+
+from __future__ import annotations
+
+import math
+
+from loopshape.kernels import biquads, noise, pwm
+from loopshape.kernels.compiled import compiled
+from loopshape.plants.arm.model import derivatives
+from loopshape.units import Array
+
+EDGES, GRID = 0, 1
+COMPLETE, LEFT_ANGLE, LEFT_PRESSURE, NOT_FINITE = 0, 1, 2, 3
+CONTROLLER_INPUT, PLANT_INPUT, CONTROL = 0, 1, 2
+
+#: columns of the log, pressures in Pa: measured angle and pressures, z and u; true states after them if asked
+LOGGED = ("theta2", "p_a", "p_b", "z_theta2", "z_p", "u_a", "u_b", "angle", "velocity", "true_a", "true_b", "p_c")
+MEASURED = 7
+
+
+@compiled
+def step_rk4(c: Array, x: Array, h: float, in_a: bool, in_b: bool, out_a: bool, out_b: bool) -> None:
+    """One classical Runge-Kutta step of length h s with the valves as given; `x` (5,) moves in place."""
+    c0, a0, b0, q0, w0 = x[0], x[1], x[2], x[3], x[4]
+    k1c, k1a, k1b, k1w = derivatives(c, c0, a0, b0, q0, w0, in_a, in_b, out_a, out_b)
+    half = 0.5 * h
+    w2 = w0 + half * k1w
+    k2c, k2a, k2b, k2w = derivatives(
+        c, c0 + half * k1c, a0 + half * k1a, b0 + half * k1b, q0 + half * w0, w2, in_a, in_b, out_a, out_b
+    )
+    w3 = w0 + half * k2w
+    k3c, k3a, k3b, k3w = derivatives(
+        c, c0 + half * k2c, a0 + half * k2a, b0 + half * k2b, q0 + half * w2, w3, in_a, in_b, out_a, out_b
+    )
+    w4 = w0 + h * k3w
+    k4c, k4a, k4b, k4w = derivatives(
+        c, c0 + h * k3c, a0 + h * k3a, b0 + h * k3b, q0 + h * w3, w4, in_a, in_b, out_a, out_b
+    )
+    sixth = h / 6.0
+    x[0] = c0 + sixth * (k1c + 2.0 * (k2c + k3c) + k4c)
+    x[1] = a0 + sixth * (k1a + 2.0 * (k2a + k3a) + k4a)
+    x[2] = b0 + sixth * (k1b + 2.0 * (k2b + k3b) + k4b)
+    x[3] = q0 + sixth * (w0 + 2.0 * (w2 + w3) + w4)
+    x[4] = w0 + sixth * (k1w + 2.0 * (k2w + k3w) + k4w)
+
+
+@compiled
+def integrate_edges(
+    c: Array, x: Array, start_s: float, end_s: float, steps: int, u_a: float, u_b: float, close_a: float, close_b: float
+) -> None:
+    """Integrate from `start_s` to `end_s` of a PWM period in `steps`, splitting each at a valve that closes."""
+    h = (end_s - start_s) / steps
+    for k in range(steps):
+        now = start_s + k * h
+        end = end_s if k == steps - 1 else start_s + (k + 1) * h
+        first, second = min(close_a, close_b), max(close_a, close_b)
+        while now < end:
+            stop = end
+            if now < first < end:
+                stop = first
+            elif now < second < end:
+                stop = second
+            open_a, open_b = now < close_a, now < close_b
+            step_rk4(
+                c, x, stop - now, open_a and u_a > 0.0, open_b and u_b > 0.0, open_a and u_a < 0.0, open_b and u_b < 0.0
+            )
+            now = stop
+
+
+@compiled
+def grid_derivatives(
+    c: Array, p_c: float, p_a: float, p_b: float, angle: float, velocity: float,
+    phase: float, u_a: float, u_b: float, dead_zone: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Right-hand side with the valves looked up at `phase` of the PWM period."""
+    open_a, open_b = pwm.is_open(u_a, phase, dead_zone), pwm.is_open(u_b, phase, dead_zone)
+    return derivatives(
+        c, p_c, p_a, p_b, angle, velocity,
+        open_a and u_a > 0.0, open_b and u_b > 0.0, open_a and u_a < 0.0, open_b and u_b < 0.0,
+    )  # fmt: skip
+
+
+@compiled
+def integrate_grid(
+    c: Array,
+    x: Array,
+    start_s: float,
+    end_s: float,
+    steps: int,
+    u_a: float,
+    u_b: float,
+    period_s: float,
+    dead_zone: float,
+) -> None:
+    """Integrate by Bogacki and Shampine's third-order method, valves looked up at 0, 1/2 and 3/4 of a step."""
+    h = (end_s - start_s) / steps
+    for k in range(steps):
+        now = start_s + k * h
+        c0, a0, b0, q0, w0 = x[0], x[1], x[2], x[3], x[4]
+        k1c, k1a, k1b, k1w = grid_derivatives(c, c0, a0, b0, q0, w0, now / period_s, u_a, u_b, dead_zone)
+        s = 0.5 * h
+        w2 = w0 + s * k1w
+        k2c, k2a, k2b, k2w = grid_derivatives(
+            c, c0 + s * k1c, a0 + s * k1a, b0 + s * k1b, q0 + s * w0, w2, (now + s) / period_s, u_a, u_b, dead_zone
+        )
+        s = 0.75 * h
+        w3 = w0 + s * k2w
+        k3c, k3a, k3b, k3w = grid_derivatives(
+            c, c0 + s * k2c, a0 + s * k2a, b0 + s * k2b, q0 + s * w2, w3, (now + s) / period_s, u_a, u_b, dead_zone
+        )
+        ninth = h / 9.0
+        x[0] = c0 + ninth * (2.0 * k1c + 3.0 * k2c + 4.0 * k3c)
+        x[1] = a0 + ninth * (2.0 * k1a + 3.0 * k2a + 4.0 * k3a)
+        x[2] = b0 + ninth * (2.0 * k1b + 3.0 * k2b + 4.0 * k3b)
+        x[3] = q0 + ninth * (2.0 * w0 + 3.0 * w2 + 4.0 * w3)
+        x[4] = w0 + ninth * (2.0 * k1w + 3.0 * k2w + 4.0 * k3w)
+
+
+@compiled
+def converted(value: float, step: float, low: float, high: float) -> float:
+    """Value after a converter of this step (0: none) and span."""
+    if step == 0.0:
+        return value
+    return min(max(step * round(value / step), low), high)
+
+
+@compiled
+def range_left(x: Array, sensors: Array) -> int:
+    """Which limit of the model's range the state has passed, or COMPLETE."""
+    if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4]):
+        return NOT_FINITE
+    if abs(x[3]) > sensors[4]:
+        return LEFT_ANGLE
+    if min(x[1], x[2]) < sensors[5] or max(x[1], x[2]) > sensors[6]:
+        return LEFT_PRESSURE
+    return COMPLETE
+
+
+@compiled
+def run(
+    c: Array,
+    sensors: Array,
+    x: Array,
+    biquads_theta: Array,
+    biquads_p: Array,
+    controller_state: Array,
+    references: Array,
+    injected: Array,
+    injection: int,
+    closed: bool,
+    tick_s: float,
+    period_ticks: int,
+    dead_zone: float,
+    solver: int,
+    steps: int,
+    random_state: int,
+    out: Array,
+) -> tuple[int, int]:
+    """Simulate as many ticks as `references` (n, 2: rad, Pa) has; fills `out` (n, 7 or 12) by `LOGGED`.
+
+    `x` (5,) and `controller_state` (2, sections, 2) move in place. Gives why it ended and how many ticks
+    are logged. Sensor spans: the angle is centred, the pressure starts at 0; 12-bit spans never clip within
+    the model's range.
+    """
+    period_s = period_ticks * tick_s
+    u_a = u_b = close_a = close_b = 0.0
+    spare, has_spare = 0.0, False
+    for tick in range(references.shape[0]):
+        theta, p_a, p_b = x[3], x[1], x[2]
+        if sensors[0] > 0.0 or sensors[1] > 0.0:
+            random_state, n1, n2 = noise.normal_pair(random_state)
+            if has_spare:
+                n3, has_spare = spare, False
+            else:
+                random_state, n3, spare = noise.normal_pair(random_state)
+                has_spare = True
+            theta += sensors[0] * n1
+            p_a += sensors[1] * n2
+            p_b += sensors[1] * n3
+        theta = converted(theta, sensors[2], -4.0, 4.0)
+        p_a = converted(p_a, sensors[3], 0.0, 1e7)
+        p_b = converted(p_b, sensors[3], 0.0, 1e7)
+
+        if closed:
+            e_theta = references[tick, 0] - theta
+            e_p = 1e-5 * (references[tick, 1] - (p_a + p_b))
+            if injection == CONTROLLER_INPUT:
+                e_theta += injected[tick, 0]
+                e_p += injected[tick, 1]
+            z_theta = biquads.step(biquads_theta, controller_state[0], e_theta)
+            z_p = biquads.step(biquads_p, controller_state[1], e_p)
+        else:
+            z_theta, z_p = injected[tick, 0], injected[tick, 1]
+        v_theta, v_p = z_theta, z_p
+        if closed and injection == PLANT_INPUT:
+            v_theta += injected[tick, 0]
+            v_p += injected[tick, 1]
+        now_a, now_b = v_theta + v_p, v_p - v_theta
+
+        out[tick, 0], out[tick, 1], out[tick, 2] = theta, p_a, p_b
+        out[tick, 3], out[tick, 4], out[tick, 5], out[tick, 6] = z_theta, z_p, now_a, now_b
+        if out.shape[1] > MEASURED:
+            out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
+
+        phase = tick % period_ticks
+        if phase == 0:
+            u_a, u_b = now_a, now_b
+            close_a, close_b = pwm.pulse_s(u_a, period_s, dead_zone), pwm.pulse_s(u_b, period_s, dead_zone)
+        start, end = phase * tick_s, (phase + 1) * tick_s
+        if solver == EDGES:
+            integrate_edges(c, x, start, end, steps, u_a, u_b, close_a, close_b)
+        else:
+            integrate_grid(c, x, start, end, steps, u_a, u_b, period_s, dead_zone)
+        ended = range_left(x, sensors)
+        if ended != COMPLETE:
+            return ended, tick + 1
+    return COMPLETE, references.shape[0]

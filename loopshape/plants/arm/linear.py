@@ -1,0 +1,94 @@
+"""The arm linearised about an equilibrium, with averaged valves: the truth that estimates are held against.
+
+An averaged valve lets through its full flow times the duty. Filling and exhaust differ, so the nominal gain
+is the mean of both (`ARM.md` speaks of kappa so); `ripple_gains` gives the gains that a moving command sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.plants.arm.equilibrium import rest
+from loopshape.plants.arm.model import derivatives
+from loopshape.plants.arm.parameters import P_IN
+from loopshape.units import Array, ComplexArray, angular, hz
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Linear arm about an equilibrium: states theta2, its velocity, p_A, p_B (rad, rad/s, bar, bar).
+
+    `dynamics` (4, 4); `fill` and `exhaust` (2,) are d p/dt in bar/s per unit duty of muscles A and B.
+    """
+
+    dynamics: Array
+    fill: Array
+    exhaust: Array
+
+    @property
+    def mean_gains(self) -> Array:
+        """Mean of filling and exhaust, (2,), bar/s per V."""
+        return 0.5 * (self.fill + self.exhaust)
+
+    def inputs(self, gains: Array | None = None) -> Array:
+        """Input matrix (4, 2) from (z_theta2, z_p): u_A = z_theta + z_p, u_B = -z_theta + z_p."""
+        g = self.mean_gains if gains is None else gains
+        return np.array([[0.0, 0.0], [0.0, 0.0], [g[0], g[0]], [-g[1], g[1]]])
+
+    def response(self, frequency_hz: Array, gains: Array | None = None) -> ComplexArray:
+        """Response (nf, 2, 2) from (z_theta2, z_p) to (theta2 in rad, p_AB in bar)."""
+        outputs = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+        s = 1j * angular(frequency_hz)[:, None, None]
+        return np.asarray(outputs @ np.linalg.solve(s * np.eye(4) - self.dynamics, self.inputs(gains)[None]))
+
+    def third_order(self, gains: Array | None = None) -> tuple[float, float, float]:
+        """kappa in rad/(V s3), eigenfrequency in Hz and damping ratio of theta2/z_theta2 (4.10)."""
+        a = self.dynamics
+        g = self.mean_gains if gains is None else gains
+        w2 = -a[1, 0] - a[1, 2] * a[2, 1] - a[1, 3] * a[3, 1]
+        w = np.sqrt(w2)
+        kappa = a[1, 2] * g[0] - a[1, 3] * g[1]
+        return float(kappa), hz(w), float(-a[1, 1] / (2.0 * w))
+
+
+def _rates(
+    c: Array, x: Array, in_a: bool = False, in_b: bool = False, out_a: bool = False, out_b: bool = False
+) -> tuple[float, float, float, float]:
+    p_c, p_a, p_b, angle, velocity = x
+    return derivatives(c, p_c, p_a, p_b, angle, velocity, in_a, in_b, out_a, out_b)
+
+
+def linearise(c: Array, theta2_deg: float, p_ab_bar: float) -> Linearisation:
+    """Linearisation about an equilibrium with p_c = p_in; refuses a point without equilibrium."""
+    x = rest(c, theta2_deg, p_ab_bar, float(c[P_IN]))
+
+    def shut(state: Array) -> Array:
+        d = _rates(c, state)
+        return np.array([state[4], d[3], 1e-5 * d[1], 1e-5 * d[2]])
+
+    step = np.array([0.0, 10.0, 10.0, 1e-5, 1e-3])
+    columns = []
+    for k, unit in ((3, 1.0), (4, 1.0), (1, 1e5), (2, 1e5)):
+        e = np.zeros(5)
+        e[k] = step[k]
+        columns.append((shut(x + e) - shut(x - e)) / (2.0 * step[k]) * unit)
+    fill = _rates(c, x, in_a=True)[1], _rates(c, x, in_b=True)[2]
+    out = _rates(c, x, out_a=True)[1], _rates(c, x, out_b=True)[2]
+    return Linearisation(np.array(columns).T, 1e-5 * np.array(fill), -1e-5 * np.array(out))
+
+
+def ripple_gains(lin: Linearisation, mean_v: float, amplitude_v: float, dead_zone: float) -> Array:
+    """Gains (2,) in bar/s per V of valves A and B for commands u = mean + amplitude sin: first harmonic.
+
+    The flow is fill u above the dead zone, exhaust u below, nothing inside: its describing function. The
+    mean is that of z_p, the same for both muscles; at zero amplitude it is undefined and nan.
+    """
+    u = np.sin((np.arange(4096) + 0.5) * (2.0 * np.pi / 4096))
+    level = mean_v + amplitude_v * u
+    gains = []
+    for fill, exhaust in zip(lin.fill, lin.exhaust, strict=True):
+        flow = np.where(np.abs(level) > dead_zone, np.where(level > 0.0, fill, exhaust) * level, 0.0)
+        gains.append(2.0 * np.mean(flow * u) / amplitude_v if amplitude_v > 0.0 else np.nan)
+    return np.array(gains)

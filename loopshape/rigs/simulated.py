@@ -1,0 +1,161 @@
+"""The simulated rig: a study's experiments, done on a plant's model."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from loopshape.controller import Controller
+from loopshape.errors import WrongUseError
+from loopshape.excitation import samples
+from loopshape.experiment import Experiment, LoopSetup
+from loopshape.plant import Plant
+from loopshape.recording import Recording
+from loopshape.run import Run
+from loopshape.study import ExperimentTemplate, Study
+from loopshape.units import Array
+
+
+class Rig(Plant, Protocol):
+    """A plant that a study can be done on: it also knows its loops' columns and its setpoints."""
+
+    def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
+        """Loops with their columns, for what is injected there."""
+
+    def setpoint(self, operating_point: Mapping[str, float]) -> Sequence[float]:
+        """References of all loops at an operating point, in stored units."""
+
+
+def experiments(study: Study, plant: Rig) -> list[Experiment]:
+    """All experiments of a study in order: each template at each of its operating points.
+
+    Seeds of sensor noise follow from the study's seed and the place in this list, so a resumed or a
+    partial campaign gives the same recordings.
+    """
+    out: list[Experiment] = []
+    controllers = _controllers(study, plant)
+    for template in study.experiments:
+        points = study.operating_points if template.operating_points is None else template.operating_points
+        if not points:
+            raise WrongUseError(
+                f"experiment {template.name!r} has no operating point", "", "give operating_points in the study"
+            )
+        loops = plant.loop_setups(controllers, template.injection)
+        for k, point in enumerate(points):
+            plant.check_operating_point(point)
+            name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
+            out.append(_experiment(study, plant, template, loops, point, name, study.seed * 100_003 + len(out)))
+    names = [e.name for e in out]
+    if len(set(names)) != len(names):
+        raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
+    return out
+
+
+def _controllers(study: Study, plant: Rig) -> tuple[Controller, ...]:
+    unknown = set(study.controllers) - set(plant.loops)
+    if unknown:
+        raise WrongUseError(
+            f"the plant {plant.name} has no such loop", ", ".join(sorted(unknown)), f"it has {', '.join(plant.loops)}"
+        )
+    return tuple(
+        Controller(c.loop, study.controllers.get(c.loop, c.blocks), study.rate_hz)
+        for c in plant.default_controllers(study.rate_hz)
+    )
+
+
+def _experiment(
+    study: Study,
+    plant: Rig,
+    template: ExperimentTemplate,
+    loops: tuple[LoopSetup, ...],
+    point: Mapping[str, float],
+    name: str,
+    seed: int,
+) -> Experiment:
+    setpoint = plant.setpoint(point)
+    n = _samples(template, study.rate_hz)
+    references = np.tile(np.asarray(setpoint, dtype=float), (n, 1))
+    injected = np.zeros((n, len(loops)))
+    for loop, signal in template.references.items():
+        k = _place(plant, loop, template.name)
+        references[:, k] = signal.sampled(n, study.rate_hz, float(setpoint[k]))
+    for loop, signal in template.control.items():
+        injected[:, _place(plant, loop, template.name)] = signal.sampled(n, study.rate_hz, 0.0)
+    period_s, periodic_from_s = _excite(injected, template, plant, study.rate_hz)
+    return Experiment(
+        name=name,
+        kind=template.kind,
+        loops=loops,
+        rate_hz=study.rate_hz,
+        references=references,
+        injected=injected,
+        injection=template.injection,
+        operating_point=dict(point),
+        excites=template.excites,
+        role=template.role,
+        closed_loop=template.injection != "control",
+        period_s=period_s,
+        periodic_from_s=periodic_from_s,
+        seed=seed,
+        pwm=dict(study.pwm),
+    )
+
+
+def _samples(template: ExperimentTemplate, rate_hz: float) -> int:
+    if template.excitation is not None:
+        return samples(template.lead_s + template.excitation.duration_s + template.tail_s, rate_hz)
+    if template.duration_s is None:
+        raise WrongUseError(f"experiment {template.name!r} has neither an excitation nor a duration_s")
+    return samples(template.duration_s, rate_hz)
+
+
+def _place(plant: Rig, loop: str, experiment: str) -> int:
+    if loop not in plant.loops:
+        raise WrongUseError(
+            f"experiment {experiment!r} names a loop that {plant.name} does not have",
+            f"{loop!r}",
+            f"it has {', '.join(plant.loops)}",
+        )
+    return plant.loops.index(loop)
+
+
+def _excite(
+    injected: Array, template: ExperimentTemplate, plant: Rig, rate_hz: float
+) -> tuple[float | None, float | None]:
+    """Add the excitation in place; gives its period and from when on the response can repeat."""
+    excitation = template.excitation
+    if excitation is None:
+        return None, None
+    if template.excites is None:
+        raise WrongUseError(f"experiment {template.name!r} has an excitation and does not say which loop it excites")
+    signal = excitation.signal(rate_hz)
+    start = round(template.lead_s * rate_hz)
+    injected[start : start + signal.size, _place(plant, template.excites, template.name)] += signal
+    if excitation.period_s is None:
+        return None, None
+    ramp_s = float(getattr(excitation, "ramp_s", 0.0))
+    return excitation.period_s, template.lead_s + ramp_s
+
+
+def header(study: Study, plant: Rig) -> Run:
+    """The run that the study's recordings belong to, without recordings."""
+    first = experiments(study, plant)[0]
+    pwm = {
+        key: float(study.pwm.get(key, plant.parameters.rows[plant.parameters.index(f"pwm_{key}")].value))
+        for key in ("frequency_hz", "dead_zone")
+        if f"pwm_{key}" in plant.parameters.names
+    }
+    return Run(study.rate_hz, first.loops, (), plant.name, pwm)
+
+
+def measure(
+    study: Study, plant: Rig, *, done: frozenset[str] = frozenset(), threads: int | None = None
+) -> Iterator[Recording]:
+    """The study's recordings in order, leaving out those already `done`; a few at a time are in memory."""
+    todo = [e for e in experiments(study, plant) if e.name not in done]
+    workers = threads or os.cpu_count() or 1
+    for k in range(0, len(todo), workers):
+        yield from plant.simulate(todo[k : k + workers], solver=study.solver, changes=study.changes, threads=workers)
