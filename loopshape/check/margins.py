@@ -1,0 +1,94 @@
+"""Loop -> Margins, by definition, from the lines of a measured plant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.check.crossings import axis_crossings, nearest_to_minus_one, unit_crossings
+from loopshape.check.stability import closed_loop_stability
+from loopshape.loop import Loop
+from loopshape.requirements import Margins
+from loopshape.units import Array, ComplexArray, db, deg
+
+INF = float("inf")
+
+
+def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margins:
+    """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
+
+    - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
+      axis with |L| < 1; the reduction margin the same for |L| > 1, as a factor down;
+    - phase margin: least rotation, either way, that brings L onto -1 over all 0 dB crossings;
+    - delay margin: least delay that does so;
+    - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
+    - bandwidth: first 0 dB crossing of L (downwards from the lowest line).
+
+    Read from noisy lines at their face value: the peak of |S| comes out too high, the margins too small. A
+    resonance between two lines is not seen. Margins mean room only where `stable` says "stable".
+    """
+    f, L, C = loop.frequency_hz, loop.L, loop.C
+    S = 1.0 / (1.0 + L)
+    unit_f, unit_L = unit_crossings(f, L)
+    axis_f, axis_L = axis_crossings(f, L)
+    distance, nearest_hz = nearest_to_minus_one(f, L)
+    at_hz: dict[str, float] = {"modulus_margin": nearest_hz, "sensitivity_peak_db": nearest_hz}
+    phase, delay = _phase_and_delay(unit_f, unit_L, at_hz)
+    gain, reduction = _gain(axis_f, axis_L, at_hz)
+    stability = closed_loop_stability(loop)
+    high = f >= high_frequency_from_hz if high_frequency_from_hz is not None else np.zeros(f.size, dtype=bool)
+    return Margins(
+        gain_margin_db=gain,
+        gain_reduction_margin_db=reduction,
+        phase_margin_deg=phase,
+        modulus_margin=distance,
+        delay_margin_s=delay,
+        sensitivity_peak_db=float(-db(distance)) if distance > 0.0 else INF,
+        complementary_peak_db=_peak(f, L * S, "complementary_peak_db", at_hz),
+        control_peak_db=_peak(f, C * S, "control_peak_db", at_hz),
+        control_high_frequency_db=_peak(f[high], (C * S)[high], "control_high_frequency_db", at_hz),
+        bandwidth_hz=_bandwidth(f, L, unit_f, loop.integrators + loop.controller.integrators()),
+        crossings_hz=tuple(unit_f.tolist()),
+        phase_crossings_hz=tuple(axis_f.tolist()),
+        at_hz=at_hz,
+        stable=stability.outcome,
+        stability_reason=stability.reason,
+    )
+
+
+def _phase_and_delay(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> tuple[float, float]:
+    if not f.size:
+        return INF, INF
+    ahead = deg(np.angle(-L)) % 360.0  # rotation by lag that brings L onto -1, in [0, 360)
+    either = np.minimum(ahead, 360.0 - ahead)
+    delay = ahead / 360.0 / f
+    at_hz["phase_margin_deg"] = float(f[np.argmin(either)])
+    at_hz["delay_margin_s"] = float(f[np.argmin(delay)])
+    return float(either.min()), float(delay.min())
+
+
+def _gain(f: Array, L: Array, at_hz: dict[str, float]) -> tuple[float, float]:
+    sizes = db(L)
+    out = []
+    for name, rows in (("gain_margin_db", sizes <= 0.0), ("gain_reduction_margin_db", sizes > 0.0)):
+        if rows.any():
+            k = int(np.argmin(np.where(rows, np.abs(sizes), np.inf)))
+            at_hz[name] = float(f[k])
+            out.append(float(abs(sizes[k])))
+        else:
+            out.append(INF)
+    return out[0], out[1]
+
+
+def _peak(f: Array, response: ComplexArray, name: str, at_hz: dict[str, float]) -> float:
+    if not f.size:
+        return -INF
+    k = int(np.argmax(np.abs(response)))
+    at_hz[name] = float(f[k])
+    return float(db(response[k]))
+
+
+def _bandwidth(f: Array, L: ComplexArray, crossings_hz: Array, integrators: int) -> float:
+    """First crossing; below the lowest line it is extrapolated along the integrators' slope, else 0."""
+    if abs(L[0]) >= 1.0:
+        return float(crossings_hz[0]) if crossings_hz.size else float(f[-1])
+    return float(f[0] * abs(L[0]) ** (1.0 / integrators)) if integrators else 0.0

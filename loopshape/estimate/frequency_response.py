@@ -1,0 +1,100 @@
+"""Run or recording -> FRF of a loop, with variance, coherence, spectra and trusted lines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.errors import BadSignalError
+from loopshape.estimate.averages import against_instrument, coherence, error_covariance, trusted_lines
+from loopshape.estimate.feedback import direct_signals
+from loopshape.estimate.signals import loop_signals
+from loopshape.estimate.transforms import Settings, transform
+from loopshape.experiment import LoopSetup
+from loopshape.frf import FRF
+from loopshape.recording import Recording
+from loopshape.run import Run
+from loopshape.units import Array
+
+
+def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
+    """FRFs of all recordings of a run that excite a loop, in order; refuses a run without any."""
+    frfs = [
+        estimate_frf(recording, run.loop(recording.info.excites), settings)
+        for recording in run.recordings
+        if recording.info.excites is not None
+    ]
+    if not frfs:
+        raise BadSignalError(
+            "no recording of the run excites a loop", f"{len(run.recordings)} recordings", "say what each excites"
+        )
+    return frfs
+
+
+def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FRF:
+    """FRF (1 x 1) from what enters the plant to the loop's output, with variance and trusted lines.
+
+    The reference-based estimator H = Phi_yn/Phi_un is consistent in closed loop; with n in front of the
+    controller it is the source's -(Phi_e1n)/(C Phi_e2n) (4.9, H.6). `direct` takes Phi_yu/Phi_uu, which
+    under feedback tends to -1/C where noise outweighs the excitation: it warns. Other loops stay closed:
+    with interaction the answer is the equivalent plant with those loops closed. A resonance sharper than
+    the resolution is rounded off, which no variance shows.
+
+    Raises BadSignalError for a record too short, without instrument, constant, or not a number.
+    """
+    settings = settings or Settings()
+    if settings.estimator == "direct":
+        s, notes = direct_signals(recording, loop)
+    else:
+        s, notes = loop_signals(recording, loop), ()
+    t = transform(recording, [s.y, s.u], s.instrument, settings)
+    to_instrument = against_instrument(t)
+    Y, U = t.signals
+    with np.errstate(divide="ignore", invalid="ignore"):
+        G = to_instrument[:, 0] / to_instrument[:, 1]
+        covariance = error_covariance(t, (Y - G * U)[None])[:, 0, 0] / np.abs(to_instrument[:, 1]) ** 2
+    rows = _kept(t.excited) & np.isfinite(G) & np.isfinite(covariance)
+    if not rows.any():
+        raise BadSignalError(
+            f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", t.method
+        )
+    variance = np.real(covariance[rows])
+    trusted = trusted_lines(np.sqrt(variance) / np.abs(G[rows]), t.excited[rows])
+    return FRF(
+        frequency_hz=t.frequency_hz[rows],
+        response=G[rows, None, None],
+        covariance=variance[:, None, None].astype(complex),
+        trusted=trusted,
+        inputs=(s.input_channel.column,),
+        outputs=(s.output_channel.column,),
+        method=f"{settings.estimator} estimator, {t.method}",
+        recording=recording.info.name,
+        loop=loop.name,
+        rate_hz=recording.rate_hz,
+        operating_point=dict(recording.info.operating_point),
+        coherence=coherence(Y, U)[rows],
+        input_power=t.density * (np.abs(U) ** 2).mean(0)[rows],
+        output_power=t.density * (np.abs(Y) ** 2).mean(0)[rows],
+        cross_power=t.density * (Y * U.conj()).mean(0)[rows],
+        notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording),
+    )
+
+
+def _kept(excited: np.ndarray) -> np.ndarray:
+    """Lines worth keeping: from the first to the last excited one for dense lines, else the excited ones."""
+    k = np.flatnonzero(excited)
+    keep = np.zeros(excited.size, dtype=bool)
+    if k.size:
+        dense = k.size > 0.9 * (k[-1] - k[0] + 1)
+        keep[slice(k[0], k[-1] + 1) if dense else k] = True
+    return keep
+
+
+def _band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
+    if trusted.any():
+        return ()
+    return (f"no line between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
+
+
+def _early_note(recording: Recording) -> tuple[str, ...]:
+    ended = recording.info.ended_early
+    return () if ended is None else (f"the recording ended early: {ended}",)

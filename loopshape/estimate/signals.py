@@ -1,0 +1,87 @@
+"""Which signals of a recording an estimate uses: plant input, output, and the signal that only we moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.channel import Channel, sum_terms
+from loopshape.errors import BadSignalError
+from loopshape.experiment import LoopSetup
+from loopshape.recording import Recording
+from loopshape.units import Array
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSignals:
+    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.loop`.
+
+    u is what enters the plant (z, plus n where n enters there). `instrument` is the injected signal, the
+    moving reference, or u itself in open loop. `feedback` tells whether a loop was closed around them.
+    """
+
+    u: Array
+    y: Array
+    instrument: Array
+    feedback: bool
+    input_channel: Channel
+    output_channel: Channel
+
+
+def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals:
+    """Signals of a loop in a recording that excites it.
+
+    Refuses a closed loop without a signal that only we moved (there the data cannot tell plant from
+    inverse controller), and constant signals.
+    """
+    info = recording.info
+    u, y = plant_input(recording, loop), recording.output(loop.output)
+    source = instrument(recording, loop)
+    for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
+        if np.ptp(signal) == 0.0:
+            raise BadSignalError(
+                f"the {what} of loop {loop.name} in recording {info.file} is constant",
+                f"{signal[0]:g} in every row",
+                "check the cable, the map, or which loop the recording excites",
+            )
+    return LoopSignals(u, y, source, info.closed_loop, Channel.from_column(loop.control), output_channel(loop))
+
+
+def plant_input(recording: Recording, loop: LoopSetup) -> Array:
+    """What enters the plant (n,): z, plus the injected signal where it enters there."""
+    z = recording.column(loop.control)
+    if recording.info.injection == "plant_input" and loop.injected in recording.columns:
+        return z + recording.column(str(loop.injected))
+    return z
+
+
+def _instrument_column(recording: Recording, loop: LoopSetup) -> str | None:
+    info = recording.info
+    if info.injection == "control" or not info.closed_loop:
+        return loop.control
+    return loop.reference if info.injection == "reference" else loop.injected
+
+
+def has_instrument(recording: Recording, loop: LoopSetup) -> bool:
+    """Whether the recording holds a signal that only we moved."""
+    return _instrument_column(recording, loop) in recording.columns
+
+
+def instrument(recording: Recording, loop: LoopSetup) -> Array:
+    """The signal (n,) that only we moved; refuses a closed loop without one."""
+    name = _instrument_column(recording, loop)
+    if name is None or name not in recording.columns:
+        raise BadSignalError(
+            f"recording {recording.info.file} was made in closed loop and has no injected signal for loop {loop.name}",
+            f"columns {', '.join(recording.columns)}",
+            "name the injected column, or ask for the direct estimator and take its bias",
+        )
+    return recording.column(name)
+
+
+def output_channel(loop: LoopSetup) -> Channel:
+    """Channel of a loop's output; a sum of columns goes by the loop's name."""
+    if len(sum_terms(loop.output)) > 1:
+        return Channel(loop.name, loop.output_unit)
+    return Channel.from_column(loop.output)

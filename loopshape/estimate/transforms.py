@@ -1,0 +1,162 @@
+"""Transforms of a recording's signals: by whole periods where the excitation repeats, else by Welch's segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.kernels.spectra import hann, independent_share, period_spectra, segment_spectra
+from loopshape.recording import Recording
+from loopshape.units import Array, ComplexArray
+
+ESTIMATORS = ("reference", "direct")
+#: lines whose excitation lies this far below the strongest are not the excitation's (leakage, rounding)
+FLOOR = 1e-5
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to estimate; None lets the record decide. `resolution_hz` is Welch's distance between lines."""
+
+    estimator: str = "reference"
+    resolution_hz: float | None = None
+    overlap: float = 0.75
+
+    def __post_init__(self) -> None:
+        if self.estimator not in ESTIMATORS:
+            raise WrongUseError("an estimator is not known", f"{self.estimator!r}", f"use {' or '.join(ESTIMATORS)}")
+        if not 0.0 <= self.overlap <= 0.9:
+            raise WrongUseError("the overlap of segments lies between 0 and 0.9", f"{self.overlap!r}")
+        if self.resolution_hz is not None and not self.resolution_hz > 0.0:
+            raise WrongUseError("a resolution must be positive", f"{self.resolution_hz!r} Hz")
+
+
+@dataclass(frozen=True, eq=False)
+class Transforms:
+    """Transforms (signals, k, nf) and of the instrument (k, nf) over k segments or periods.
+
+    `independent` averages a segment; `stationary` where each segment carries the same excitation;
+    `density` turns |.|² into power per Hz (segments) or into line power (periods); `excited` (nf,) marks
+    the lines that the instrument feeds.
+    """
+
+    frequency_hz: Array
+    signals: ComplexArray
+    instrument: ComplexArray
+    independent: float
+    stationary: bool
+    density: float
+    excited: np.ndarray
+    method: str
+
+
+def transform(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
+    """Transforms of signals (n,) and their instrument (n,) of one recording; refuses one that is too short."""
+    if recording.info.period_s is not None:
+        return _by_periods(recording, signals, instrument)
+    return _by_segments(recording, signals, instrument, settings)
+
+
+def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Array) -> Transforms:
+    rate = recording.rate_hz
+    length, start, periods = _periods(recording, instrument.size)
+    part = slice(start, start + periods * length)
+    N = period_spectra(instrument[part], length)
+    X = np.stack([period_spectra(x[part], length) for x in signals])
+    dropped = periods > 2 and any(_first_differs(x) for x in X)
+    if dropped:
+        X, N = X[:, 1:], N[1:]
+    note = ", the first left out (not settled)" if dropped else ""
+    return Transforms(
+        frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
+        signals=X,
+        instrument=N,
+        independent=1.0,
+        stationary=True,
+        density=2.0,
+        excited=_periodic_lines(N),
+        method=f"{N.shape[0]} periods of {length / rate:g} s{note}",
+    )
+
+
+def _periods(recording: Recording, n: int) -> tuple[int, int, int]:
+    """Samples of a period, first sample, and number of whole periods; refuses fewer than two."""
+    info, rate = recording.info, recording.rate_hz
+    samples = (info.period_s or 0.0) * rate
+    if abs(samples - round(samples)) > 1e-6 * samples or samples < 2:
+        raise BadSignalError(
+            f"the period of recording {info.file} is no whole number of samples", f"{info.period_s} s at {rate:g} Hz"
+        )
+    length, start = round(samples), round((info.periodic_from_s or 0.0) * rate)
+    periods = max(0, (n - start) // length)
+    if periods < 2:
+        raise BadSignalError(
+            f"recording {info.file} holds {periods} whole period{'s' * (periods != 1)} of {info.period_s:g} s",
+            f"{n / rate:g} s, periodic from {start / rate:g} s",
+            "two at least are needed to tell noise from response",
+        )
+    return length, start, periods
+
+
+def _periodic_lines(N: ComplexArray) -> np.ndarray:
+    """Lines that the instrument's mean period feeds, clear of its own scatter between periods."""
+    mean = N.mean(0)
+    power = np.abs(mean) ** 2
+    scatter = (np.abs(N - mean) ** 2).sum(0) / max(N.shape[0] - 1, 1) / N.shape[0]
+    excited = (power > FLOOR * power[1:].max()) & (power > 10.0 * scatter)
+    excited[0] = False
+    return np.asarray(excited)
+
+
+def _first_differs(X: ComplexArray) -> bool:
+    """Whether the first period lies clearly outside the scatter of the others."""
+    rest = X[1:, 1:]
+    scatter = (np.abs(rest - rest.mean(0)) ** 2).sum() / (rest.shape[0] - 1)
+    distance = (np.abs(X[0, 1:] - rest.mean(0)) ** 2).sum()
+    return bool(distance > 2.0 * scatter * (1.0 + 1.0 / rest.shape[0]))
+
+
+def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
+    rate, n = recording.rate_hz, instrument.size
+    length, step, segments = _segments(recording, n, settings)
+    window = hann(length)
+    share = independent_share(segments, length, step, window)
+    N = segment_spectra(instrument, length, step, window)
+    power = (np.abs(N) ** 2).mean(0)
+    excited = power > FLOOR * power[2:].max()
+    excited[:2] = False  # the window smears the mean into the first line
+    text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
+    return Transforms(
+        frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
+        signals=np.stack([segment_spectra(x, length, step, window) for x in signals]),
+        instrument=N,
+        independent=share,
+        stationary=recording.info.kind != "sweep",
+        density=2.0 / (rate * float(window @ window)),
+        excited=excited,
+        method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
+    )
+
+
+def _segments(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
+    """Length, step and number of segments; refuses a record with fewer than three averages."""
+    rate = recording.rate_hz
+    length = round(rate / settings.resolution_hz) if settings.resolution_hz else _default_length(n, rate)
+    step = max(1, round(length * (1.0 - settings.overlap)))
+    segments = (n - length) // step + 1 if n >= length else 0
+    averages = segments * independent_share(max(segments, 1), length, step, hann(length)) if length > 3 else 0.0
+    if averages < 3.0:
+        raise BadSignalError(
+            f"recording {recording.info.file} is too short for a resolution of {rate / max(length, 1):.3g} Hz",
+            f"{n / rate:g} s, which gives {averages:.1f} averages and three are needed",
+            f"ask for {5.0 * rate / n:.2g} Hz or coarser, or record longer",
+        )
+    return length, step, segments
+
+
+def _default_length(n: int, rate_hz: float) -> int:
+    """A sixth of the record, at most 20 s: enough averages for a variance, lines close enough for resonances."""
+    return min(n // 6, round(20.0 * rate_hz))
