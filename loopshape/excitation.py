@@ -19,7 +19,9 @@ from loopshape.units import TWO_PI, Array
 class Excitation(Protocol):
     """A signal to inject. `period_s` is None where it does not repeat."""
 
-    kind: str
+    @property
+    def kind(self) -> str:
+        """The word for it in a study."""
 
     @property
     def duration_s(self) -> float:

@@ -27,8 +27,8 @@ class FRF:
 
     `covariance` (nf, ny nu, ny nu) is E[d d^H] of d = vec(response) with columns stacked, for a circular
     error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
-    `output_power` and `cross_power` (nf,) are those of the loop's own input and output (densities per Hz,
-    or line powers of a periodic record); None where an estimator has none. `trusted` (nf,) marks lines fit
+    `output_power` and `cross_power` (nf,) are those of the loop's own input and output (densities, or
+    the powers of a periodic record's lines, as `power_per` says: "Hz" or "line"); None where there is none. `trusted` (nf,) marks lines fit
     for use. `method` says in one line how it was measured; `notes` are the estimator's warnings.
     """
 
@@ -47,6 +47,7 @@ class FRF:
     input_power: Array | None = None
     output_power: Array | None = None
     cross_power: ComplexArray | None = None
+    power_per: str = "Hz"
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

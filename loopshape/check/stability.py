@@ -48,9 +48,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
             f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
             f" {integrators} integrators: measure lower or declare their number",
         )
-    turn = start + _turn(1.0 + L) - float(np.angle(1.0 + L[-1]))
-    count = loop.unstable_poles + 0.5 * integrators - turn / np.pi
-    poles = round(count)
+    poles = _count(start, L, loop.unstable_poles, integrators)
     if poles < 0:
         return Stability("undecided", None, f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
     if poles:
@@ -75,9 +73,20 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
     return ""
 
 
-def _turn(path: ComplexArray) -> float:
-    """Angle in rad that a sampled path turns about 0, each step taken the short way."""
-    return float(np.sum(np.angle(path[1:] / path[:-1])))
+def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int) -> int | None:
+    """Closed-loop poles in the right half plane by the bare count, None where the first line fits badly.
+
+    For inner loops of a search: it looks at no uncertainty and trusts the sampling.
+    """
+    start = _turn_to_first_line(L[0], integrators)
+    return None if start is None else _count(start, L, unstable_poles, integrators)
+
+
+def _count(start: float, L: ComplexArray, unstable_poles: int, integrators: int) -> int:
+    """Nyquist's count from the turn of 1 + L over s = j0+ ... j inf; the arc around zero turns it by -180 k deg."""
+    path = 1.0 + L
+    turn = start + float(np.sum(np.angle(path[1:] / path[:-1]))) - float(np.angle(path[-1]))
+    return round(unstable_poles + 0.5 * integrators - turn / np.pi)
 
 
 def _turn_to_first_line(first: complex, integrators: int) -> float | None:
@@ -89,8 +98,7 @@ def _turn_to_first_line(first: complex, integrators: int) -> float | None:
     if integrators == 0:
         return _swing(1.0 + first)
     swing = _swing(first * 1j**integrators)
-    growth = np.exp(np.linspace(0.0, 12.0, 600))
-    return None if swing is None else swing - _turn(1.0 + first * growth)
+    return None if swing is None else swing + float(np.angle((1.0 + first) / first))
 
 
 def _swing(value: complex, limit_deg: float = 75.0) -> float | None:

@@ -75,6 +75,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         input_power=t.density * (np.abs(U) ** 2).mean(0)[rows],
         output_power=t.density * (np.abs(Y) ** 2).mean(0)[rows],
         cross_power=t.density * (Y * U.conj()).mean(0)[rows],
+        power_per=t.power_per,
         notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording),
     )
 

@@ -39,7 +39,7 @@ class Transforms:
     """Transforms (signals, k, nf) and of the instrument (k, nf) over k segments or periods.
 
     `independent` averages a segment; `stationary` where each segment carries the same excitation;
-    `density` turns |.|² into power per Hz (segments) or into line power (periods); `excited` (nf,) marks
+    `density` turns |.|² into power per Hz (segments) or into the power of a line (periods), as `power_per` says; `excited` (nf,) marks
     the lines that the instrument feeds.
     """
 
@@ -49,6 +49,7 @@ class Transforms:
     independent: float
     stationary: bool
     density: float
+    power_per: str
     excited: np.ndarray
     method: str
 
@@ -77,6 +78,7 @@ def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Arra
         independent=1.0,
         stationary=True,
         density=2.0,
+        power_per="line",
         excited=_periodic_lines(N),
         method=f"{N.shape[0]} periods of {length / rate:g} s{note}",
     )
@@ -136,6 +138,7 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
         independent=share,
         stationary=recording.info.kind != "sweep",
         density=2.0 / (rate * float(window @ window)),
+        power_per="Hz",
         excited=excited,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
     )

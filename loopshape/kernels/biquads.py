@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.kernels.compiled import compiled
-from loopshape.units import Array
+from loopshape.kernels.types import Array
 
 
 @compiled

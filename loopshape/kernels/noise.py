@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from loopshape.kernels.compiled import compiled
-from loopshape.units import Array
+from loopshape.kernels.types import Array
 
 MULTIPLIER = 1791398085
 LOW = 0xFFFFFFFF

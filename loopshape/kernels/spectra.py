@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.units import Array, ComplexArray
+from loopshape.kernels.types import Array, ComplexArray
 
 
 def hann(n: int) -> Array:

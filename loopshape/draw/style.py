@@ -1,0 +1,138 @@
+"""One quiet look for every figure: fonts, grid, colours; new figures, and figures to files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib as mpl
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from loopshape.errors import WrongUseError
+
+#: Okabe and Ito's colours, told apart by colour-blind readers; doi.org/10.1038/nmeth.1618
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
+_COLD_TO_WARM = ("#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+LIMIT = "#B2182B"  # what must not be crossed
+QUIET = "#6E6E6E"  # what only helps to read
+FULL_WIDTH_IN = 7.0
+DPI = 150
+_MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
+
+RC: dict[str, object] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "figure.titlesize": 10.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "mathtext.default": "regular",
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#404040",
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.grid.which": "major",
+    "grid.color": "#D9D9D9",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.0,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.minor.size": 1.5,
+    "ytick.minor.size": 1.5,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "none",
+    "legend.borderpad": 0.3,
+    "legend.handlelength": 1.8,
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "path.simplify": True,
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The look, as `with styled():` or as the decorator `@styled()`."""
+    with mpl.rc_context(RC):  # type: ignore[arg-type]
+        yield
+
+
+@styled()
+def new_figure(rows: int = 1, cols: int = 1, size: tuple[float, float] | None = None, **grid: object) -> Figure:
+    """Figure with rows x cols axes (`figure.axes`, row by row); `size` in inches, `grid` as of `Figure.subplots`."""
+    figure = Figure(figsize=size or (FULL_WIDTH_IN, 1.2 + 2.2 * rows))
+    figure.subplots(rows, cols, **grid)  # type: ignore[call-overload]
+    return figure
+
+
+def axes_or_new(ax: Axes | None, size: tuple[float, float] = (4.5, 3.2)) -> Axes:
+    """The axes given, or those of a new figure."""
+    return new_figure(1, 1, size).axes[0] if ax is None else ax
+
+
+def figure_of(ax: Axes) -> Figure:
+    """The figure that an axes stands in."""
+    figure = ax.get_figure(root=True)
+    assert isinstance(figure, Figure)
+    return figure
+
+
+def shades(n: int) -> list[str]:
+    """n colours in rising order, cold to warm: five that colour-blind readers tell apart, a ramp beyond."""
+    if n <= len(_COLD_TO_WARM):
+        return list(_COLD_TO_WARM[:n]) if n > 2 else list(COLOURS[:n])
+    ramp = mpl.colormaps["plasma"]  # its bright end vanishes on white paper
+    return [to_hex(ramp(0.88 * i / (n - 1))) for i in range(n)]
+
+
+@styled()
+def head(figure: Figure, title: str, *details: str) -> None:
+    """Title at the left, details below it in grey; the layout keeps room for all of them."""
+    lines = [line for detail in details for line in _wrapped(detail, round(16.5 * figure.get_figwidth()))]
+    height, room = figure.get_figheight(), 0.24 + 0.165 * len(lines)
+    figure.text(0.012, 1.0 - 0.06 / height, title, va="top", fontsize=10.0)
+    for k, line in enumerate(lines):
+        figure.text(0.012, 1.0 - (0.25 + 0.165 * k) / height, line, va="top", fontsize=8.0, color=QUIET)
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room / height))
+    figure.align_ylabels()
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    """Lines of at most `width` printed characters; the marks of mathematics do not print."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and len(_MARKS.sub("", longer)) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+@styled()
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a PNG of 150 dpi: the same figure gives the same bytes, and the file is whole or absent."""
+    path = Path(path)
+    if path.suffix != ".png":
+        raise WrongUseError("a figure is written as PNG", f"{path.name!r}", "give a name that ends in .png")
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path

@@ -1,0 +1,124 @@
+"""Somebody else's recording as a run: a file and a map in, a `Run` with one recording out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.recording import Recording
+from loopshape.run import Run
+from loopshape.store.import_map import ColumnRule, ImportMap, read_map
+from loopshape.store.sources import Source, open_source
+from loopshape.store.tables import TIME, check_rate
+from loopshape.store.words import said_in
+from loopshape.units import Array
+
+_MOST_GROWTH = 50  # times the file's rows; more comes from a wrong unit of the stamps
+_GAP = 1.5  # median steps
+
+
+def import_file(file: Path, map_file: Path) -> Run:
+    """The run, with one recording in memory, that a map makes of a file; `run_folder.write_run` stores it.
+
+    Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet and NPZ; the
+    keys of the map stand in `import_map`. Refuses whatever the map does not say (`WrongUseError`), damaged files
+    (`UnreadableInputError`), and values or stamps that are no recording (`BadSignalError`). Where
+    stamps were resampled, `extra["notes"]` says how many gaps there were and how long.
+    """
+    rules = read_map(map_file, file.name.split(".")[0])
+    source = open_source(file, rules.csv)
+    columns = {rule.stored: _signal(source, rule) for rule in rules.columns}
+    _check_lengths(columns, file)
+    notes = [f"{rules.info.name}: imported from {file.name}"]
+    stamps = _signal(source, rules.time) if rules.time else None
+    if stamps is not None:
+        _check_lengths({TIME: stamps, **columns}, file)
+        stamps = _cut(stamps, rules, file)
+    columns = {name: _cut(values, rules, file) for name, values in columns.items()}
+    if stamps is not None and rules.resample:
+        columns, note = _resample(stamps, columns, rules.rate_hz, file.name)
+        notes.append(f"{rules.info.name}: {note}")
+    elif stamps is not None:
+        check_rate(stamps, rules.rate_hz, file.name)
+    return _run(rules, columns, notes)
+
+
+def _run(rules: ImportMap, columns: dict[str, Array], notes: list[str]) -> Run:
+    n = len(next(iter(columns.values())))
+    columns = {TIME: np.arange(n) / rules.rate_hz, **columns}
+    parameters = {"parameters": dict(rules.parameters)} if rules.parameters else {}
+    return Run(
+        rate_hz=rules.rate_hz,
+        loops=rules.loops,
+        recordings=(Recording(rules.info, rules.rate_hz, columns),),
+        plant=rules.plant,
+        pwm=rules.pwm,
+        extra={**parameters, "notes": notes},
+    )
+
+
+def _signal(source: Source, rule: ColumnRule) -> Array:
+    with said_in(rule.stored):
+        return rule.scale * source.signal(rule.place) + rule.shift
+
+
+def _check_lengths(columns: dict[str, Array], file: Path) -> None:
+    if len({values.size for values in columns.values()}) != 1:
+        raise WrongUseError(
+            f"the columns taken from {file.name} differ in length",
+            ", ".join(f"{name} {values.size}" for name, values in columns.items()),
+            "take columns of one recording",
+        )
+
+
+def _cut(values: Array, rules: ImportMap, file: Path) -> Array:
+    """The rows that the map takes; refuses rows that are not there and values that are not numbers."""
+    last = rules.to_row if rules.to_row is not None else values.size
+    if not rules.from_row + 1 < last <= values.size:
+        raise WrongUseError(
+            f"{file.name} has {values.size} rows", f"rows {rules.from_row + 1} to {last}", "take at least two of them"
+        )
+    out = values[rules.from_row : last]
+    bad = np.flatnonzero(~np.isfinite(out))
+    if bad.size:
+        raise BadSignalError(
+            f"a column taken from {file.name} holds {bad.size} values that are not numbers",
+            f"the first in row {rules.from_row + bad[0] + 1}",
+            "repair the file, or cut it with from_row and to_row",
+        )
+    return out
+
+
+def _resample(stamps: Array, columns: dict[str, Array], rate_hz: float, file: str) -> tuple[dict[str, Array], str]:
+    """Columns on a grid of `rate_hz` by linear interpolation, and a sentence about the gaps."""
+    steps = np.diff(stamps)
+    late = np.flatnonzero(steps <= 0.0)
+    if late.size:
+        raise BadSignalError(
+            f"the time stamps of {file} do not rise at row {late[0] + 2} of those taken",
+            f"a step of {steps[late[0]]:.6g} s",
+            "sort the file, or cut it with from_row and to_row",
+        )
+    n = np.floor((stamps[-1] - stamps[0]) * rate_hz + 1e-9) + 1
+    if not 2 <= n <= _MOST_GROWTH * stamps.size:
+        raise WrongUseError(
+            f"{stamps.size} rows of {file} would become {n:.0f} at {rate_hz:g} Hz",
+            f"stamps over {stamps[-1] - stamps[0]:g} s",
+            "check the unit of time and rate_hz",
+        )
+    grid = stamps[0] + np.arange(int(n)) / rate_hz
+    return {name: np.interp(grid, stamps, values) for name, values in columns.items()}, _gap_note(steps, rate_hz)
+
+
+def _gap_note(steps: Array, rate_hz: float) -> str:
+    median = float(np.median(steps))
+    gaps = steps[steps > _GAP * median]
+    stamps = f"{steps.size + 1} stamps, {1.0 / median:.6g} Hz in the median"
+    note = f"resampled to {rate_hz:g} Hz by linear interpolation from {stamps}"
+    if gaps.size:
+        note += f"; {gaps.size} gaps of over {_GAP:g} steps, the largest {gaps.max():.6g} s, {gaps.sum():.6g} s in all"
+    if rate_hz < 0.9 / median:
+        note += "; the rate is lower than the file's and nothing was filtered, so faster content is folded down"
+    return note

@@ -1,0 +1,217 @@
+"""Run folders: one `run.toml` and a table per recording, written so that a kill leaves a readable run.
+
+A table is written whole before `run.toml` names it. What is named is therefore complete; a table that is
+not named yet is written again when the work resumes.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.channel import sum_terms
+from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.recording import Recording
+from loopshape.run import Run
+from loopshape.store.files import PART, inside, make_folder, read_toml, write_toml
+from loopshape.store.run_tables import loop_table, read_loops, read_recording, recording_table
+from loopshape.store.tables import TIME, TableColumns, check_rate, write_table
+from loopshape.store.toml_text import toml_text
+from loopshape.store.words import Words, read_words, refuse_doubles
+from loopshape.units import Array
+
+FORMAT = "loopshape-run/1"
+RUN_TOML = "run.toml"
+_KEYS = ("format", "plant", "rate_hz", "pwm", "loop", "recording")
+_COARSE = 200  # values; fewer are a coarse converter or a staircase
+_SATURATED = 0.02  # of the samples
+
+
+def read_run(folder: Path) -> Run:
+    """The run in a folder; columns load when asked for, and their stamps are checked then.
+
+    Refuses another format, missing keys, unknown keys in a loop or a recording (unknown keys at the top
+    stay in `extra`), a recording whose file is missing or lies outside the folder.
+    """
+    words = _read_words(folder)
+    rate_hz = words.positive("rate_hz")
+    loops = read_loops(words, rate_hz)
+    infos = [read_recording(table, loops) for table in words.tables("recording")]
+    refuse_doubles((info.name for info in infos), words.where, "recordings")
+    return Run(
+        rate_hz=rate_hz,
+        loops=loops,
+        recordings=tuple(
+            Recording(info, rate_hz, TableColumns(_existing(folder, info.file), rate_hz)) for info in infos
+        ),
+        plant=words.maybe_text("plant"),
+        pwm=words.numbers("pwm"),
+        extra={key: value for key, value in words.table.items() if key not in _KEYS},
+    )
+
+
+def _read_words(folder: Path) -> Words:
+    if not folder.is_dir():
+        raise UnreadableInputError("a run is a folder", f"{folder}, which is none", "name the folder with run.toml")
+    words = read_words(folder / RUN_TOML, FORMAT)
+    words.need("rate_hz")
+    return words
+
+
+def _existing(folder: Path, file: str) -> Path:
+    path = inside(folder, file, "the file of a recording")
+    if not path.is_file():
+        raise UnreadableInputError(
+            "a recording named in run.toml is missing", str(path), "put the file back or take its entry out"
+        )
+    return path
+
+
+def finished(folder: Path) -> set[str]:
+    """Names of the recordings that `run.toml` lists; empty where there is no run yet."""
+    if not (folder / RUN_TOML).exists():
+        return set()
+    return {recording.info.name for recording in read_run(folder).recordings}
+
+
+def start_run(folder: Path, run: Run) -> None:
+    """Make a run folder without recordings, or resume one whose header is the same.
+
+    `run.recordings` are not written. Refuses a folder that holds other things, and a run whose loops,
+    rate, plant or further keys differ (`extra["notes"]` may: new notes are added).
+    """
+    header = _header(run)
+    if (folder / RUN_TOML).exists():
+        _resume(folder, header)
+        return
+    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(PART)] if folder.is_dir() else []
+    if foreign:
+        raise WrongUseError(
+            "a folder that is no run is not written into",
+            f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
+            "choose a new or an empty folder",
+        )
+    make_folder(folder)
+    write_toml(folder / RUN_TOML, header)
+
+
+def _resume(folder: Path, header: Mapping[str, Any]) -> None:
+    old = read_toml(folder / RUN_TOML)
+    differing = sorted(
+        key
+        for key in (set(old) | set(header)) - {"recording", "notes"}
+        if key not in old or key not in header or old[key] != header[key]
+    )
+    if differing:
+        raise WrongUseError(
+            f"{folder} already holds another run",
+            f"different {', '.join(differing)}",
+            "choose another folder, or repeat what made this one",
+        )
+    for left in folder.glob(f".*{PART}"):  # of a write that was killed
+        with suppress(OSError):
+            left.unlink()
+    notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
+    if notes:
+        write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
+
+
+def _header(run: Run) -> dict[str, Any]:
+    """`run.toml` without recordings, as it reads back."""
+    if taken := set(run.extra) & set(_KEYS):
+        raise WrongUseError("a run's further keys must not be its own", ", ".join(sorted(taken)))
+    table: dict[str, Any] = {"format": FORMAT, "plant": run.plant, "rate_hz": float(run.rate_hz)}
+    table |= dict(run.extra) | {"pwm": dict(run.pwm) or None, "loop": [loop_table(loop) for loop in run.loops] or None}
+    return tomllib.loads(toml_text(table))
+
+
+def add_recording(folder: Path, recording: Recording) -> None:
+    """Write a recording's table, then name it in `run.toml`; a kill in between leaves the run as it was.
+
+    Refuses a recording that is there already, another rate, stamps off the rate, a file that does not end
+    in `.parquet`, and words that `read_run` would refuse.
+    """
+    words = _read_words(folder)
+    rate_hz = words.positive("rate_hz")
+    entry = _entry(recording)
+    info = read_recording(Words(entry, f"recording {recording.info.name!r}"), read_loops(words, rate_hz))
+    if not info.file.endswith(".parquet") or recording.rate_hz != rate_hz:
+        raise WrongUseError(
+            f"a recording of this run is a .parquet file at {rate_hz:g} Hz", f"{info.file} at {recording.rate_hz:g} Hz"
+        )
+    if info.name in {str(r.table.get("file", "")).split(".")[0] for r in words.tables("recording")}:
+        raise WrongUseError(f"{folder} already holds a recording of this name", repr(info.name), "give it another")
+    write_table(inside(folder, info.file, "the file of a recording"), _timed(recording))
+    write_toml(folder / RUN_TOML, dict(words.table) | {"recording": [*words.table.get("recording", []), entry]})
+
+
+def _entry(recording: Recording) -> dict[str, Any]:
+    loaded = tomllib.loads(toml_text({"recording": [recording_table(recording.info)]}))
+    return dict(loaded["recording"][0])
+
+
+def _timed(recording: Recording) -> dict[str, Array]:
+    """The columns, with `t_s` in front; given stamps are checked, missing ones are made from the rate."""
+    columns = {name: np.asarray(recording.columns[name], dtype=float) for name in recording.columns}
+    if TIME in columns:
+        check_rate(columns[TIME], recording.rate_hz, recording.info.file)
+        return columns
+    n = len(next(iter(columns.values()), ()))
+    return {TIME: np.arange(n) / recording.rate_hz, **columns}
+
+
+def write_run(folder: Path, run: Run) -> None:
+    """Write a run with all its recordings, or add its recordings to the same run that is there already."""
+    start_run(folder, run)
+    for recording in run.recordings:
+        add_recording(folder, recording)
+
+
+def check_recordings(run: Run) -> list[str]:
+    """Look at every recording; returns a sentence for each signal that seems saturated.
+
+    Raises `BadSignalError` for values that are not numbers, stamps off the rate, and a signal of the excited
+    loop that does not move. Saturated means that over 2 % of the samples of the excited loop's z or y sit
+    exactly on its largest or smallest value while it takes over 200 values: coarse converters and a
+    staircase pass, a clipped signal does not.
+    """
+    return [warning for recording in run.recordings for warning in _check_recording(run, recording)]
+
+
+def _check_recording(run: Run, recording: Recording) -> list[str]:
+    for name in recording.columns:
+        if not recording.column(name).size:
+            raise BadSignalError(f"recording {recording.info.file} has no rows", "an empty table", "leave it out")
+    info = recording.info
+    if info.excites is None:
+        return []
+    loop = run.loop(info.excites)
+    injected = (loop.injected,) if info.injection in ("controller_input", "plant_input") else ()
+    wanted = (*injected, loop.control, loop.output)
+    signals = {x: recording.output(x) for x in wanted if x and all(t in recording.columns for t in sum_terms(x))}
+    for name, values in signals.items():
+        if np.ptp(values) == 0.0:
+            raise BadSignalError(
+                f"{name} of recording {info.file} does not move although loop {loop.name} is excited",
+                f"{values[0]:g} in all {values.size} rows",
+                "check the sensor and the column, or leave the recording out",
+            )
+    found = (_saturation(name, values, info.file) for name, values in signals.items() if name != loop.injected)
+    return [sentence for sentence in found if sentence]
+
+
+def _saturation(name: str, values: Array, file: str) -> str:
+    if np.unique(values).size <= _COARSE:
+        return ""
+    for extreme in (values.max(), values.min()):
+        share = float(np.mean(values == extreme))
+        if share > _SATURATED:
+            return (
+                f"{name} of recording {file} sits at {extreme:g} for {100.0 * share:.1f} % of its samples: saturated?"
+            )
+    return ""

@@ -1,0 +1,160 @@
+"""Other people's files: the arrays that a CSV, MAT, Parquet or NPZ file holds, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.errors import UnreadableInputError, WrongUseError
+from loopshape.store.csv_text import CsvShape, read_csv_table
+from loopshape.store.files import reading, short
+from loopshape.store.mat5 import read_mat5
+from loopshape.store.tables import TableColumns
+from loopshape.units import Array
+
+_TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a signal stands: an array's name, and its column or row (from 1) where it has two dimensions."""
+
+    name: str | None
+    column: int | None = None
+    row: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ..."""
+
+    path: Path
+    names: tuple[str, ...]
+    load: Callable[[str], np.ndarray]
+    numbered: bool = False
+
+    def signal(self, place: Place) -> Array:
+        """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
+        if self.numbered:
+            return _numbers(self.path, place.name or "", self.load(self._numbered_name(place)))
+        if place.name not in self.names:
+            raise WrongUseError(
+                f"{self.path.name} holds nothing of this name",
+                repr(place.name) if place.name is not None else "no from",
+                f"it holds {short(', '.join(self.names), 400)}",
+            )
+        return _pick(_numbers(self.path, place.name, self.load(place.name)), place, self.path.name)
+
+    def _numbered_name(self, place: Place) -> str:
+        if place.name is not None or place.row is not None or str(place.column) not in self.names:
+            raise WrongUseError(
+                f"a column of {self.path.name}, which has no header, is picked by its number",
+                short(place),
+                f"write column = 1 to {len(self.names)}, and no from",
+            )
+        return str(place.column)
+
+
+def _numbers(path: Path, name: str, values: np.ndarray) -> Array:
+    if values.dtype.kind not in "biuf":
+        raise WrongUseError(
+            f"{name} of {path.name} is not an array of real numbers", f"{values.dtype}", "pick another or convert it"
+        )
+    return np.array(values, dtype=float)
+
+
+def _pick(values: Array, place: Place, file: str) -> Array:
+    """One signal (n,) of an array; (n, 1) and (1, n) need no column or row."""
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape and place.column is None and place.row is None):
+        if place.column is not None or place.row is not None:
+            raise WrongUseError(f"{place.name} of {file} has one dimension", "a column or row", "leave it out")
+        return values.ravel()
+    number, axis = (place.column, 1) if place.column is not None else (place.row, 0)
+    if values.ndim != 2 or (place.column is not None and place.row is not None):
+        number = None
+    if number is None or not 1 <= number <= values.shape[axis]:
+        raise WrongUseError(
+            f"{place.name} of {file} is an array of {' x '.join(map(str, values.shape))}",
+            f"column {place.column}, row {place.row}",
+            "pick one signal of a two-dimensional array by column or by row, counted from 1",
+        )
+    return np.ascontiguousarray(values[:, number - 1] if axis == 1 else values[number - 1])
+
+
+def open_source(path: Path, shape: CsvShape) -> Source:
+    """The arrays of a file, by its ending; nothing is unpickled. `shape` is for text files.
+
+    Refuses an unknown ending, and a missing or damaged file (`UnreadableInputError`).
+    """
+    name = path.name.lower()
+    if name.endswith(_TEXT):
+        return _csv_source(path, shape)
+    if name.endswith(".mat"):
+        return _mat_source(path)
+    if name.endswith(".npz"):
+        return _npz_source(path)
+    if name.endswith(".parquet"):
+        table = TableColumns(path)
+        return Source(path, table.names, lambda name: table[name])
+    raise UnreadableInputError(
+        "a file of this kind is not read", str(path), f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet'))}"
+    )
+
+
+def _csv_source(path: Path, shape: CsvShape) -> Source:
+    table = read_csv_table(path, shape)
+    return Source(path, tuple(name for name in table.names if name), table.column, numbered=not shape.header)
+
+
+def _npz_source(path: Path) -> Source:
+    with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        names = tuple(file.files)
+
+    def load(name: str) -> np.ndarray:
+        with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            return np.asarray(file[name])
+
+    return Source(path, names, load)
+
+
+def _mat_source(path: Path) -> Source:
+    import h5py
+
+    with reading(path, "MAT"):
+        path.open("rb").close()
+        new = h5py.is_hdf5(path)
+    return _mat73_source(path) if new else _mat5_source(path)
+
+
+def _mat5_source(path: Path) -> Source:
+    with reading(path, "MAT"):
+        arrays = read_mat5(path)
+    return Source(path, tuple(arrays), arrays.__getitem__)
+
+
+def _mat73_source(path: Path) -> Source:
+    """MAT v7.3 is HDF5 with every array's axes reversed; links to other files are not followed."""
+    import h5py
+
+    with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+        names = tuple(key for key in file if not key.startswith("#") and _own_array(file, key))
+
+    def load(name: str) -> np.ndarray:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            return np.asarray(file[name][()]).T
+
+    return Source(path, names, load)
+
+
+def _own_array(file: Any, key: str) -> bool:
+    """Whether a member is a dataset that lies in this file itself."""
+    import h5py
+
+    if not isinstance(file.get(key, getlink=True), h5py.HardLink):
+        return False
+    member = file[key]
+    return isinstance(member, h5py.Dataset) and not member.is_virtual and not member.external

@@ -1,0 +1,164 @@
+"""A recording's table on disk: columns that load when asked for, at a rate that is checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
+from loopshape.store.files import reading, write_whole
+from loopshape.units import Array
+
+ENDINGS = (".parquet", ".csv", ".csv.gz")
+TIME = "t_s"
+_TOLERANCE = 0.01  # of a sample
+
+
+def check_ending(name: str) -> str:
+    """The name, if it ends as a table does; refuses others."""
+    if not name.endswith(ENDINGS):
+        raise WrongUseError("a table's kind is not known", repr(name), f"end it in {', '.join(ENDINGS)}")
+    return name
+
+
+class TableColumns(Mapping[str, Array]):
+    """Columns (n,) of a table by name, float64 and read-only, each loaded when it is asked for.
+
+    Names and length of a Parquet file come from its footer. With `rate_hz` the time column is checked
+    before the first column is handed out. Refuses a file that is damaged (`UnreadableInputError`), a column
+    that is not of numbers, and stamps that do not keep the rate (`BadSignalError`).
+    """
+
+    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
+        self.path = path
+        self.rate_hz = rate_hz
+        self._loaded: dict[str, Array] = {}
+        self._rate_checked = False
+        check_ending(path.name)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        names = _parquet_names(self.path) if self._is_parquet else read_csv_names(self.path, CsvShape())
+        if len(set(names)) != len(names):
+            raise UnreadableInputError(f"{self.path.name} names two columns alike", ", ".join(names))
+        return tuple(name for name in names if name)
+
+    @cached_property
+    def rows(self) -> int:
+        """Number of rows."""
+        return _parquet_rows(self.path) if self._is_parquet else len(self._csv.frame)
+
+    @property
+    def _is_parquet(self) -> bool:
+        return self.path.name.endswith(".parquet")
+
+    @cached_property
+    def _csv(self) -> CsvTable:
+        return read_csv_table(self.path, CsvShape())
+
+    def _check_rate_once(self) -> None:
+        if not self._rate_checked and self.rate_hz is not None and TIME in self:
+            check_rate(self._load(TIME), self.rate_hz, self.path.name)
+        self._rate_checked = True
+
+    def _load(self, name: str) -> Array:
+        if name not in self._loaded:
+            values = _parquet_column(self.path, name) if self._is_parquet else self._csv.column(name)
+            values.setflags(write=False)
+            self._loaded[name] = values
+        return self._loaded[name]
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self:
+            raise KeyError(name)
+        self._check_rate_once()
+        return self._load(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def _parquet_names(path: Path) -> tuple[str, ...]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with reading(path, "Parquet", pa.ArrowException):
+        return tuple(pq.read_schema(path).names)
+
+
+def _parquet_rows(path: Path) -> int:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with reading(path, "Parquet", pa.ArrowException):
+        return int(pq.read_metadata(path).num_rows)
+
+
+def _parquet_column(path: Path, name: str) -> Array:
+    """A column as float64; missing values become NaN."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with reading(path, "Parquet", pa.ArrowException), pq.ParquetFile(path) as file:
+        column = file.read(columns=[name]).column(name)
+        kind = column.type
+        numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+        values = np.array(column.cast(pa.float64(), safe=False).to_numpy() if numbers else [], dtype=float)
+    if not numbers:
+        raise UnreadableInputError(f"column {name} of {path.name} is not of numbers", str(kind), "store it as float64")
+    return values
+
+
+def write_table(path: Path, columns: Mapping[str, Array]) -> None:
+    """Write columns (n,) as Parquet, float64 bit for bit, whole or not at all.
+
+    Refuses no columns, and columns that are not one-dimensional or differ in length.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrays = {name: np.ascontiguousarray(values, dtype=float) for name, values in columns.items()}
+    shapes = {values.shape for values in arrays.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        raise WrongUseError(
+            f"the columns of {path.name} must be equally long",
+            ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "no columns",
+        )
+    table = pa.table({name: pa.array(values) for name, values in arrays.items()})
+    write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
+
+
+def check_rate(t_s: Array, rate_hz: float, what: str = "the recording") -> None:
+    """Refuse stamps (n,) in s off the grid of `rate_hz` by over a hundredth of a sample (`BadSignalError`).
+
+    A gap is named by its row (counted from 0) and its jump, a wrong rate by the rate that the stamps keep.
+    """
+    t = np.asarray(t_s, dtype=float)
+    bad = np.flatnonzero(~np.isfinite(t))
+    if bad.size or not t.size:
+        raise BadSignalError(f"{what} has no time stamp in row {bad[0] if bad.size else 0}", "no finite number")
+    off = t - t[0] - np.arange(t.size) / rate_hz
+    slack = _TOLERANCE / rate_hz + 4.0 * np.finfo(float).eps * np.abs(t).max()
+    late = np.flatnonzero(np.abs(off) > slack)
+    if not late.size:
+        return
+    steps = np.diff(t)
+    jumps = np.flatnonzero(np.abs(steps - 1.0 / rate_hz) > slack)
+    row = int(jumps[0]) + 1 if jumps.size else int(late[0])
+    raise BadSignalError(
+        f"the time stamps of {what} leave the rate of {rate_hz:g} Hz at row {row}",
+        f"a step of {steps[row - 1]:.6g} s where {1.0 / rate_hz:.6g} s is due, {jumps.size} such steps in all, "
+        f"median rate {1.0 / np.median(steps) if np.median(steps) else np.inf:.6g} Hz",
+        "correct rate_hz, or import the file with resample = true",
+    )

@@ -1,0 +1,128 @@
+"""A tuning problem: free parameters of a structure, measured plants, and L with its exact slopes.
+
+Parameters are optimised as logarithms. All lines of all operating points lie in one flat array, so one
+evaluation is a handful of array operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.loop import Loop
+from loopshape.requirements import BlockTemplate, Free, Requirements
+from loopshape.units import Array, ComplexArray
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One free parameter: which block, which name, and its bounds."""
+
+    block: int
+    name: str
+    low: float
+    high: float
+    start: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Plants on flat lines, the structure, and the requirements of one loop.
+
+    `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
+    flat line to its unique frequency, at which the controller is evaluated once.
+    """
+
+    requirements: Requirements
+    templates: tuple[BlockTemplate, ...]
+    variables: tuple[Variable, ...]
+    rate_hz: float
+    names: tuple[str, ...]
+    f: Array
+    P: ComplexArray
+    first: np.ndarray
+    unique_s: ComplexArray
+    line: np.ndarray
+    integrators: np.ndarray
+    unstable: np.ndarray
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds of x."""
+        return np.log([v.low for v in self.variables])
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds of x."""
+        return np.log([v.high for v in self.variables])
+
+    def blocks(self, x: Array) -> tuple[Block, ...]:
+        """Blocks at x."""
+        values: list[dict[str, float]] = [{} for _ in self.templates]
+        for v, value in zip(self.variables, np.exp(x), strict=True):
+            values[v.block][v.name] = float(value)
+        return tuple(t.block(values[k]) for k, t in enumerate(self.templates))
+
+    def controller(self, x: Array) -> Controller:
+        """Controller at x."""
+        return Controller(self.requirements.loop, self.blocks(x), self.rate_hz)
+
+    def response(self, x: Array) -> ComplexArray:
+        """C on the flat lines."""
+        s = self.unique_s
+        out = np.ones_like(s)
+        for block in self.blocks(x):
+            (n0, n1, n2), (d0, d1, d2) = block.section()
+            out = out * (n0 + s * (n1 + s * n2)) / (d0 + s * (d1 + s * d2))
+        return out[self.line]
+
+    def slopes(self, x: Array) -> ComplexArray:
+        """d ln C/d x (variables, flat lines), exact."""
+        blocks = self.blocks(x)
+        by_block = [b.log_slopes(self.unique_s) for b in blocks]
+        rows = []
+        for v in self.variables:
+            template, block = self.templates[v.block], blocks[v.block]
+            names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
+            rows.append(sum(block.parameters[v.name] * by_block[v.block][name] for name in names))
+        return np.array(rows)[:, self.line]
+
+
+def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -> Problem:
+    """Problem from loops (their controllers do not matter) and requirements with a structure."""
+    templates = requirements.structure
+    if not templates:
+        raise WrongUseError(
+            f"the requirements of loop {requirements.loop!r} name no structure to tune",
+            "",
+            "add structure = [ { kind = ..., ... } ] with min and max for what may move",
+        )
+    variables = tuple(
+        Variable(k, name, value.low, value.high, value.start)
+        for k, template in enumerate(templates)
+        for name, value in template.parameters.items()
+        if isinstance(value, Free)
+    )
+    if not variables:
+        raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
+    f = np.concatenate([loop.frequency_hz for loop in loops])
+    unique, line = np.unique(f, return_inverse=True)
+    s = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), rate_hz).s_at(unique)
+    return Problem(
+        requirements=requirements,
+        templates=templates,
+        variables=variables,
+        rate_hz=rate_hz,
+        names=tuple(loop.plant.recording for loop in loops),
+        f=f,
+        P=np.concatenate([loop.plant.siso for loop in loops]),
+        first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
+        unique_s=s,
+        line=line,
+        integrators=np.array([loop.integrators for loop in loops]) + sum(t.kind == "pi" for t in templates),
+        unstable=np.array([loop.unstable_poles for loop in loops]),
+    )
