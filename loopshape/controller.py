@@ -17,7 +17,7 @@ discrete response at f is the continuous one at f', and one formula serves both.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -186,6 +186,15 @@ class Block:
         return {name: _polyval(dn, s) / num - _polyval(dd, s) / den for name, (dn, dd) in slopes.items()}
 
 
+def series_response(blocks: Sequence[Block], s: ComplexArray) -> ComplexArray:
+    """Response (ns,) of blocks in series at complex frequencies s (ns,)."""
+    out = np.ones_like(s)
+    for block in blocks:
+        num, den = block.section()
+        out = out * _polyval(num, s) / _polyval(den, s)
+    return out
+
+
 def _finite(kind: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
         raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
@@ -234,12 +243,7 @@ class Controller:
 
     def response(self, frequency_hz: ArrayLike) -> ComplexArray:
         """Response (nf,) of the discretised controller at `frequency_hz` (nf,)."""
-        s = self.s_at(frequency_hz)
-        out = np.ones_like(s)
-        for block in self.blocks:
-            num, den = block.section()
-            out = out * _polyval(num, s) / _polyval(den, s)
-        return out
+        return series_response(self.blocks, self.s_at(frequency_hz))
 
     def biquads(self) -> Array:
         """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule."""

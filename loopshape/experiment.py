@@ -55,7 +55,7 @@ class Experiment:
 
     `injection` says where `injected` enters: the controller's input, the plant's input, or (`control`) as
     z itself with the loops open; with `reference` it is zero and the setpoints move. `start` is the
-    operating point at which the plant rests at t = 0.
+    operating point at which the plant rests at t = 0; `parameters` of the plant differ in this one alone.
     """
 
     name: str
@@ -72,6 +72,7 @@ class Experiment:
     period_s: float | None = None
     periodic_from_s: float | None = None
     seed: int = 0
+    parameters: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -27,9 +27,9 @@ class FRF:
 
     `covariance` (nf, ny nu, ny nu) is E[d d^H] of d = vec(response) with columns stacked, for a circular
     error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
-    `output_power` and `cross_power` (nf,) are those of the loop's own input and output (densities, or
-    the powers of a periodic record's lines, as `power_per` says: "Hz" or "line"); None where there is none. `trusted` (nf,) marks lines fit
-    for use. `method` says in one line how it was measured; `notes` are the estimator's warnings.
+    `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
+    of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
+    use. `method` says in one line how it was measured; `notes` are the estimator's warnings.
     """
 
     frequency_hz: Array

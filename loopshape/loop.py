@@ -20,7 +20,13 @@ import numpy as np
 
 from loopshape.controller import Controller
 from loopshape.frf import FRF
+from loopshape.model import TransferFunction
 from loopshape.units import Array, ComplexArray
+
+
+def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
+    """Logarithmic grid above a last line, up to 0.45 times the rate; none where the line lies beyond."""
+    return np.geomspace(last_hz, 0.45 * rate_hz, count)[1:] if last_hz < 0.45 * rate_hz else np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +34,15 @@ class Loop:
     """One plant FRF (1 x 1) under one controller; responses (nf,) on the FRF's lines.
 
     `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane;
-    the data alone do not show them, they come from the fit or from the user.
+    the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
+    says how the plant goes on below the lowest line; only the count of encirclements uses it.
     """
 
     plant: FRF
     controller: Controller
     integrators: int = 0
     unstable_poles: int = 0
+    model: TransferFunction | None = None
 
     @property
     def frequency_hz(self) -> Array:
@@ -70,3 +78,19 @@ class Loop:
     def PS(self) -> ComplexArray:
         """Process sensitivity."""
         return self.plant.siso * self.S
+
+    @property
+    def above_hz(self) -> Array:
+        """Frequencies from the last line to nine tenths of half the rate, where L has died out and CS is C."""
+        return above_hz(float(self.frequency_hz[-1]), self.controller.rate_hz)
+
+    @property
+    def below_hz(self) -> Array:
+        """Three decades of frequencies below the lowest line, where only a model tells; none without one."""
+        lowest = self.frequency_hz[0]
+        return np.zeros(0) if self.model is None else np.geomspace(1e-3 * lowest, lowest, 60, endpoint=False)
+
+    @property
+    def P_below(self) -> ComplexArray:
+        """The model's response on `below_hz`."""
+        return np.zeros(0, dtype=complex) if self.model is None else self.model.response(self.below_hz)

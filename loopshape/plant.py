@@ -90,5 +90,6 @@ class Plant(Protocol):
         solver: str = "edges",
         changes: Mapping[str, float] | None = None,
         threads: int | None = None,
+        states: bool = False,
     ) -> list[Recording]:
-        """One recording an experiment, in order; experiments run in parallel."""
+        """One recording an experiment, in order, in parallel; `states` adds true states as columns."""

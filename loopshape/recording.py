@@ -14,7 +14,11 @@ from loopshape.units import Array
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """What `run.toml` says of one recording; see the run folder's page for each word."""
+    """What `run.toml` says of one recording; see the run folder's page for each word.
+
+    `parameters` are settings of the rig that held for this recording alone (a supply pressure, a load), in
+    the plant's names; `ended_early` says why a recording is shorter than asked.
+    """
 
     file: str
     kind: str
@@ -25,6 +29,7 @@ class RecordingInfo:
     operating_point: Mapping[str, float] = field(default_factory=dict)
     period_s: float | None = None
     periodic_from_s: float | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
     ended_early: str | None = None
 
     @property

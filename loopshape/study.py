@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from loopshape.controller import Block
 from loopshape.excitation import Excitation, Profile, Staircase
@@ -17,8 +18,8 @@ class ExperimentTemplate:
 
     `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored
     units. The excitation starts after `lead_s` at rest and is followed by `tail_s`; `duration_s` is the
-    whole length where there is no excitation. `operating_points` None takes the study's; `controllers`
-    None takes the study's.
+    whole length where there is no excitation. `operating_points` None takes the study's;
+    `parameters` are changes of the plant for this experiment, on top of the study's.
     """
 
     name: str
@@ -33,6 +34,7 @@ class ExperimentTemplate:
     tail_s: float = 0.0
     duration_s: float | None = None
     operating_points: tuple[Mapping[str, float], ...] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,4 +55,4 @@ class Study:
     changes: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
-    extra: Mapping[str, object] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)

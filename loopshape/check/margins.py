@@ -17,10 +17,12 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
 
     - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
-      axis with |L| < 1; the reduction margin the same for |L| > 1, as a factor down;
+      axis with |L| < 1, and never more than 1/|L| at the last line: beyond it L is taken to cross somewhere,
+      no larger; the reduction margin the same for |L| > 1, as a factor down;
     - phase margin: least rotation, either way, that brings L onto -1 over all 0 dB crossings;
     - delay margin: least delay that does so;
     - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
+    - |CS| also above the last line, where it is |C| because L has died out;
     - bandwidth: first 0 dB crossing of L (downwards from the lowest line).
 
     Read from noisy lines at their face value: the peak of |S| comes out too high, the margins too small. A
@@ -33,9 +35,11 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     distance, nearest_hz = nearest_to_minus_one(f, L)
     at_hz: dict[str, float] = {"modulus_margin": nearest_hz, "sensitivity_peak_db": nearest_hz}
     phase, delay = _phase_and_delay(unit_f, unit_L, at_hz)
-    gain, reduction = _gain(axis_f, axis_L, at_hz)
+    gain, reduction = _gain(np.append(axis_f, f[-1]), np.append(axis_L, min(-abs(L[-1]), -1e-300)), at_hz)
     stability = closed_loop_stability(loop)
-    high = f >= high_frequency_from_hz if high_frequency_from_hz is not None else np.zeros(f.size, dtype=bool)
+    f_all = np.concatenate([f, loop.above_hz])
+    CS = np.concatenate([C * S, loop.controller.response(loop.above_hz)])
+    high = f_all >= (np.inf if high_frequency_from_hz is None else high_frequency_from_hz)
     return Margins(
         gain_margin_db=gain,
         gain_reduction_margin_db=reduction,
@@ -44,8 +48,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         delay_margin_s=delay,
         sensitivity_peak_db=float(-db(distance)) if distance > 0.0 else INF,
         complementary_peak_db=_peak(f, L * S, "complementary_peak_db", at_hz),
-        control_peak_db=_peak(f, C * S, "control_peak_db", at_hz),
-        control_high_frequency_db=_peak(f[high], (C * S)[high], "control_high_frequency_db", at_hz),
+        control_peak_db=_peak(f_all, CS, "control_peak_db", at_hz),
+        control_high_frequency_db=_peak(f_all[high], CS[high], "control_high_frequency_db", at_hz),
         bandwidth_hz=_bandwidth(f, L, unit_f, loop.integrators + loop.controller.integrators()),
         crossings_hz=tuple(unit_f.tolist()),
         phase_crossings_hz=tuple(axis_f.tolist()),
@@ -69,7 +73,8 @@ def _phase_and_delay(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> tupl
 def _gain(f: Array, L: Array, at_hz: dict[str, float]) -> tuple[float, float]:
     sizes = db(L)
     out = []
-    for name, rows in (("gain_margin_db", sizes <= 0.0), ("gain_reduction_margin_db", sizes > 0.0)):
+    inner = np.append(np.ones(f.size - 1, dtype=bool), False)  # the last line only bounds the gain margin
+    for name, rows in (("gain_margin_db", sizes <= 0.0), ("gain_reduction_margin_db", (sizes > 0.0) & inner)):
         if rows.any():
             k = int(np.argmin(np.where(rows, np.abs(sizes), np.inf)))
             at_hz[name] = float(f[k])

@@ -17,6 +17,8 @@ from loopshape.units import Array, ComplexArray, deg
 
 #: between lines 1 + L may turn by this much before the sampling is called too coarse to count, in deg
 COARSE_DEG = 135.0
+#: without a model L must start this close to the phase of its integrators, in deg
+FIT_DEG = 75.0
 
 
 @dataclass(frozen=True)
@@ -32,23 +34,25 @@ def closed_loop_stability(loop: Loop) -> Stability:
     """Nyquist's count for a loop (Nyquist 1932): unstable poles = open-loop ones - encirclements of -1.
 
     Integrators and unstable poles of the plant are the loop's word; a wrong word gives a wrong answer. The
-    contour passes integrators on the right. Undecided where L has not fallen below 1 at the last line, where
-    1 + L turns too far between lines, or where -1 lies within the FRF's own 95 % reach.
+    contour passes integrators on the right. Below the lowest line the loop's model carries it; without one
+    L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain.
+    Undecided where it does not, where L has not fallen below 1 at the last line, where 1 + L turns too far
+    between lines, or where -1 lies within the FRF's own 95 % reach.
     """
     L, f = loop.L, loop.frequency_hz
     integrators = loop.integrators + loop.controller.integrators()
     reason = _undecidable(loop, L, f)
     if reason:
         return Stability("undecided", None, reason)
-    start = _turn_to_first_line(L[0], integrators)
-    if start is None:
+    below = loop.controller.response(loop.below_hz) * loop.P_below
+    poles = count_unstable(L, integrators, loop.unstable_poles, below)
+    if poles is None:
         return Stability(
             "undecided",
             None,
             f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
-            f" {integrators} integrators: measure lower or declare their number",
+            f" {integrators} integrators: fit a model, measure lower, or declare their number",
         )
-    poles = _count(start, L, loop.unstable_poles, integrators)
     if poles < 0:
         return Stability("undecided", None, f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
     if poles:
@@ -73,35 +77,35 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
     return ""
 
 
-def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int) -> int | None:
-    """Closed-loop poles in the right half plane by the bare count, None where the first line fits badly.
+def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray) -> int | None:
+    """Closed-loop poles in the right half plane by the bare count, None where the first value fits badly.
 
-    For inner loops of a search: it looks at no uncertainty and trusts the sampling.
+    `below` (nb,) continues L (nf,) towards zero frequency. It looks at no uncertainty and trusts the
+    sampling. With P unstable open-loop poles and k integrators, passed on the right, the turn of 1 + L over
+    s = j0+ ... j inf is pi (P + k/2 - Z) for Z unstable closed-loop poles.
     """
-    start = _turn_to_first_line(L[0], integrators)
-    return None if start is None else _count(start, L, unstable_poles, integrators)
-
-
-def _count(start: float, L: ComplexArray, unstable_poles: int, integrators: int) -> int:
-    """Nyquist's count from the turn of 1 + L over s = j0+ ... j inf; the arc around zero turns it by -180 k deg."""
-    path = 1.0 + L
+    path = 1.0 + np.concatenate([below, L])
+    start = _turn_to_first(complex(path[0]) - 1.0, integrators, unstable_poles % 2 == 1, below.size > 0)
+    if start is None:
+        return None
     turn = start + float(np.sum(np.angle(path[1:] / path[:-1]))) - float(np.angle(path[-1]))
     return round(unstable_poles + 0.5 * integrators - turn / np.pi)
 
 
-def _turn_to_first_line(first: complex, integrators: int) -> float | None:
-    """Angle in rad that 1 + L turns from s = j0+ to the first line, None where the phase there fits badly.
+def _turn_to_first(first: complex, integrators: int, negative: bool, either_sign: bool) -> float | None:
+    """Angle in rad that 1 + L turns from s = j0+ to L = `first`, None where the phase there fits badly.
 
-    With k integrators L starts infinite at -90 k deg (turned by 180 where the gain is negative), swings to
-    the phase of `first` and shrinks along it as f^-k. Without any, 1 + L starts on the real axis.
+    With k integrators L starts infinite at -90 k deg, swings to the phase of `first` and shrinks along it as
+    f^-k; without any it starts on the real axis. A stable plant is taken to have a positive gain there, one
+    with an odd number of unstable poles a `negative` one (as k/(s - a) has); close to zero frequency, where
+    a model leads, the sign is read off.
     """
-    if integrators == 0:
-        return _swing(1.0 + first)
-    swing = _swing(first * 1j**integrators)
-    return None if swing is None else swing + float(np.angle((1.0 + first) / first))
-
-
-def _swing(value: complex, limit_deg: float = 75.0) -> float | None:
-    """Angle in rad from the nearer end of the real axis to `value`, None where it lies near neither."""
-    angle = float(np.angle(value if value.real >= 0.0 else -value))
-    return angle if abs(deg(angle)) <= limit_deg else None
+    ahead = first * 1j**integrators
+    if either_sign:
+        negative = ahead.real < 0.0
+    swing = float(np.angle(-ahead if negative else ahead))
+    if abs(deg(swing)) > FIT_DEG:
+        return None
+    if integrators:
+        return swing + float(np.angle((1.0 + first) / first))
+    return float(np.angle(1.0 + first)) - (np.pi if first.real < -1.0 else 0.0) * float(np.sign(first.imag or 1.0))

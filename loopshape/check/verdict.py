@@ -15,6 +15,9 @@ from loopshape.model import Fit
 from loopshape.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
 from loopshape.units import deg
 
+#: a fit that misses its lines by more than this, rms, says nothing of the plant below them
+WITNESS_DB = 6.0
+
 
 def loops_of(
     frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()
@@ -32,20 +35,25 @@ def loops_of(
                 f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
             )
-        integrators, unstable, note = _open_loop_poles(lines, requirements, fits)
-        found.append(Loop(lines, controller, integrators, unstable))
+        fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x)), None)
+        integrators, unstable, note = _open_loop_poles(lines, requirements, fit)
+        found.append(Loop(lines, controller, integrators, unstable, None if fit is None else fit.model))
         notes += [note] if note else []
     return found, tuple(dict.fromkeys(notes))
 
 
-def _open_loop_poles(frf: FRF, requirements: Requirements, fits: Sequence[Fit]) -> tuple[int, int, str]:
-    for fit in fits:
-        if (fit.recording, fit.loop) == (frf.recording, frf.loop):
-            declared = requirements.integrators
-            integrators = fit.model.integrators() if declared is None else declared
-            return integrators, fit.model.unstable_poles(), ""
-    if requirements.integrators is not None:
-        return requirements.integrators, 0, ""
+def _witness(fit: Fit) -> bool:
+    """Whether a fit may speak for the plant outside the measured band: it ended well and follows the lines."""
+    return fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
+
+
+def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int, int, str]:
+    """Integrators and unstable poles of the plant, and a note where they had to be assumed."""
+    declared = requirements.integrators
+    if fit is not None:
+        return fit.model.integrators() if declared is None else declared, fit.model.unstable_poles(), ""
+    if declared is not None:
+        return declared, 0, ""
     lowest = frf.siso[: max(3, frf.siso.size // 20)]
     integrators = round(float(np.median(-deg(np.angle(lowest)) % 360.0)) / 90.0) % 4
     return integrators, 0, f"plant taken to have {integrators} integrators, from the phase at its lowest lines"

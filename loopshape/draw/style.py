@@ -1,12 +1,11 @@
-"""One quiet look for every figure: fonts, grid, colours; new figures, and figures to files."""
+"""One quiet look for every figure: fonts, grid, colours; new figures, and figures as PNG."""
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from io import BytesIO
 
 import matplotlib as mpl
 from cycler import cycler
@@ -14,8 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-from loopshape.errors import WrongUseError
 
 #: Okabe and Ito's colours, told apart by colour-blind readers; doi.org/10.1038/nmeth.1618
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#4D4D4D")
@@ -124,15 +121,8 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 @styled()
-def save(figure: Figure, path: str | Path) -> Path:
-    """Write a PNG of 150 dpi: the same figure gives the same bytes, and the file is whole or absent."""
-    path = Path(path)
-    if path.suffix != ".png":
-        raise WrongUseError("a figure is written as PNG", f"{path.name!r}", "give a name that ends in .png")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+def png(figure: Figure) -> bytes:
+    """The figure as PNG of 150 dpi; the same figure gives the same bytes. Files are the store's business."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()

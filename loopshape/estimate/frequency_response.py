@@ -7,7 +7,7 @@ import numpy as np
 from loopshape.errors import BadSignalError
 from loopshape.estimate.averages import against_instrument, coherence, error_covariance, trusted_lines
 from loopshape.estimate.feedback import direct_signals
-from loopshape.estimate.signals import loop_signals
+from loopshape.estimate.signals import held_note, loop_signals
 from loopshape.estimate.transforms import Settings, transform
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
@@ -18,16 +18,17 @@ from loopshape.units import Array
 
 def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
     """FRFs of all recordings of a run that excite a loop, in order; refuses a run without any."""
-    frfs = [
-        estimate_frf(recording, run.loop(recording.info.excites), settings)
-        for recording in run.recordings
-        if recording.info.excites is not None
-    ]
-    if not frfs:
+    return [estimate_frf(r, run.loop(str(r.info.excites)), settings) for r in excited_recordings(run)]
+
+
+def excited_recordings(run: Run) -> list[Recording]:
+    """The recordings that excite a loop, in order; refuses a run without any."""
+    found = [recording for recording in run.recordings if recording.info.excites is not None]
+    if not found:
         raise BadSignalError(
             "no recording of the run excites a loop", f"{len(run.recordings)} recordings", "say what each excites"
         )
-    return frfs
+    return found
 
 
 def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FRF:
@@ -76,7 +77,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         output_power=t.density * (np.abs(Y) ** 2).mean(0)[rows],
         cross_power=t.density * (Y * U.conj()).mean(0)[rows],
         power_per=t.power_per,
-        notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording),
+        notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),
     )
 
 

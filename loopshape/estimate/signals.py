@@ -85,3 +85,19 @@ def output_channel(loop: LoopSetup) -> Channel:
     if len(sum_terms(loop.output)) > 1:
         return Channel(loop.name, loop.output_unit)
     return Channel.from_column(loop.output)
+
+
+def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
+    """A warning where the loop stood clearly elsewhere than its resting reference asked."""
+    info = recording.info
+    if loop.reference not in recording.columns or not info.closed_loop or info.injection == "reference":
+        return ()
+    wished, found = recording.column(str(loop.reference)), recording.output(loop.output)
+    gap = abs(float(wished.mean() - found.mean()))
+    if np.ptp(wished) > 0.0 or gap <= max(0.1 * abs(float(wished.mean())), 3.0 * float(found.std())):
+        return ()
+    unit = loop.output_unit
+    return (
+        f"loop {loop.name} did not hold its setpoint: {float(wished[0]):.3g} {unit} asked,"
+        f" {float(found.mean()):.3g} {unit} on average; the FRF is that of where it stood",
+    )

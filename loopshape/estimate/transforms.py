@@ -39,8 +39,8 @@ class Transforms:
     """Transforms (signals, k, nf) and of the instrument (k, nf) over k segments or periods.
 
     `independent` averages a segment; `stationary` where each segment carries the same excitation;
-    `density` turns |.|² into power per Hz (segments) or into the power of a line (periods), as `power_per` says; `excited` (nf,) marks
-    the lines that the instrument feeds.
+    `density` turns |.|² into power per Hz (segments) or into the power of a line (periods), as `power_per`
+    says; `excited` (nf,) marks the lines that the instrument feeds.
     """
 
     frequency_hz: Array
@@ -161,5 +161,5 @@ def _segments(recording: Recording, n: int, settings: Settings) -> tuple[int, in
 
 
 def _default_length(n: int, rate_hz: float) -> int:
-    """A sixth of the record, at most 20 s: enough averages for a variance, lines close enough for resonances."""
-    return min(n // 6, round(20.0 * rate_hz))
+    """A tenth of the record, at most 20 s: enough averages for a variance, lines close enough for resonances."""
+    return min(n // 10, round(20.0 * rate_hz))

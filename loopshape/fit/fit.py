@@ -114,14 +114,20 @@ def _slopes(structure: Structure, x: Array) -> Array:
     return np.array(columns).T
 
 
-def fit_best(frf: FRF, structures: Sequence[Structure], *, weighting: str = "variance") -> Fit:
+def fit_best(
+    frf: FRF,
+    structures: Sequence[Structure],
+    *,
+    weighting: str = "variance",
+    band_hz: tuple[float, float] | None = None,
+) -> Fit:
     """The fit with the least Bayesian information criterion (Schwarz 1978) among structures."""
 
     def criterion(found: Fit) -> float:
         freedom = 2 * found.lines - len(found.parameters)
         return found.chi2_per_dof * freedom + len(found.parameters) * float(np.log(2 * found.lines))
 
-    return min((fit(frf, structure, weighting=weighting) for structure in structures), key=criterion)
+    return min((fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures), key=criterion)
 
 
 def modes(found: Fit) -> dict[str, list[tuple[float, float]]]:

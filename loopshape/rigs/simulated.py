@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from loopshape.channel import Channel
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.excitation import samples
@@ -16,7 +17,7 @@ from loopshape.plant import Plant
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.study import ExperimentTemplate, Study
-from loopshape.units import Array
+from loopshape.units import SUFFIXES, Array
 
 
 class Rig(Plant, Protocol):
@@ -44,6 +45,7 @@ def experiments(study: Study, plant: Rig) -> list[Experiment]:
                 f"experiment {template.name!r} has no operating point", "", "give operating_points in the study"
             )
         loops = plant.loop_setups(controllers, template.injection)
+        _check_units(study, template, loops)
         for k, point in enumerate(points):
             plant.check_operating_point(point)
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
@@ -52,6 +54,23 @@ def experiments(study: Study, plant: Rig) -> list[Experiment]:
     if len(set(names)) != len(names):
         raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
     return out
+
+
+def _check_units(study: Study, template: ExperimentTemplate, loops: Sequence[LoopSetup]) -> None:
+    """Refuse signals in a unit that the place they act at does not have, where the study says the units."""
+    units = dict(study.extra.get("units", {})).get(template.name, {})
+    for loop in loops:
+        asked = [(units.get("references", {}).get(loop.name), loop.reference)]
+        asked += [(units.get("control", {}).get(loop.name), loop.control)]
+        if loop.name == template.excites:
+            asked += [(units.get("excitation"), loop.injected)]
+        for unit, column in asked:
+            if unit is not None and column is not None and unit != Channel.from_column(column).unit:
+                raise WrongUseError(
+                    f"experiment {template.name!r} moves {column} in another unit",
+                    f"{SUFFIXES[unit]}",
+                    f"give it in {SUFFIXES[Channel.from_column(column).unit]}",
+                )
 
 
 def _controllers(study: Study, plant: Rig) -> tuple[Controller, ...]:
@@ -100,6 +119,7 @@ def _experiment(
         period_s=period_s,
         periodic_from_s=periodic_from_s,
         seed=seed,
+        parameters=dict(template.parameters),
         pwm=dict(study.pwm),
     )
 
@@ -140,22 +160,33 @@ def _excite(
     return excitation.period_s, template.lead_s + ramp_s
 
 
-def header(study: Study, plant: Rig) -> Run:
-    """The run that the study's recordings belong to, without recordings."""
+def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) -> Run:
+    """The run that the study's recordings belong to, without recordings; `extra` keys go along."""
     first = experiments(study, plant)[0]
     pwm = {
         key: float(study.pwm.get(key, plant.parameters.rows[plant.parameters.index(f"pwm_{key}")].value))
         for key in ("frequency_hz", "dead_zone")
         if f"pwm_{key}" in plant.parameters.names
     }
-    return Run(study.rate_hz, first.loops, (), plant.name, pwm)
+    settings: dict[str, object] = {"parameters": dict(study.changes)} if study.changes else {}
+    return Run(study.rate_hz, first.loops, (), plant.name, pwm, settings | dict(extra or {}))
 
 
 def measure(
-    study: Study, plant: Rig, *, done: frozenset[str] = frozenset(), threads: int | None = None
+    study: Study,
+    plant: Rig,
+    *,
+    done: frozenset[str] = frozenset(),
+    threads: int | None = None,
+    states: bool = False,
 ) -> Iterator[Recording]:
-    """The study's recordings in order, leaving out those already `done`; a few at a time are in memory."""
+    """The study's recordings in order, leaving out those already `done`; a few at a time are in memory.
+
+    `states` adds the plant's true states as columns.
+    """
     todo = [e for e in experiments(study, plant) if e.name not in done]
     workers = threads or os.cpu_count() or 1
     for k in range(0, len(todo), workers):
-        yield from plant.simulate(todo[k : k + workers], solver=study.solver, changes=study.changes, threads=workers)
+        yield from plant.simulate(
+            todo[k : k + workers], solver=study.solver, changes=study.changes, threads=workers, states=states
+        )

@@ -88,6 +88,16 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
+def write_bytes_whole(path: Path, data: bytes) -> None:
+    """Write bytes whole or not at all, making the folder where it is missing."""
+    make_folder(path.parent)
+
+    def write(part: Path) -> None:
+        part.write_bytes(data)
+
+    write_whole(path, write)
+
+
 def write_text_whole(path: Path, text: str) -> None:
     """Write UTF-8 text, whole or not at all."""
     write_whole(path, lambda part: _write_text(part, text))

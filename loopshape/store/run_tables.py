@@ -15,7 +15,7 @@ from loopshape.store.words import Words, refuse_doubles, said_in
 LOOP_KEYS = ("name", "reference", "injected", "control", "output", "discretisation", "controller")
 INFO_KEYS = (
     "role", "kind", "excites", "injection", "closed_loop", "operating_point", "period_s", "periodic_from_s",
-    "ended_early",
+    "parameters", "ended_early",
 )  # fmt: skip
 
 
@@ -101,6 +101,7 @@ def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> Recordin
         operating_point=words.numbers("operating_point"),
         period_s=words.positive("period_s") if "period_s" in words.table else None,
         periodic_from_s=words.maybe_number("periodic_from_s"),
+        parameters=words.numbers("parameters"),
         ended_early=words.maybe_text("ended_early"),
     )
 
@@ -126,5 +127,6 @@ def recording_table(info: RecordingInfo) -> dict[str, Any]:
         "operating_point": dict(info.operating_point) or None,
         "period_s": info.period_s,
         "periodic_from_s": info.periodic_from_s,
+        "parameters": dict(info.parameters) or None,
         "ended_early": info.ended_early,
     }

@@ -44,7 +44,7 @@ _KEYS = (
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
-    "excitation", "references", "control",
+    "excitation", "references", "control", "parameters",
 )  # fmt: skip
 Points = tuple[Mapping[str, float], ...]
 Setpoints = Mapping[str, Setpoint]
@@ -125,6 +125,7 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
         tail_s=_from_zero(words, "tail_s"),
         duration_s=words.positive("duration_s") if "duration_s" in words.table else None,
         operating_points=_points(words),
+        parameters=words.numbers("parameters"),
     )
     return template, {"excitation": unit, "references": reference_units, "control": control_units}
 

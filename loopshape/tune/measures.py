@@ -57,7 +57,7 @@ def measure(p: Problem, x: Array, tighten: dict[str, float] | None = None) -> Me
     dlnC = p.slopes(x)
     rows = _Rows([], [], [], [])
     limits = {k: v for k, v in vars(p.requirements).items() if isinstance(v, (int, float))}
-    _peaks(p, limits, tighten or {}, C, L, dlnC, rows)
+    _peaks(p, x, limits, tighten or {}, C, L, dlnC, rows)
     ln_f, ln_f_slopes = _crossings(p, limits, tighten or {}, L, dlnC, rows)
     n = dlnC.shape[0]
     return Measures(
@@ -67,17 +67,21 @@ def measure(p: Problem, x: Array, tighten: dict[str, float] | None = None) -> Me
         room_slopes=np.concatenate([np.zeros((0, n)), *rows.slopes]),
         what=rows.what,
         at=np.concatenate([np.zeros(0, dtype=int), *rows.at]),
-        stable=_stable(p, L),
+        stable=_stable(p, x, L),
     )
 
 
-def _stable(p: Problem, L: ComplexArray) -> bool:
-    parts = zip(p.first[:-1], p.first[1:], p.integrators, p.unstable, strict=True)
-    return all(abs(L[b - 1]) < 1.0 and count_unstable(L[a:b], int(k), int(u)) == 0 for a, b, k, u in parts)
+def _stable(p: Problem, x: Array, L: ComplexArray) -> bool:
+    below, a, b = p.below(x), p.first, p.first_below
+    for i, (k, u) in enumerate(zip(p.integrators, p.unstable, strict=True)):
+        mine = L[a[i] : a[i + 1]]
+        if abs(mine[-1]) >= 1.0 or count_unstable(mine, int(k), int(u), below[b[i] : b[i + 1]]) != 0:
+            return False
+    return True
 
 
 def _peaks(
-    p: Problem, limits: dict[str, float], tighten: dict[str, float], C: ComplexArray, L: ComplexArray,
+    p: Problem, x: Array, limits: dict[str, float], tighten: dict[str, float], C: ComplexArray, L: ComplexArray,
     dlnC: ComplexArray, rows: _Rows,
 ) -> None:  # fmt: skip
     """Rooms of |S|, |T|, |CS| at their local peaks: limits on ln of a magnitude, whose slope is Re(factor dlnC)."""
@@ -99,10 +103,22 @@ def _peaks(
             limit = float(np.log(from_db(limits[name] - tighten.get(name, 0.0))))
         size = np.log(np.abs(response))
         chosen = _local_peaks(p, size, limit - 0.7)
-        if name == "control_high_frequency_db":
-            chosen = chosen[p.f[chosen] >= limits["control_high_frequency_from_hz"]]
+        from_hz = limits["control_high_frequency_from_hz"] if name == "control_high_frequency_db" else 0.0
+        chosen = chosen[p.f[chosen] >= from_hz]
         slopes = np.real(factor[chosen] * dlnC[:, chosen]).T
         rows.add(name, limit - size[chosen], -slopes, chosen)
+        if name.startswith("control_"):
+            _peaks_above(p, x, name, limit, from_hz, rows)
+
+
+def _peaks_above(p: Problem, x: Array, name: str, limit: float, from_hz: float, rows: _Rows) -> None:
+    """Rooms of |CS| above the last lines, where it is |C|: at its largest values."""
+    if not p.f_above.size:
+        return
+    C, slopes = p.above(x)
+    size = np.where(p.f_above >= from_hz, np.log(np.abs(C)), -np.inf)
+    chosen = np.flatnonzero(size > max(size.max() - 0.05, limit - 0.7))
+    rows.add(name, limit - size[chosen], -slopes[:, chosen].real.T, p.f.size + chosen)
 
 
 def _local_peaks(p: Problem, size: Array, above: float) -> np.ndarray:
@@ -175,6 +191,10 @@ def _gain_rooms(
         if name in limits:
             wished = float(np.log(from_db(limits[name] + tighten.get(name, 0.0))))
             rows.add(name, sign * value[rows_k] - wished, sign * slope[rows_k], k[rows_k])
+    if "gain_margin_db" in limits:
+        wished = float(np.log(from_db(limits["gain_margin_db"] + tighten.get("gain_margin_db", 0.0))))
+        last = p.first[1:] - 1
+        rows.add("gain_margin_db", -size[last] - wished, -dlnC[:, last].real.T, last)
 
 
 def _bandwidths(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
+from loopshape.controller import Block, Controller, series_response
 from loopshape.errors import WrongUseError
-from loopshape.loop import Loop
+from loopshape.loop import Loop, above_hz
 from loopshape.requirements import BlockTemplate, Free, Requirements
 from loopshape.units import Array, ComplexArray
 
@@ -34,7 +34,8 @@ class Problem:
     """Plants on flat lines, the structure, and the requirements of one loop.
 
     `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
-    flat line to its unique frequency, at which the controller is evaluated once.
+    flat line to its unique frequency, at which the controller is evaluated once. The arrays with `below` do
+    the same for the models' lines below the measured ones, which only the count of encirclements sees.
     """
 
     requirements: Requirements
@@ -49,6 +50,10 @@ class Problem:
     line: np.ndarray
     integrators: np.ndarray
     unstable: np.ndarray
+    P_below: ComplexArray
+    s_below: ComplexArray
+    first_below: np.ndarray
+    f_above: Array
 
     @property
     def low(self) -> Array:
@@ -73,23 +78,36 @@ class Problem:
 
     def response(self, x: Array) -> ComplexArray:
         """C on the flat lines."""
-        s = self.unique_s
-        out = np.ones_like(s)
-        for block in self.blocks(x):
-            (n0, n1, n2), (d0, d1, d2) = block.section()
-            out = out * (n0 + s * (n1 + s * n2)) / (d0 + s * (d1 + s * d2))
-        return out[self.line]
+        return series_response(self.blocks(x), self.unique_s)[self.line]
+
+    def below(self, x: Array) -> ComplexArray:
+        """L below the lowest lines, by the models of the plants, flat."""
+        return series_response(self.blocks(x), self.s_below) * self.P_below
+
+    def above(self, x: Array) -> tuple[ComplexArray, ComplexArray]:
+        """C above the last lines, where it is CS, and its slopes d ln C/d x."""
+        s = Controller(self.requirements.loop, self.blocks(x), self.rate_hz).s_at(self.f_above)
+        return series_response(self.blocks(x), s), self._slopes(x, s)
+
+    def place(self, at: int) -> tuple[str, float]:
+        """Operating point and frequency in Hz of a flat line, or of a frequency above all lines."""
+        if at >= self.f.size:
+            return "every operating point", float(self.f_above[at - self.f.size])
+        return self.names[int(np.searchsorted(self.first, at, side="right")) - 1], float(self.f[at])
 
     def slopes(self, x: Array) -> ComplexArray:
         """d ln C/d x (variables, flat lines), exact."""
+        return self._slopes(x, self.unique_s)[:, self.line]
+
+    def _slopes(self, x: Array, s: ComplexArray) -> ComplexArray:
         blocks = self.blocks(x)
-        by_block = [b.log_slopes(self.unique_s) for b in blocks]
+        by_block = [b.log_slopes(s) for b in blocks]
         rows = []
         for v in self.variables:
             template, block = self.templates[v.block], blocks[v.block]
             names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
             rows.append(sum(block.parameters[v.name] * by_block[v.block][name] for name in names))
-        return np.array(rows)[:, self.line]
+        return np.array(rows)
 
 
 def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -> Problem:
@@ -111,7 +129,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
         raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
     f = np.concatenate([loop.frequency_hz for loop in loops])
     unique, line = np.unique(f, return_inverse=True)
-    s = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), rate_hz).s_at(unique)
+    unit = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), rate_hz)
     return Problem(
         requirements=requirements,
         templates=templates,
@@ -121,8 +139,12 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
         f=f,
         P=np.concatenate([loop.plant.siso for loop in loops]),
         first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
-        unique_s=s,
+        unique_s=unit.s_at(unique),
         line=line,
         integrators=np.array([loop.integrators for loop in loops]) + sum(t.kind == "pi" for t in templates),
         unstable=np.array([loop.unstable_poles for loop in loops]),
+        P_below=np.concatenate([loop.P_below for loop in loops]),
+        s_below=unit.s_at(np.concatenate([loop.below_hz for loop in loops])),
+        f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),
+        first_below=np.concatenate([[0], np.cumsum([loop.below_hz.size for loop in loops])]),
     )

@@ -123,10 +123,10 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
     for k in np.argsort(m.room):
         if m.room[k] > tolerance:
             break
-        owner = p.names[int(np.searchsorted(p.first, m.at[k], side="right")) - 1]
+        owner, at_hz = p.place(int(m.at[k]))
         if (m.what[k], owner) not in seen:
             seen.add((m.what[k], owner))
-            out.append(Binding(m.what[k], owner, float(p.f[m.at[k]])))
+            out.append(Binding(m.what[k], owner, at_hz))
     return tuple(out)
 
 

@@ -124,7 +124,7 @@ def test_the_page_names_loop_recording_point_method_and_fit() -> None:
     assert r"$\kappa$ = 1480 ± 35 rad/(V s³)" in details[1]
     assert details[-1] == "two lines were lost"
     labels = [ax.get_ylabel() for ax in figure.axes]
-    assert labels == ["magnitude [dB re rad/V]", "power spectra", "phase [deg]", "coherence [1]"]
+    assert labels == ["magnitude [dB re rad/V]", "power spectra, per Hz", "phase [deg]", "coherence [1]"]
 
 
 def test_the_fit_lies_on_its_band_and_on_the_turn_of_the_measured_phase() -> None:

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib as mpl
 import picture_nouns as nouns
@@ -12,36 +11,14 @@ import pytest
 from loopshape.draw import frequency
 from loopshape.draw.key import key_of, varying
 from loopshape.draw.labels import decibel, number, numbers, product, quantity, ratio, superscripts, symbol, unit_of
-from loopshape.draw.style import new_figure, save, shades
-from loopshape.errors import WrongUseError
+from loopshape.draw.style import png, shades
 
 
-def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
-    first, second = (save(frequency.frf_page(nouns.frf(), nouns.fit()), tmp_path / f"{k}.png") for k in "ab")
-    assert first.read_bytes() == second.read_bytes()
-    assert first.read_bytes().startswith(b"\x89PNG")
-    assert b"Software" not in first.read_bytes()
-
-
-def test_a_file_is_whole_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    figure = new_figure()
-    path = save(figure, tmp_path / "kept.png")
-    before = path.read_bytes()
-
-    def breaks(target: Path, **_: object) -> None:
-        Path(target).write_bytes(b"half")
-        raise OSError("disk full")
-
-    monkeypatch.setattr(figure, "savefig", breaks)
-    with pytest.raises(OSError, match="disk full"):
-        save(figure, path)
-    assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["kept.png"]
-
-
-def test_only_png_is_written(tmp_path: Path) -> None:
-    with pytest.raises(WrongUseError, match="PNG"):
-        save(new_figure(), tmp_path / "figure.jpg")
+def test_the_same_figure_gives_the_same_bytes() -> None:
+    first, second = (png(frequency.frf_page(nouns.frf(), nouns.fit())) for _ in "ab")
+    assert first == second
+    assert first.startswith(b"\x89PNG")
+    assert b"Software" not in first
 
 
 def test_the_look_does_not_leak_into_the_callers_matplotlib() -> None:

@@ -127,7 +127,7 @@ class Arm1:
             return list(pool.map(one, experiments))
 
     def _run(self, e: Experiment, solver: int, changes: dict[str, float], steps: int, states: bool) -> Recording:
-        moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes
+        moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters)
         vector = self.parameters.vector(moves)
         c, sensors = constants(vector), sensor_constants(vector)
         period_ticks = _period_ticks(e.rate_hz, float(vector[self.parameters.index("pwm_frequency_hz")]))
@@ -170,6 +170,7 @@ def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
         operating_point=dict(e.operating_point),
         period_s=e.period_s,
         periodic_from_s=e.periodic_from_s,
+        parameters=dict(e.parameters),
         ended_early=None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s",
     )
 

@@ -1,0 +1,50 @@
+"""`loopshape check`: hold a controller against its requirements, on the measured FRFs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.tune import RequireFile
+from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
+
+
+def check(
+    run: RunFolder,
+    controller: Annotated[Path, typer.Argument(help="A controller file (TOML).", show_default=False)],
+    require: RequireFile,
+    junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check margins, peaks and stability at every operating point; exit code 1 where one is missed."""
+    from loopshape.check.verdict import check as check_loop
+    from loopshape.cli.figures import controller_of, draw_loops
+    from loopshape.store.controllers import read_controllers
+    from loopshape.store.frfs import read_frfs
+    from loopshape.store.junit import write_junit
+    from loopshape.store.requirements import read_requirements
+
+    output = Output(as_json, quiet)
+    controllers, requirements = read_controllers(controller), read_requirements(require)
+    frfs, fits = read_frfs(run), fits_of(run)
+    verdicts, drawn = [], []
+    for wished in requirements:
+        mine = [one for one in frfs if one.loop == wished.loop]
+        own = controller_of(controllers, wished.loop)
+        verdicts.append(check_loop(mine, own, wished, fits))
+        if figures:
+            drawn += draw_loops(run / "figures", mine, own, wished, fits, verdicts[-1])
+    report_verdicts(verdicts, output)
+    if junit is not None:
+        write_junit(junit, verdicts)
+    passed = all(v.passed for v in verdicts)
+    output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
+    output.say(f"verdict: {'pass' if passed else 'FAIL'}")
+    output.json({"passed": passed, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})
+    if not passed:
+        raise typer.Exit(1)

@@ -1,0 +1,5 @@
+"""`loopshape demo`."""
+
+
+def demo() -> None:
+    """Demo."""

@@ -1,0 +1,107 @@
+"""`loopshape fit`: low-order models of a run's FRFs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+
+if TYPE_CHECKING:
+    from loopshape.model import Fit
+
+
+def fit(
+    run: RunFolder,
+    structure: Annotated[
+        str, typer.Option(help="third_order, integrator (each with _delay too), rational, or auto.")
+    ] = "auto",
+    loop: Annotated[str | None, typer.Option(help="Only this loop; fits of other loops are kept.")] = None,
+    numerator: Annotated[int, typer.Option(help="rational: order of the numerator.")] = 0,
+    denominator: Annotated[int, typer.Option(help="rational: order of the denominator.")] = 1,
+    integrators: Annotated[int, typer.Option(help="rational: poles at zero.")] = 0,
+    delay: Annotated[bool, typer.Option("--delay", help="Fit a delay too.")] = False,
+    weighting: Annotated[str, typer.Option(help="variance, or relative.")] = "variance",
+    low_hz: Annotated[float | None, typer.Option(help="Lowest line; default: the trusted band.")] = None,
+    high_hz: Annotated[float | None, typer.Option(help="Highest line; default: the trusted band.")] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit low-order models, with intervals and a test of what they leave."""
+    from loopshape.errors import WrongUseError
+    from loopshape.fit.fit import fit as fit_one
+    from loopshape.fit.fit import fit_best, structure_by_name
+    from loopshape.store.fits import read_fits, write_fits
+    from loopshape.store.frfs import read_frfs
+
+    output = Output(as_json, quiet)
+    frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
+    if not frfs:
+        raise WrongUseError("the run has no FRF of such a loop", repr(loop))
+    words = (
+        ("integrator", "integrator_delay", "third_order", "third_order_delay") if structure == "auto" else (structure,)
+    )
+    choices = [
+        structure_by_name(w, numerator=numerator, denominator=denominator, integrators=integrators, delay=delay)
+        for w in words
+    ]
+    made = []
+    for one in frfs:
+        band = None
+        if low_hz is not None or high_hz is not None:
+            band = (low_hz or float(one.frequency_hz[0]), high_hz or float(one.frequency_hz[-1]))
+        if len(choices) == 1:
+            made.append(fit_one(one, choices[0], weighting=weighting, band_hz=band))
+        else:
+            made.append(fit_best(one, choices, weighting=weighting, band_hz=band))
+    known = {(f.recording, f.loop) for f in made}
+    older = [f for f in (read_fits(run) if (run / "fits.json").exists() else ()) if (f.recording, f.loop) not in known]
+    write_fits(run, [*older, *made])
+    report_fits(made, output, run)
+
+
+def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
+    """Table for each structure, and the JSON."""
+    for name in dict.fromkeys(f.structure for f in fits):
+        mine = [f for f in fits if f.structure == name]
+        parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters]
+        columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
+        rows = [
+            [f.recording, f.loop, point(f.operating_point)]
+            + [f"{p.value:.4g} ± {1.96 * p.std:.2g}" for p in f.parameters]
+            + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
+            for f in mine
+        ]
+        output.table(f"Fits of structure {name} (± 95 %)", columns, rows)
+    bad = [f for f in fits if not f.sufficient]
+    if bad:
+        output.say(
+            f"{len(bad)} of {len(fits)} models leave more than the noise (enough? no): their intervals are widened,"
+            " and checks use the FRF itself"
+        )
+    output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if f.outcome != "converged")
+    output.json(
+        {
+            "run": str(folder),
+            "fits": [
+                {
+                    "recording": f.recording,
+                    "loop": f.loop,
+                    "operating_point": dict(f.operating_point),
+                    "structure": f.structure,
+                    "parameters": {
+                        p.name: {"value": p.value, "std": p.std, "interval": list(p.interval), "unit": p.unit}
+                        for p in f.parameters
+                    },
+                    "outcome": f.outcome,
+                    "chi2_per_dof": f.chi2_per_dof,
+                    "sufficient": f.sufficient,
+                    "misfit_db": f.misfit_db,
+                    "band_hz": list(f.band_hz),
+                }
+                for f in fits
+            ],
+        }
+    )

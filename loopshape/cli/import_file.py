@@ -1,0 +1,48 @@
+"""`loopshape import`: a run from somebody's file, by a map that leaves nothing to guess."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet
+
+
+def import_file(
+    file: Annotated[Path, typer.Argument(help="CSV, MAT (v5, v7.3), Parquet or NPZ.", show_default=False)],
+    map_file: Annotated[Path, typer.Option("--map", help="Which column is what, in which unit, at which rate.")],
+    out: Annotated[Path, typer.Option(help="The run folder to write, or to add to.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a run folder from a recording of your own."""
+    from loopshape.store.import_file import import_file as read
+    from loopshape.store.run_folder import add_recording, check_recordings, start_run
+
+    output = Output(as_json, quiet)
+    run = read(file, map_file)
+    warnings = check_recordings(run)
+    start_run(out, run)
+    for recording in run.recordings:
+        add_recording(out, recording)
+    rows = [
+        [name, float(values.min()), float(values.max()), float(values.std()), int(values.size)]
+        for recording in run.recordings
+        for name, values in recording.columns.items()
+    ]
+    output.table(f"Imported {file.name} at {run.rate_hz:g} Hz", ["column", "min", "max", "std", "samples"], rows)
+    notes = [str(note) for note in run.extra.get("notes", ())]
+    for note in notes:
+        output.say(note)
+    output.warn(warnings)
+    keys = ("column", "min", "max", "std", "samples")
+    output.json(
+        {
+            "run": str(out),
+            "columns": [dict(zip(keys, row, strict=True)) for row in rows],
+            "notes": notes,
+            "warnings": warnings,
+        }
+    )

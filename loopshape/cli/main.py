@@ -1,0 +1,62 @@
+"""The command line: one file a command, heavy imports inside them, errors as one sentence and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from loopshape.cli.check import check
+from loopshape.cli.demo import demo
+from loopshape.cli.equilibria import equilibria
+from loopshape.cli.figures import figures
+from loopshape.cli.fit import fit
+from loopshape.cli.frf import frf
+from loopshape.cli.import_file import import_file
+from loopshape.cli.measure import measure
+from loopshape.cli.simulate import simulate
+from loopshape.cli.tune import tune
+from loopshape.errors import LoopshapeError
+
+HELP = """From closed-loop recordings of a motion system to a tuned, checked controller.
+
+measure or import a run -> frf -> fit -> tune -> check. Exit codes: 0 pass, 1 a requirement is missed, 2 wrong
+use or unreadable input.
+"""
+
+app = typer.Typer(
+    help=HELP, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+for command in (measure, simulate, frf, fit, tune, check, figures, equilibria, demo):
+    app.command()(command)
+app.command("import")(import_file)
+
+
+@app.callback()
+def version(
+    show: bool = typer.Option(False, "--version", help="Print the version and stop.", is_eager=True),
+) -> None:
+    """Options of the program itself."""
+    if show:
+        from loopshape import __version__
+
+        print(__version__)
+        raise typer.Exit
+
+
+def run() -> None:
+    """Entry point: what the user can put right becomes a sentence on standard error and exit code 2."""
+    try:
+        app()
+    except LoopshapeError as error:
+        print(f"loopshape: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("loopshape: interrupted; finished recordings are kept, the same command resumes", file=sys.stderr)
+        raise SystemExit(130) from None
+    except BrokenPipeError:
+        raise SystemExit(0) from None
+
+
+if __name__ == "__main__":
+    run()

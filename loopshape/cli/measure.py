@@ -1,0 +1,51 @@
+"""`loopshape measure`: drive the rig that a study names, write a run, estimate its FRFs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet
+
+StudyFile = Annotated[Path, typer.Argument(help="A study (TOML).", show_default=False)]
+
+
+def measure(
+    study: StudyFile,
+    out: Annotated[Path, typer.Option(help="The run folder to write; an interrupted run goes on.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Drive the rig of a study and write a run folder with its FRFs."""
+    from loopshape.cli.frf import estimate_and_report
+
+    output = Output(as_json, quiet)
+    ended = record(study, out, output)
+    estimate_and_report(out, output, extra={"ended_early": ended})
+
+
+def record(study_file: Path, out: Path, output: Output, *, states: bool = False) -> list[str]:
+    """Record what is missing of a study into a run folder; gives what ended early, a sentence each."""
+    import hashlib
+
+    from loopshape import registry
+    from loopshape.errors import WrongUseError
+    from loopshape.rigs.simulated import experiments, header, measure
+    from loopshape.store.run_folder import add_recording, finished, read_run, start_run
+    from loopshape.store.study import read_study
+
+    study = read_study(study_file)
+    if study.rig != "simulated":
+        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated"')
+    plant = registry.plant(study.plant)
+    todo = experiments(study, plant)
+    digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
+    start_run(out, header(study, plant, {"study_sha256": digest}))
+    done = frozenset(finished(out))
+    with output.progress("measure", len(todo) - len(done)) as step:
+        for recording in measure(study, plant, done=done, states=states):
+            add_recording(out, recording)
+            step(recording.info.name)
+    return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(out).recordings if r.info.ended_early]

@@ -1,0 +1,93 @@
+"""What commands say: tables for people, JSON for scripts, progress while long work runs, errors as sentences."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+T = TypeVar("T")
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+RunFolder = Annotated[Path, typer.Argument(help="A run folder.", show_default=False)]
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a command's words go: tables, one JSON object, or nowhere."""
+
+    as_json: bool = False
+    quiet: bool = False
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """A table with right-aligned numbers."""
+        if self.as_json or self.quiet:
+            return
+        from rich.console import Console
+        from rich.table import Table
+
+        made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+        rows = [list(row) for row in rows]
+        for k, name in enumerate(columns):
+            number = all(isinstance(row[k], (int, float)) for row in rows)
+            made.add_column(name, justify="right" if number else "left", no_wrap=number)
+        for row in rows:
+            made.add_row(*(text(cell) for cell in row))
+        console = Console()
+        if not console.is_terminal:  # a pipe or a log has no width to keep to
+            console = Console(width=240)
+        console.print(made)
+
+    def say(self, line: str) -> None:
+        """One line."""
+        if not (self.as_json or self.quiet):
+            print(line)
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Warnings, each once, to standard error; they are printed whatever the mode."""
+        for line in dict.fromkeys(lines):
+            print(f"warning: {line}", file=sys.stderr)
+
+    def json(self, payload: Mapping[str, Any]) -> None:
+        """The JSON object of this command, where it was asked for."""
+        if self.as_json:
+            from loopshape.store.files import json_ready
+
+            print(json.dumps(json_ready(payload)))
+
+    @contextmanager
+    def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:
+        """A bar on standard error; call what it gives with a word after each step."""
+        if self.as_json or self.quiet or not sys.stderr.isatty():
+            yield lambda word: None
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task(label, total=total)
+            yield lambda word: bar.update(task, advance=1, description=f"{label}: {word}")
+
+
+def text(cell: Any) -> str:
+    """A cell as people read it: four figures, no noise."""
+    if cell is None:
+        return "-"
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, float):
+        return f"{cell:.4g}"
+    return str(cell)
+
+
+def point(operating_point: Mapping[str, float]) -> str:
+    """An operating point in a few letters: values with the units that end their names."""
+    return ", ".join(f"{value:g} {name.rsplit('_', 1)[-1]}" for name, value in operating_point.items()) or "-"
