@@ -22,6 +22,15 @@ def check(
     quiet: Quiet = False,
 ) -> None:
     """Check margins, peaks and stability at every operating point; exit code 1 where one is missed."""
+    passed, _ = check_run(run, controller, require, Output(as_json, quiet), junit=junit, figures=figures)
+    if not passed:
+        raise typer.Exit(1)
+
+
+def check_run(
+    run: Path, controller: Path, require: Path, output: Output, *, junit: Path | None = None, figures: bool = True
+) -> tuple[bool, list[str]]:
+    """Check each loop of a requirements file, draw and report; gives the verdict and the figures' paths."""
     from loopshape.check.verdict import check as check_loop
     from loopshape.cli.figures import controller_of, draw_loops
     from loopshape.store.controllers import read_controllers
@@ -29,7 +38,6 @@ def check(
     from loopshape.store.junit import write_junit
     from loopshape.store.requirements import read_requirements
 
-    output = Output(as_json, quiet)
     controllers, requirements = read_controllers(controller), read_requirements(require)
     frfs, fits = read_frfs(run), fits_of(run)
     verdicts, drawn = [], []
@@ -46,5 +54,4 @@ def check(
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.say(f"verdict: {'pass' if passed else 'FAIL'}")
     output.json({"passed": passed, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})
-    if not passed:
-        raise typer.Exit(1)
+    return passed, drawn

@@ -1,5 +1,83 @@
-"""`loopshape demo`."""
+"""`loopshape demo`: the main job, from nothing to two checked controllers."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet
 
 
-def demo() -> None:
-    """Demo."""
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for runs, controllers and figures.")] = Path("demo"),
+    examples: Annotated[Path, typer.Option(help="The project's examples.")] = Path("examples"),
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Identify, fit, tune and check: the simulated arm at 24 equilibria, and a real motor bench."""
+    output = Output(as_json, quiet)
+    started = time.monotonic()
+    output.say("\n== The simulated arm: 24 equilibria, angle loop and pressure loop ==\n")
+    arm_passed, arm_figures = _arm(examples / "arm", out / "arm", output)
+    output.say("\n== A real machine: the motor side of a two-inertia bench (University of Tokyo, MIT) ==\n")
+    bench_passed, bench_figures = _bench(examples / "motor_bench", out / "motor_bench", output)
+    passed = arm_passed and bench_passed
+    output.say(f"\n== Verdict: {'pass' if passed else 'FAIL'} ({time.monotonic() - started:.0f} s) ==\n")
+    output.say("\n".join(["figures:", *(f"  {path}" for path in (*arm_figures, *bench_figures))]))
+    output.json({"passed": passed, "figures": [*arm_figures, *bench_figures]})
+    if not passed:
+        raise typer.Exit(1)
+
+
+def _arm(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
+    from loopshape.cli.equilibria import draw_equilibria
+    from loopshape.cli.fit import fit_run
+    from loopshape.cli.frf import estimate_and_report
+    from loopshape.cli.measure import record
+
+    tables = Output(quiet=output.as_json or output.quiet)
+    early = record(examples / "identify.toml", run, output)
+    estimate_and_report(run, tables, figures=False, extra={"ended_early": early})
+    tables.say("")
+    fit_run(run, tables, structure="third_order", loop="theta2")
+    fit_run(run, tables, structure="integrator", loop="p_ab")
+    passed, figures = _tune_and_check(run, examples / "requirements.toml", tables)
+    drawn = draw_equilibria(run / "figures")
+    return passed, [*drawn, *_pages(run, {"angle-08", "pressure-08"}), *figures]
+
+
+def _bench(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
+    from loopshape.cli.fit import fit_run
+    from loopshape.cli.frf import estimate_and_report
+    from loopshape.cli.import_file import import_run
+
+    tables = Output(quiet=output.as_json or output.quiet)
+    import_run(examples / "multisine_type_a.parquet", examples / "map.toml", run, tables)
+    estimate_and_report(run, tables, figures=False)
+    tables.say("")
+    fit_run(run, tables, structure="rational", numerator=2, denominator=4, delay=True, weighting="relative")
+    passed, figures = _tune_and_check(run, examples / "requirements.toml", tables)
+    return passed, [*_pages(run, {"type-a"}), *figures]
+
+
+def _tune_and_check(run: Path, require: Path, output: Output) -> tuple[bool, list[str]]:
+    from loopshape.cli.check import check_run
+    from loopshape.cli.tune import tune_run
+
+    controller = run / "controller.toml"
+    output.say("")
+    tune_run(run, require, controller, output)
+    output.say("")
+    return check_run(run, controller, require, output)
+
+
+def _pages(run: Path, recordings: set[str]) -> list[str]:
+    """Overview and maps of each loop, and the pages of a few recordings."""
+    from loopshape.cli.figures import draw_estimates
+    from loopshape.cli.verdicts import fits_of
+    from loopshape.store.frfs import read_frfs
+
+    return draw_estimates(run / "figures", read_frfs(run), fits_of(run), Output(quiet=True), pages=recordings)

@@ -16,12 +16,7 @@ def equilibria(
     quiet: Quiet = False,
 ) -> None:
     """Draw the 1-DoF arm's equilibria (figures 4.7, 4.8 of the source) and list its 24 operating points."""
-    import numpy as np
-
-    from loopshape.cli.pictures import save
-    from loopshape.draw.equilibria import contours_by_angle, contours_by_pressures
-    from loopshape.draw.style import figure_of
-    from loopshape.plants.arm.equilibrium import angle_map, pressure_map, pressures
+    from loopshape.plants.arm.equilibrium import pressures
     from loopshape.plants.arm.linear import linearise
     from loopshape.plants.arm.operating_points import EQUILIBRIA
     from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
@@ -36,14 +31,27 @@ def equilibria(
         rows.append([theta, p_ab, p_a, p_b, f_hz, zeta, kappa, max(p_a, p_b) <= supply])
     keys = ("theta2_deg", "p_ab_bar", "p_a_bar", "p_b_bar", "f_hz", "zeta", "kappa", "within_supply")
     output.table("Equilibria, linearised with averaged valves", list(keys), rows)
+    drawn = draw_equilibria(out)
+    output.say("\n".join(drawn))
+    output.json({"equilibria": [dict(zip(keys, row, strict=True)) for row in rows], "figures": drawn})
+
+
+def draw_equilibria(folder: Path) -> list[str]:
+    """The source's figures 4.7 and 4.8 for the nominal arm; gives the files."""
+    import numpy as np
+
+    from loopshape.cli.pictures import save
+    from loopshape.draw.equilibria import contours_by_angle, contours_by_pressures
+    from loopshape.draw.style import figure_of
+    from loopshape.plants.arm.equilibrium import angle_map, pressure_map
+    from loopshape.plants.arm.operating_points import EQUILIBRIA
+    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+
+    c = constants(ARM1_PARAMETERS.vector())
     grid = np.linspace(0.15, 1.2, 43)
     theta_deg, p_ab_bar = np.linspace(-40.0, 40.0, 41), np.linspace(0.4, 2.2, 37)
     points = [{"theta2_deg": t, "p_ab_bar": p} for t, p in EQUILIBRIA]
     by_pressure = contours_by_pressures(grid, grid, angle_map(c, grid, grid))
     by_angle = contours_by_angle(theta_deg, p_ab_bar, *pressure_map(c, theta_deg, p_ab_bar), points=points)
-    drawn = [
-        str(save(figure_of(ax), out / f"{name}.png"))
-        for ax, name in ((by_pressure, "angle_over_pressures"), (by_angle, "pressures_over_angle"))
-    ]
-    output.say("\n".join(drawn))
-    output.json({"equilibria": [dict(zip(keys, row, strict=True)) for row in rows], "figures": drawn})
+    named = ((by_pressure, "angle_over_pressures"), (by_angle, "pressures_over_angle"))
+    return [str(save(figure_of(ax), folder / f"{name}.png")) for ax, name in named]

@@ -60,8 +60,10 @@ def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:
     raise WrongUseError(f"the controller file has no loop {loop!r}", f"loops {', '.join(c.loop for c in controllers)}")
 
 
-def draw_estimates(folder: Path, frfs: Sequence[FRF], fits: Sequence[Fit], output: Output) -> list[str]:
-    """Overview, pages and parameter maps of each loop."""
+def draw_estimates(
+    folder: Path, frfs: Sequence[FRF], fits: Sequence[Fit], output: Output, pages: set[str] | None = None
+) -> list[str]:
+    """Overview, pages (of the recordings named, or all) and parameter maps of each loop."""
     from loopshape.cli.pictures import save
     from loopshape.draw.fits import parameter_map
     from loopshape.draw.frequency import frf_overview, frf_page
@@ -73,7 +75,7 @@ def draw_estimates(folder: Path, frfs: Sequence[FRF], fits: Sequence[Fit], outpu
             mine = [one for one in frfs if one.loop == loop]
             own = [f for f in fits if f.loop == loop]
             drawn.append(save(frf_overview(mine, own or None), folder / f"frf_{loop}.png"))
-            for one in mine:
+            for one in (one for one in mine if pages is None or one.recording in pages):
                 fit = next((f for f in own if f.recording == one.recording), None)
                 drawn.append(save(frf_page(one, fit), folder / f"frf_{loop}_{one.recording}.png"))
                 step(one.recording)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,6 +11,9 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
     from loopshape.model import Fit
+
+#: what `auto` chooses from, by the Bayesian information criterion
+AUTO = ("integrator", "integrator_delay", "third_order", "third_order_delay")
 
 
 def fit(
@@ -30,35 +33,46 @@ def fit(
     quiet: Quiet = False,
 ) -> None:
     """Fit low-order models, with intervals and a test of what they leave."""
+    band = None if low_hz is None and high_hz is None else (low_hz or 0.0, high_hz or float("inf"))
+    fit_run(
+        run,
+        Output(as_json, quiet),
+        structure=structure,
+        loop=loop,
+        numerator=numerator,
+        denominator=denominator,
+        integrators=integrators,
+        delay=delay,
+        weighting=weighting,
+        band_hz=band,
+    )
+
+
+def fit_run(
+    run: Path,
+    output: Output,
+    *,
+    structure: str,
+    loop: str | None = None,
+    weighting: str = "variance",
+    band_hz: tuple[float, float] | None = None,
+    **orders: Any,
+) -> None:
+    """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
     from loopshape.errors import WrongUseError
-    from loopshape.fit.fit import fit as fit_one
     from loopshape.fit.fit import fit_best, structure_by_name
     from loopshape.store.fits import read_fits, write_fits
     from loopshape.store.frfs import read_frfs
 
-    output = Output(as_json, quiet)
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
         raise WrongUseError("the run has no FRF of such a loop", repr(loop))
-    words = (
-        ("integrator", "integrator_delay", "third_order", "third_order_delay") if structure == "auto" else (structure,)
-    )
-    choices = [
-        structure_by_name(w, numerator=numerator, denominator=denominator, integrators=integrators, delay=delay)
-        for w in words
-    ]
-    made = []
-    for one in frfs:
-        band = None
-        if low_hz is not None or high_hz is not None:
-            band = (low_hz or float(one.frequency_hz[0]), high_hz or float(one.frequency_hz[-1]))
-        if len(choices) == 1:
-            made.append(fit_one(one, choices[0], weighting=weighting, band_hz=band))
-        else:
-            made.append(fit_best(one, choices, weighting=weighting, band_hz=band))
+    words = AUTO if structure == "auto" else (structure,)
+    choices = [structure_by_name(word, **orders) for word in words]
+    made = [fit_best(one, choices, weighting=weighting, band_hz=band_hz) for one in frfs]
     known = {(f.recording, f.loop) for f in made}
-    older = [f for f in (read_fits(run) if (run / "fits.json").exists() else ()) if (f.recording, f.loop) not in known]
-    write_fits(run, [*older, *made])
+    stored = read_fits(run) if (run / "fits.json").exists() else ()
+    write_fits(run, [*(f for f in stored if (f.recording, f.loop) not in known), *made])
     report_fits(made, output, run)
 
 

@@ -18,10 +18,14 @@ def import_file(
     quiet: Quiet = False,
 ) -> None:
     """Make a run folder from a recording of your own."""
+    import_run(file, map_file, out, Output(as_json, quiet))
+
+
+def import_run(file: Path, map_file: Path, out: Path, output: Output) -> None:
+    """Import, check, write and report."""
     from loopshape.store.import_file import import_file as read
     from loopshape.store.run_folder import add_recording, check_recordings, start_run
 
-    output = Output(as_json, quiet)
     run = read(file, map_file)
     warnings = check_recordings(run)
     start_run(out, run)

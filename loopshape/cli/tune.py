@@ -23,12 +23,17 @@ def tune(
     quiet: Quiet = False,
 ) -> None:
     """Tune the structures of a requirements file against all FRFs of a run at once."""
+    if not tune_run(run, require, out, Output(as_json, quiet), seed=seed, starts=starts):
+        raise typer.Exit(1)
+
+
+def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int = 0, starts: int = 8) -> bool:
+    """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
     from loopshape.store.controllers import write_controllers
     from loopshape.store.frfs import read_frfs
     from loopshape.store.requirements import read_requirements
     from loopshape.tune.tune import tune as tune_loop
 
-    output = Output(as_json, quiet)
     requirements, frfs, fits = read_requirements(require), read_frfs(run), fits_of(run)
     found = []
     for wished in requirements:
@@ -42,8 +47,7 @@ def tune(
     else:
         output.warn(["no controller meets all requirements; the nearest is shown above, nothing was written"])
     output.json({"controller": str(out) if feasible else None, "loops": [_json(t) for t in found]})
-    if not feasible:
-        raise typer.Exit(1)
+    return feasible
 
 
 def _report(tuning: Any, output: Output, points: int) -> None:

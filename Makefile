@@ -1,0 +1,40 @@
+# Everything a person or CI does, one word each. Needs Python 3.11 or newer and make.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+.DEFAULT_GOAL := help
+.PHONY: help demo test check speed studies clean install
+
+help: ## list the targets
+	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "loopshape needs Python 3.11 or newer; set PYTHON=python3.x"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $(STAMP)
+
+install: $(STAMP) ## make the environment in .venv
+
+demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm and a real bench; figures in demo/
+	$(BIN)/loopshape demo --out demo
+
+test: $(STAMP) ## run the tests
+	$(BIN)/python -m pytest -n auto tests
+
+check: $(STAMP) ## ruff, the type checker, and who may import whom
+	$(BIN)/ruff check loopshape tests
+	$(BIN)/ruff format --check loopshape tests
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+speed: $(STAMP) ## benchmarks against peers (needs a C compiler); no gate
+	$(BIN)/python tests/speed/run.py
+
+studies: $(STAMP) ## long studies under experiments/
+	$(BIN)/python experiments/run.py
+
+clean: ## remove caches (also numba's, needed after editing a kernel) and the demo
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+	rm -rf demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info
