@@ -29,7 +29,8 @@ class FRF:
     error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
     `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
     of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
-    use. `method` says in one line how it was measured; `notes` are the estimator's warnings.
+    use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
+    periods, 1.94 for Hann segments). `method` says in one line how it was measured; `notes` are warnings.
     """
 
     frequency_hz: Array
@@ -48,6 +49,7 @@ class FRF:
     output_power: Array | None = None
     cross_power: ComplexArray | None = None
     power_per: str = "Hz"
+    line_overlap: float = 1.0
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -84,11 +84,13 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
         rows = [
             [f.recording, f.loop, point(f.operating_point)]
-            + [f"{p.value:.4g} ± {1.96 * p.std:.2g}" for p in f.parameters]
+            + [f"{p.value:.5g} ± {1.96 * p.std:.2g}" for p in f.parameters]
             + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
             for f in mine
         ]
         output.table(f"Fits of structure {name} (± 95 %)", columns, rows)
+        if name.startswith("rational"):
+            _report_modes(mine, output)
     bad = [f for f in fits if not f.sufficient]
     if bad:
         output.say(
@@ -119,3 +121,17 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
             ],
         }
     )
+
+
+def _report_modes(fits: list[Fit], output: Output) -> None:
+    """Zeros and poles of rational fits."""
+    from loopshape.fit.fit import modes
+
+    rows = []
+    for f in fits:
+        found = modes(f)
+        for frequency, damping in zip(found[::2], found[1::2], strict=True):
+            kind = frequency.name.removesuffix("_f_hz")
+            cells = [f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)]
+            rows.append([f.recording, f.loop, kind, *cells])
+    output.table("Zeros and poles (± 95 %)", ["recording", "loop", "root", "f [Hz]", "damping"], rows)

@@ -32,14 +32,15 @@ class Output:
             return
         from rich.console import Console
         from rich.table import Table
+        from rich.text import Text
 
         made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
         rows = [list(row) for row in rows]
         for k, name in enumerate(columns):
             number = all(isinstance(row[k], (int, float)) for row in rows)
-            made.add_column(name, justify="right" if number else "left", no_wrap=number)
+            made.add_column(Text(name), justify="right" if number else "left", no_wrap=number)
         for row in rows:
-            made.add_row(*(text(cell) for cell in row))
+            made.add_row(*(Text(text(cell)) for cell in row))
         console = Console()
         if not console.is_terminal:  # a pipe or a log has no width to keep to
             console = Console(width=240)

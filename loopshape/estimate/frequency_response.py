@@ -77,6 +77,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         output_power=t.density * (np.abs(Y) ** 2).mean(0)[rows],
         cross_power=t.density * (Y * U.conj()).mean(0)[rows],
         power_per=t.power_per,
+        line_overlap=t.line_overlap,
         notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),
     )
 

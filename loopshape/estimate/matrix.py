@@ -50,6 +50,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
         recording="+".join(names),
         loop="+".join(order),
         rate_hz=run.rate_hz,
+        line_overlap=columns[0].line_overlap,
         operating_point=dict(recordings[0].info.operating_point),
     )
 

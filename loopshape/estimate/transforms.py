@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.kernels.spectra import hann, independent_share, period_spectra, segment_spectra
+from loopshape.kernels.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -40,7 +40,7 @@ class Transforms:
 
     `independent` averages a segment; `stationary` where each segment carries the same excitation;
     `density` turns |.|² into power per Hz (segments) or into the power of a line (periods), as `power_per`
-    says; `excited` (nf,) marks the lines that the instrument feeds.
+    says; `line_overlap` is the FRF's; `excited` (nf,) marks the lines that the instrument feeds.
     """
 
     frequency_hz: Array
@@ -50,6 +50,7 @@ class Transforms:
     stationary: bool
     density: float
     power_per: str
+    line_overlap: float
     excited: np.ndarray
     method: str
 
@@ -79,6 +80,7 @@ def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Arra
         stationary=True,
         density=2.0,
         power_per="line",
+        line_overlap=1.0,
         excited=_periodic_lines(N),
         method=f"{N.shape[0]} periods of {length / rate:g} s{note}",
     )
@@ -139,6 +141,7 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
         stationary=recording.info.kind != "sweep",
         density=2.0 / (rate * float(window @ window)),
         power_per="Hz",
+        line_overlap=line_overlap(window),
         excited=excited,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
     )

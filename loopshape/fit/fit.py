@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
+from loopshape.channel import Channel
 from loopshape.errors import WrongUseError
-from loopshape.fit.least_squares import Solution, solve
+from loopshape.fit.least_squares import Solution, residual_tests, solve
 from loopshape.fit.structures import Integrator, Rational, Structure, ThirdOrder
 from loopshape.frf import FRF
 from loopshape.model import Estimate, Fit
-from loopshape.units import TWO_PI, Array, db
+from loopshape.units import SUFFIXES, TWO_PI, Array, db
 
 STRUCTURES = ("third_order", "third_order_delay", "integrator", "integrator_delay", "rational", "auto")
 WEIGHTINGS = ("variance", "relative")
@@ -58,7 +58,7 @@ def fit(
     start = structure.start(f, G, 1.0 / np.sqrt(used))
     low, high = structure.bounds()
     start = np.clip(start, low + 1e-9, high - 1e-9)
-    solution = solve(lambda x: structure.model(x).response(f), start, (low, high), G, used)
+    solution = solve(lambda x: structure.model(x).response(f), start, (low, high), G, used, lines.line_overlap)
     if weighting == "relative":
         solution = _judged(solution, structure, f, lines)
     return _fit(structure, solution, lines)
@@ -73,7 +73,8 @@ def _judged(solution: Solution, structure: Structure, f: Array, lines: FRF) -> S
     """The same parameters, with the residual test against the FRF's own variance."""
     residual = (structure.model(solution.x).response(f) - lines.siso) / np.sqrt(0.5 * lines.variance[:, 0, 0])
     total, freedom = float(np.sum(np.abs(residual) ** 2)), 2 * f.size - solution.x.size
-    return replace(solution, chi2_per_dof=total / freedom, p_value=float(chi2.sf(total, freedom)))
+    p_value, runs = residual_tests(residual, solution.x.size, lines.line_overlap)
+    return replace(solution, chi2_per_dof=total / freedom, p_value=p_value, runs_p_value=runs)
 
 
 def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
@@ -86,7 +87,7 @@ def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
         structure=structure.name,
         model=model,
         parameters=tuple(
-            Estimate(n, float(v), u, float(d))
+            Estimate(n, float(v), _unit(u, lines), float(d))
             for n, v, u, d in zip(structure.names, values, structure.units, std, strict=True)
         ),
         covariance=covariance,
@@ -102,6 +103,14 @@ def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
         operating_point=dict(lines.operating_point),
         delay_free="delay_s" in structure.names,
     )
+
+
+def _unit(unit: str, lines: FRF) -> str:
+    """A parameter's unit with the plant's own in it: 1/s3 of a plant from V to rad is rad/(V s3)."""
+    if not unit.startswith("1/s"):
+        return unit
+    output, given = (Channel.from_column(c[0]).unit for c in (lines.outputs, lines.inputs))
+    return f"{SUFFIXES[output]}/({SUFFIXES[given]} {unit[2:]})"
 
 
 def _slopes(structure: Structure, x: Array) -> Array:
@@ -124,18 +133,49 @@ def fit_best(
     """The fit with the least Bayesian information criterion (Schwarz 1978) among structures."""
 
     def criterion(found: Fit) -> float:
-        freedom = 2 * found.lines - len(found.parameters)
-        return found.chi2_per_dof * freedom + len(found.parameters) * float(np.log(2 * found.lines))
+        count = len(found.parameters)
+        freedom = 2 * found.lines - count
+        return found.chi2_per_dof * freedom / frf.line_overlap + count * float(
+            np.log(2 * found.lines / frf.line_overlap)
+        )
 
     return min((fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures), key=criterion)
 
 
-def modes(found: Fit) -> dict[str, list[tuple[float, float]]]:
-    """Pairs (f in Hz, damping ratio) of the model's `zeros` and `poles`; real ones have |damping| 1."""
+def modes(found: Fit) -> tuple[Estimate, ...]:
+    """Eigenfrequencies (Hz) and damping ratios of a rational fit's zeros and poles, with their spread.
 
-    def pairs(polynomial: Array) -> list[tuple[float, float]]:
-        roots = np.roots(polynomial)
-        keep = roots[(roots.imag >= 0.0) & (np.abs(roots) > 0.0)]
-        return sorted((abs(r) / TWO_PI, float(-r.real / abs(r))) for r in keep)
+    A complex pair counts once, a real root has damping 1 or -1, roots at zero are left out; names are
+    zero1_f_hz, zero1_damping, ... by rising frequency. Spreads follow from the coefficients' covariance by
+    linearisation and mislead where two roots all but coincide.
+    """
+    size = found.covariance.shape[0] - found.delay_free
+    x = np.array([p.value for p in found.parameters])[:size]
+    zeros = found.model.num.size
 
-    return {"zeros": pairs(found.model.num), "poles": pairs(found.model.den)}
+    def features(values: Array) -> Array:
+        den = np.concatenate([[1.0], values[zeros:], np.zeros(found.model.integrators())])
+        return np.concatenate([_pairs(values[:zeros]), _pairs(den)])
+
+    columns = []
+    for k in range(size):
+        step = np.zeros(size)
+        step[k] = 1e-6 * max(abs(x[k]), 1e-12)
+        columns.append((features(x + step) - features(x - step)) / (2.0 * step[k]))
+    slopes, values = np.array(columns).T, features(x)
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, found.covariance[:size, :size], slopes), 0.0))
+    count = _pairs(found.model.num).size // 2
+    names = [f"zero{k + 1}" for k in range(count)] + [f"pole{k + 1}" for k in range(values.size // 2 - count)]
+    return tuple(
+        Estimate(f"{name}_{what}", float(values[2 * k + j]), unit, float(std[2 * k + j]))
+        for k, name in enumerate(names)
+        for j, (what, unit) in enumerate((("f_hz", "Hz"), ("damping", "1")))
+    )
+
+
+def _pairs(polynomial: Array) -> Array:
+    """Frequency in Hz and damping ratio of each root that is not at zero, complex pairs once, by frequency."""
+    roots = np.roots(polynomial)
+    keep = roots[(roots.imag >= 0.0) & (np.abs(roots) > 0.0)]
+    keep = keep[np.argsort(np.abs(keep))]
+    return np.stack([np.abs(keep) / TWO_PI, -keep.real / np.abs(keep)], axis=1).ravel()

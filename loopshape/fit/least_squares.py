@@ -30,11 +30,13 @@ def solve(
     bounds: tuple[Array, Array],
     measured: ComplexArray,
     variance: Array,
+    overlap: float,
 ) -> Solution:
     """Fit `model(x)` (nf,) to `measured` (nf,) with variance E|d|² (nf,), from `start`.
 
     The residual is scaled to unit variance in its real and imaginary part. The covariance is that of the
-    linearised problem, widened where the residual exceeds the noise.
+    linearised problem, widened where the residual exceeds the noise, and by `overlap` where neighbouring
+    lines share their error (that many lines count as one); the tests count independent lines alike.
     """
     scale = np.sqrt(0.5 * variance)
 
@@ -46,13 +48,23 @@ def solve(
     found = least_squares(residual, start, bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12, gtol=1e-12)
     freedom = max(found.fun.size - start.size, 1)
     total = float(found.fun @ found.fun)
-    covariance = _inverse(np.asarray(found.jac)) * max(total / freedom, 1.0)
+    covariance = _inverse(np.asarray(found.jac)) * max(total / freedom, 1.0) * overlap
     at_bound = np.any(found.active_mask != 0)
     outcome = "not_converged" if found.status <= 0 else ("at_bound" if at_bound else "converged")
     half = found.fun.size // 2
-    runs = min(runs_test(found.fun[:half]), runs_test(found.fun[half:]))
-    p_value = float(chi2.sf(total, freedom))
-    return Solution(found.x, covariance, total / freedom, p_value, min(1.0, 2.0 * runs), outcome)
+    p_value, runs = residual_tests(found.fun[:half] + 1j * found.fun[half:], start.size, overlap)
+    return Solution(found.x, covariance, total / freedom, p_value, runs, outcome)
+
+
+def residual_tests(residual: ComplexArray, parameters: int, overlap: float) -> tuple[float, float]:
+    """p-values that a residual (nf,), of unit variance in each part, is noise: by its size and by its signs.
+
+    Size: chi² over independent lines; signs: a runs test over lines far enough apart not to share error.
+    """
+    freedom = max(2 * residual.size - parameters, 1)
+    size = float(chi2.sf(float(np.sum(np.abs(residual) ** 2)) / overlap, freedom / overlap))
+    apart = residual[:: 1 if overlap == 1.0 else int(np.ceil(overlap)) + 1]
+    return size, min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
 
 
 def _inverse(jacobian: Array) -> Array:

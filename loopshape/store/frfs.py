@@ -19,7 +19,18 @@ FORMAT = "loopshape-frf/1"
 FOLDER = "frf"
 _ARRAYS = ("frequency_hz", "response", "covariance", "trusted")
 _PERHAPS = ("coherence", "input_power", "output_power", "cross_power")
-_WORDS = ("inputs", "outputs", "method", "recording", "loop", "rate_hz", "operating_point", "power_per", "notes")
+_WORDS = (
+    "inputs",
+    "outputs",
+    "method",
+    "recording",
+    "loop",
+    "rate_hz",
+    "operating_point",
+    "power_per",
+    "line_overlap",
+    "notes",
+)
 
 
 def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
@@ -78,6 +89,7 @@ def _words(header: dict[str, Any]) -> dict[str, Any]:
         "rate_hz": float(header["rate_hz"]),
         "operating_point": {str(k): float(v) for k, v in header["operating_point"].items()},
         "power_per": str(header.get("power_per", "Hz")),
+        "line_overlap": float(header.get("line_overlap", 1.0)),
         "notes": tuple(map(str, header["notes"])),
     }
 
