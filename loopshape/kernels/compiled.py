@@ -18,3 +18,9 @@ def compiled(function: F) -> F:
     """Compile with numba: cached, without the interpreter's lock, IEEE division, contraction allowed."""
     jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
     return cast(F, jit(function))
+
+
+def compiled_in_line(function: F) -> F:
+    """As `compiled`, and put into its callers' code: for what a kernel calls many times a step."""
+    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+    return cast(F, jit(function))

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import math
 
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled_in_line
 from loopshape.plants.arm import parameters as k
 from loopshape.units import Array
 
 
-@compiled
+@compiled_in_line
 def flow(beta: float, p1: float, p2: float, p_atm2: float) -> float:
     """Throttle flow (3.16) in kg/s from p1 to p2; `beta` holds the root of 1/(2 R T)."""
     drop = p1 - p2
     return math.copysign(beta * math.sqrt((p1 + p2 + p_atm2) * abs(drop)), drop)
 
 
-@compiled
+@compiled_in_line
 def supply_flows(c: Array, p_c: float, p_a: float, p_b: float, in_a: bool, in_b: bool) -> tuple[float, float]:
     """Flows through the splitter into A and B (3.28-3.34).
 
@@ -41,7 +41,7 @@ def supply_flows(c: Array, p_c: float, p_a: float, p_b: float, in_a: bool, in_b:
     return 0.0, 0.0
 
 
-@compiled
+@compiled_in_line
 def muscle(c: Array, p: float, h: float, dh: float, factor: float) -> tuple[float, float, float]:
     """Pull F in N, volume V in m3 and dV/dh in m2 of a muscle of length h (3.36-3.52, 4.5)."""
     root = math.sqrt(c[k.FOUR_L2] - h * h)
@@ -57,7 +57,7 @@ def muscle(c: Array, p: float, h: float, dh: float, factor: float) -> tuple[floa
     return pull, volume, slope
 
 
-@compiled
+@compiled_in_line
 def derivatives(
     c: Array,
     p_c: float,

@@ -1,0 +1,186 @@
+"""Benchmarks against peers, printed as ratios measured in this run; `make speed`. No gate: a loaded machine lies.
+
+The workload of the arm is stated because it matters: tracking steps of +-20 deg with noise and converters on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from arm_workload import SECONDS, biquads, experiments, references, start
+from scipy.integrate import solve_ivp
+
+HERE = Path(__file__).parent
+
+
+def best(run: Callable[[], object], repeats: int = 5) -> float:
+    """Least wall time of a few runs, in s, after one that warms caches and memory."""
+    run()
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begun)
+    return min(times)
+
+
+def interleaved(first: Callable[[], object], second: Callable[[], object], rounds: int = 9) -> tuple[float, float]:
+    """Least wall times of two runs that take turns, so that both see the same machine."""
+    first(), second()
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds):
+        for k, run in enumerate((first, second)):
+            begun = time.perf_counter()
+            run()
+            times[k].append(time.perf_counter() - begun)
+    return min(times[0]), min(times[1])
+
+
+def c_arm(folder: Path) -> Callable[[], object]:
+    """The plain C arm, compiled here with cc -O3, on the workload."""
+    library = folder / "arm1.so"
+    compiler = os.environ.get("CC", "cc")
+    command = [compiler, "-O3", "-std=c99", "-shared", "-fPIC", "-o", str(library), str(HERE / "arm1.c"), "-lm"]
+    subprocess.run(command, check=True)
+    run = ctypes.CDLL(str(library)).arm1_run
+    run.restype = ctypes.c_int
+    r, n = references(), references().shape[0]
+    injected, out = np.zeros((n, 2)), np.zeros((n, 7))
+    sections = biquads()
+
+    def pointer(a: np.ndarray) -> ctypes.c_void_p:
+        return a.ctypes.data_as(ctypes.c_void_p)
+
+    def go() -> None:
+        x = start()
+        ended = run(
+            n, pointer(r), pointer(injected), pointer(sections), sections.shape[1], pointer(x),
+            ctypes.c_longlong(12345678901), 1, pointer(out),
+        )  # fmt: skip
+        assert ended == 0, "the C arm left its range"
+
+    return go
+
+
+def our_arm() -> Callable[[], object]:
+    """Our kernel on the same workload, one call, no Python inside."""
+    from loopshape.kernels.noise import start_state
+    from loopshape.plants.arm import closed_loop as kernel
+    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
+
+    vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0})
+    c, sensors = constants(vector), sensor_constants(vector)
+    r, n = references(), references().shape[0]
+    injected, out = np.zeros((n, 2)), np.zeros((n, kernel.MEASURED))
+    sections = biquads()
+    seed = start_state(1)
+
+    def go() -> None:
+        state = np.zeros((2, sections.shape[1], 2))
+        ended, _ = kernel.run(
+            c, sensors, start(), sections[0], sections[1][:2], state, r, injected, kernel.CONTROLLER_INPUT, True,
+            1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
+        )  # fmt: skip
+        assert ended == kernel.COMPLETE, "the arm left its range"
+
+    return go
+
+
+def batch(threads: int) -> Callable[[], object]:
+    """Eight arms through the plant, recordings and all."""
+    from loopshape.plants.arm.arm1 import Arm1
+
+    plant, todo = Arm1(), experiments(8)
+    return lambda: plant.simulate(todo, threads=threads)
+
+
+def solve_ivp_arm(seconds: float) -> Callable[[], object]:
+    """scipy's solve_ivp (RK45, rtol 1e-6) on the same right-hand side, restarted at each valve edge."""
+    from loopshape.plants.arm.model import derivatives
+    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+
+    c = constants(ARM1_PARAMETERS.vector())
+
+    def rates(_t: float, x: np.ndarray, in_a: bool, out_b: bool) -> np.ndarray:
+        d = derivatives(c, x[0], x[1], x[2], x[3], x[4], in_a, False, False, out_b)
+        return np.array([d[0], d[1], d[2], x[4], d[3]])
+
+    def go() -> None:
+        x = start()
+        for period in range(round(seconds / 0.02)):
+            wide = 0.004 if period % 2 else 0.0  # pulses of 4 ms every second period: the two valves of a push
+            for span, opened in ((wide, True), (0.02 - wide, False)):
+                if span:
+                    x = solve_ivp(rates, (0.0, span), x, args=(opened, opened), rtol=1e-6, atol=1e-9).y[:, -1]
+
+    return go
+
+
+def first_call(cached: bool) -> float:
+    """Seconds from starting Python to the end of a first short simulation, with a filled or an empty cache."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from arm_workload import experiments;"
+        "from loopshape.plants.arm.arm1 import Arm1; Arm1().simulate(experiments(1, 1.0))"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | ({} if cached else {"NUMBA_CACHE_DIR": folder})
+        begun = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code, str(HERE)], check=True, env=environment)
+        return time.perf_counter() - begun
+
+
+def tuning() -> tuple[float, float]:
+    """Seconds to tune 24 FRFs of 500 lines, and the bare lower limit: evaluating L once for each step taken."""
+    from tune_workload import frfs, requirements
+
+    from loopshape.tune.tune import tune
+
+    plants, wished = frfs(500), requirements()
+    begun = time.perf_counter()
+    found = tune(plants, wished)
+    taken = time.perf_counter() - begun
+    P = np.concatenate([frf.siso for frf in plants])
+    f = np.concatenate([frf.frequency_hz for frf in plants])
+
+    def bare() -> None:
+        for _ in range(found.steps):
+            np.abs(1.0 + found.controller.response(f) * P).min()
+
+    return taken, best(bare, 2)
+
+
+def main() -> None:
+    """Run all and print a table."""
+    print(f"{os.cpu_count()} cores; arm workload: {SECONDS:.0f} s of tracking steps, noise and converters on")
+    with tempfile.TemporaryDirectory() as folder:
+        ours, peer = interleaved(our_arm(), c_arm(Path(folder)))
+    speed = SECONDS / ours
+    line("arm, closed loop, exact edges, one core", speed, "simulated s/s")
+    line("  plain C (-O3), same workload", SECONDS / peer, f"simulated s/s, ours {peer / ours:.2f} of it")
+    one, two = interleaved(batch(1), batch(2), 3)
+    line("8 recordings through the plant, 1 thread", 8 * SECONDS / one, "simulated s/s")
+    line("  2 threads", 8 * SECONDS / two, f"simulated s/s, {one / two:.2f} times as fast")
+    ivp = 2.0 / best(solve_ivp_arm(2.0), 2)
+    line("scipy's solve_ivp on our compiled rhs", ivp, f"simulated s/s, {ivp / speed:.4f} of ours")
+    line("first call, empty cache, Python's start included", first_call(False), "s")
+    line("  filled cache", first_call(True), "s")
+    taken, bare = tuning()
+    line("tune, 24 FRFs of 500 lines", taken, "s")
+    line("  L alone at as many points", bare, f"s, tuning takes {taken / bare:.1f} times that")
+
+
+def line(what: str, value: float, unit: str) -> None:
+    """One line of the table."""
+    print(f"{what:50s} {value:8.4g} {unit}")
+
+
+if __name__ == "__main__":
+    main()
