@@ -53,6 +53,10 @@ def samples(duration_s: float, rate_hz: float) -> int:
 
 def ramp(n: int, ramp_n: int) -> Array:
     """Window (n,) that rises from 0 to 1 over `ramp_n` samples as a half cosine, and falls the same way."""
+    if not 0 <= 2 * ramp_n <= n:
+        raise WrongUseError(
+            "a signal must outlast both its ramps", f"ramps of {ramp_n} samples, a signal of {n}", "shorten ramp_s"
+        )
     window = np.ones(n)
     if ramp_n > 0:
         edge = 0.5 - 0.5 * np.cos(0.5 * TWO_PI * (np.arange(ramp_n) + 0.5) / ramp_n)
@@ -181,7 +185,7 @@ class Multisine:
                 f"{self.lines_hz or (self.f_low_hz, self.f_high_hz)}",
                 "choose lines on that grid or another period",
             )
-        return np.round(k) / self.period_s
+        return np.unique(np.round(k)) / self.period_s
 
     def signal(self, rate_hz: float) -> Array:
         """The multisine, (n,): ramp in, whole periods, ramp out; peak is `amplitude`."""
@@ -287,7 +291,14 @@ class BandNoise:
         f = np.fft.rfftfreq(n, 1.0 / rate_hz)
         rng = np.random.default_rng(self.seed)
         spectrum = rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)
-        spectrum[(f < self.f_low_hz) | (f > self.f_high_hz)] = 0.0
+        inside = (f >= self.f_low_hz) & (f <= self.f_high_hz)
+        if not inside.any():
+            raise WrongUseError(
+                f"noise of {self.duration_s:g} s has lines every {1.0 / self.duration_s:g} Hz, and none in its band",
+                f"{self.f_low_hz:g} to {self.f_high_hz:g} Hz",
+                "lengthen it or widen the band",
+            )
+        spectrum[~inside] = 0.0
         x = np.fft.irfft(spectrum, n)
         x = np.clip(x / x.std(), -3.5, 3.5)
         return self.amplitude * x * ramp(n, round(self.ramp_s * rate_hz))
@@ -369,5 +380,5 @@ def _profile_position(t: Array, times: tuple[float, float, float], jerk: float) 
     tj, ta, tv = times
     jumps = np.cumsum([0.0, tj, ta, tj, tv, tj, ta, tj])
     heights = np.array([1, -1, -1, 1, -1, 1, 1, -1]) * jerk
-    late = np.maximum(t[:, None] - jumps, 0.0)
+    late = np.maximum(np.minimum(t, jumps[-1])[:, None] - jumps, 0.0)  # cubes cancel badly long after the end
     return np.asarray((late**3 @ heights) / 6.0)

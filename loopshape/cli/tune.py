@@ -18,7 +18,7 @@ def tune(
     require: RequireFile,
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
     seed: Annotated[int, typer.Option(help="Seed of the random starts.")] = 0,
-    starts: Annotated[int, typer.Option(help="How many starts are followed to their end.")] = 8,
+    starts: Annotated[int, typer.Option(help="How many of the random starts are followed.")] = 16,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -27,7 +27,7 @@ def tune(
         raise typer.Exit(1)
 
 
-def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int = 0, starts: int = 8) -> bool:
+def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int = 0, starts: int = 16) -> bool:
     """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
     from loopshape.store.controllers import write_controllers
     from loopshape.store.frfs import read_frfs

@@ -50,15 +50,15 @@ class _Rows:
         self.at.append(at)
 
 
-def measure(p: Problem, x: Array, tighten: dict[str, float] | None = None) -> Measures:
+def measure(p: Problem, x: Array, tighten: dict[str, float]) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts (in their own unit)."""
     C = p.response(x)
     L = C * p.P
     dlnC = p.slopes(x)
     rows = _Rows([], [], [], [])
     limits = {k: v for k, v in vars(p.requirements).items() if isinstance(v, (int, float))}
-    _peaks(p, x, limits, tighten or {}, C, L, dlnC, rows)
-    ln_f, ln_f_slopes = _crossings(p, limits, tighten or {}, L, dlnC, rows)
+    _peaks(p, x, limits, tighten, C, L, dlnC, rows)
+    ln_f, ln_f_slopes = _crossings(p, limits, tighten, L, dlnC, rows)
     n = dlnC.shape[0]
     return Measures(
         ln_bandwidth=ln_f,

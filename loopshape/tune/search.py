@@ -8,7 +8,6 @@ loop becomes unstable. Max-min problems of this kind end in corners, where such 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,14 +18,18 @@ from loopshape.tune.problem import Problem
 from loopshape.units import Array
 
 PENALTY = 20.0
+#: a search has converged where a step promises less merit than this, or the radius is smaller than that
+SETTLED, SMALLEST = 1e-6, 1e-5
+START_RADIUS = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search ended: x, its measures, steps taken, and whether it converged."""
+    """Where a search stands: x, its measures, trust radius in ln, steps taken so far, whether it converged."""
 
     x: Array
     measures: Measures
+    radius: float
     steps: int
     converged: bool
 
@@ -43,26 +46,44 @@ def merit(m: Measures) -> float:
     return float(-m.ln_bandwidth.min() + PENALTY * max(0.0, -m.worst))
 
 
-def search(p: Problem, x: Array, tighten: Mapping[str, float], most: int = 150) -> Found:
-    """Search from x; ends where no step of the model promises more, or after `most` steps."""
-    limits = dict(tighten)
-    here = measure(p, x, limits)
-    radius = 0.3
+def search(p: Problem, found: Found, tighten: dict[str, float], most: int) -> Found:
+    """Search on from where another search ended, for at most `most` steps.
+
+    A step that does not pay may be followed by a second one before it is given up (a watchdog, Chamberlain
+    et al. 1982): along curved limits the first step alone looks bad because it cuts the corner.
+    """
+    x, here, radius = found.x, found.measures, found.radius
     for step in range(most):
         dx, promised = _step(p, x, here, radius)
-        if promised < 1e-7 * max(1.0, PENALTY):
-            return Found(x, here, step, True)
-        there = measure(p, x + dx, limits)
-        gained = merit(here) - merit(there)
-        if gained > 0.1 * promised:
-            x, here = x + dx, there
+        if promised < SETTLED:
+            return Found(x, here, radius, found.steps + step, True)
+        tried, there, gained = _try(p, x, here, dx, promised, radius, tighten)
+        if gained > 0.0:
+            x, here = tried, there
             if gained > 0.6 * promised:
                 radius = min(2.0 * radius, 1.0)
         else:
-            radius = min(radius, float(np.abs(dx).max())) * 0.4
-            if radius < 1e-6:
-                return Found(x, here, step, True)
-    return Found(x, here, most, False)
+            radius = 0.4 * min(radius, float(np.abs(dx).max()))
+            if radius < SMALLEST:
+                return Found(x, here, radius, found.steps + step, True)
+    return Found(x, here, radius, found.steps + most, False)
+
+
+def _try(
+    p: Problem, x: Array, here: Measures, dx: Array, promised: float, radius: float, tighten: dict[str, float]
+) -> tuple[Array, Measures, float]:
+    """The step, or the step and a second one; with the merit gained, 0 where neither pays."""
+    first = measure(p, x + dx, tighten)
+    gained = merit(here) - merit(first)
+    if gained > 0.1 * promised:
+        return x + dx, first, gained
+    if first.stable:
+        again, _ = _step(p, x + dx, first, radius)
+        second = measure(p, x + dx + again, tighten)
+        gained = merit(here) - merit(second)
+        if gained > 0.05 * promised:
+            return x + dx + again, second, gained
+    return x, here, 0.0
 
 
 def _step(p: Problem, x: Array, m: Measures, radius: float) -> tuple[Array, float]:
@@ -87,22 +108,20 @@ def _step(p: Problem, x: Array, m: Measures, radius: float) -> tuple[Array, floa
     return np.asarray(solved.x[:n]), promised
 
 
-def scaled_start(p: Problem, x: Array, tighten: Mapping[str, float]) -> Array:
-    """x with the gain (where one is free) as large as all requirements allow, by halving."""
+def scaled_start(p: Problem, x: Array, halvings: int = 6) -> Found:
+    """A start from x, its gain (where one is free) about as large as all requirements allow, by halving."""
+    best = Found(x, measure(p, x, {}), START_RADIUS, 0, False)
     gains = [k for k, v in enumerate(p.variables) if v.name == "gain"]
     if not gains:
-        return x
+        return best
     k = gains[0]
     low, high = float(p.low[k]), float(p.high[k])
-
-    def holds(value: float) -> bool:
+    for _ in range(halvings):
         trial = x.copy()
-        trial[k] = value
-        m = measure(p, trial, dict(tighten))
-        return m.stable and m.worst >= 0.0
-
-    grid = np.linspace(high, low, 25)
-    best = next((g for g in grid if holds(g)), low)
-    x = x.copy()
-    x[k] = best
-    return x
+        trial[k] = 0.5 * (low + high)
+        m = measure(p, trial, {})
+        holds = m.stable and m.worst >= 0.0
+        low, high = (trial[k], high) if holds else (low, trial[k])
+        if merit(m) < best.merit:
+            best = Found(trial, m, START_RADIUS, 0, False)
+    return best

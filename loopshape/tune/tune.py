@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
 from loopshape.tune.measures import measure
 from loopshape.tune.problem import Problem, problem
-from loopshape.tune.search import Found, merit, scaled_start, search
+from loopshape.tune.search import Found, scaled_start, search
 from loopshape.units import Array
 
 
@@ -52,15 +52,16 @@ def tune(
     fits: Sequence[Fit] = (),
     *,
     seed: int = 0,
-    starts: int = 8,
+    starts: int = 16,
     draws: int = 60,
 ) -> Tuning:
     """Tune a structure to several measured plants at once; same input and seed, same controller.
 
     Maximises the lowest bandwidth (first 0 dB crossing of L) over all FRFs subject to every requirement at
     every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts` are
-    followed. What comes out is checked by `check` itself; where interpolation between lines differs, limits
-    are tightened by the difference and the search goes on.
+    followed a few steps, the best third of them further, and the best three to their end. What comes out is
+    checked by `check` itself; where interpolation between lines differs, limits are tightened by the
+    difference and the search goes on.
 
     Local searches: a better optimum elsewhere is possible. Noise on the FRFs is taken at face value.
     """
@@ -69,22 +70,9 @@ def tune(
     dummy = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), _rate(frfs))
     loops, _ = loops_of(frfs, dummy, requirements, fits)
     p = problem(loops, requirements, dummy.rate_hz)
-    tighten: dict[str, float] = {}
     candidates = _starts(p, np.random.default_rng(seed), draws, starts)
-    found = [search(p, x, tighten) for x in candidates]
-    best = min(found, key=lambda s: s.merit)
-    steps = sum(s.steps for s in found)
-    for _ in range(6):
-        verdict = check(frfs, p.controller(best.x), requirements, fits)
-        misses = {line.quantity: -line.spare for line in verdict.lines if not line.passed}
-        if not misses or best.measures.worst < -1e-3:
-            break
-        for name, miss in misses.items():
-            tighten[name] = tighten.get(name, 0.0) + 1.05 * miss + 1e-6
-        best = search(p, best.x, tighten)
-        steps += best.steps
-    else:
-        verdict = check(frfs, p.controller(best.x), requirements, fits)
+    best, steps = _race(p, candidates)
+    best, verdict, more = _polish(p, best, lambda c: check(frfs, c, requirements, fits))
     return Tuning(
         controller=p.controller(best.x),
         verdict=verdict,
@@ -92,9 +80,34 @@ def tune(
         binding=_binding(p, best),
         feasible=verdict.passed,
         starts=len(candidates),
-        steps=steps,
+        steps=steps + more,
         bounds_reached=_bounds_reached(p, best.x),
     )
+
+
+def _race(p: Problem, candidates: list[Found]) -> tuple[Found, int]:
+    """The best of several searches, dropping those that lag; with the steps taken in all."""
+    dropped = 0
+    for keep, most in ((len(candidates), 15), (max(3, len(candidates) // 3), 40), (3, 300)):
+        dropped += sum(found.steps for found in candidates[keep:])
+        candidates = sorted((search(p, found, {}, most) for found in candidates[:keep]), key=lambda found: found.merit)
+    return candidates[0], dropped + sum(found.steps for found in candidates)
+
+
+def _polish(p: Problem, best: Found, judge: Callable[[Controller], Verdict]) -> tuple[Found, Verdict, int]:
+    """Tighten the limits that `judge` finds missed by its finer reading, and search on; with the steps taken."""
+    tighten: dict[str, float] = {}
+    before = best.steps
+    for _ in range(6):
+        verdict = judge(p.controller(best.x))
+        misses = {line.quantity: -line.spare for line in verdict.lines if not line.passed}
+        if not misses or best.measures.worst < -1e-3:
+            break
+        for name, miss in misses.items():
+            tighten[name] = tighten.get(name, 0.0) + 1.05 * miss + 1e-6
+        anew = Found(best.x, measure(p, best.x, tighten), 1e-3, best.steps, False)
+        best = search(p, anew, tighten, 60)
+    return best, judge(p.controller(best.x)), best.steps - before
 
 
 def _rate(frfs: Sequence[FRF]) -> float:
@@ -104,14 +117,12 @@ def _rate(frfs: Sequence[FRF]) -> float:
     return rates.pop()
 
 
-def _starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[Array]:
+def _starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[Found]:
     """The best of random starts and the user's own, each with its gain as large as allowed."""
     middle = 0.5 * (p.low + p.high)
     own = np.array([m if v.start is None else np.log(v.start) for v, m in zip(p.variables, middle, strict=True)])
     trials = [own] + [p.low + rng.random(own.size) * (p.high - p.low) for _ in range(draws)]
-    scaled = [scaled_start(p, x, {}) for x in trials]
-    scaled.sort(key=lambda x: merit(measure(p, x)))
-    return scaled[:keep]
+    return sorted((scaled_start(p, x) for x in trials), key=lambda found: found.merit)[:keep]
 
 
 def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding, ...]:

@@ -116,6 +116,8 @@ class Arm1:
         """
         if solver not in SOLVERS:
             raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(SOLVERS)}")
+        if steps_per_tick < 1:
+            raise WrongUseError("a tick is integrated in one step or more", f"{steps_per_tick!r}")
         workers = min(len(experiments), threads or os.cpu_count() or 1)
 
         def one(experiment: Experiment) -> Recording:

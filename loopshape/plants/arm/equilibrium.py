@@ -25,7 +25,7 @@ def pressures(c: Array, theta2_deg: float, p_ab_bar: float) -> tuple[float, floa
         return acceleration(c, angle, p_a, p_ab_bar - p_a)
 
     low, high = LOWEST_BAR, p_ab_bar - LOWEST_BAR
-    if high <= low or unbalance(low) * unbalance(high) > 0.0:
+    if high <= low or not unbalance(low) * unbalance(high) <= 0.0:  # nan is no sign change
         return float("nan"), float("nan")
     p_a = float(brentq(unbalance, low, high, xtol=1e-14, rtol=1e-14))
     return p_a, p_ab_bar - p_a

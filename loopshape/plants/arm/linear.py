@@ -13,7 +13,7 @@ import numpy as np
 from loopshape.plants.arm.equilibrium import rest
 from loopshape.plants.arm.model import derivatives
 from loopshape.plants.arm.parameters import P_IN
-from loopshape.units import Array, ComplexArray, angular, hz
+from loopshape.units import TWO_PI, Array, ComplexArray, angular, hz
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +33,20 @@ class Linearisation:
         return 0.5 * (self.fill + self.exhaust)
 
     def inputs(self, gains: Array | None = None) -> Array:
-        """Input matrix (4, 2) from (z_theta2, z_p): u_A = z_theta + z_p, u_B = -z_theta + z_p."""
-        g = self.mean_gains if gains is None else gains
-        return np.array([[0.0, 0.0], [0.0, 0.0], [g[0], g[0]], [-g[1], g[1]]])
+        """Input matrix (nf or 1, 4, 2) from (z_theta2, z_p): u_A = z_theta + z_p, u_B = -z_theta + z_p."""
+        g = np.atleast_2d(self.mean_gains if gains is None else gains)
+        zero = np.zeros(g.shape[0])
+        rows = [[zero, zero], [zero, zero], [g[:, 0], g[:, 0]], [-g[:, 1], g[:, 1]]]
+        return np.moveaxis(np.array(rows), -1, 0)
 
     def response(self, frequency_hz: Array, gains: Array | None = None) -> ComplexArray:
-        """Response (nf, 2, 2) from (z_theta2, z_p) to (theta2 in rad, p_AB in bar)."""
+        """Response (nf, 2, 2) from (z_theta2, z_p) to (theta2 in rad, p_AB in bar).
+
+        `gains` are (2,), or (nf, 2) where they depend on the frequency.
+        """
         outputs = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
         s = 1j * angular(frequency_hz)[:, None, None]
-        return np.asarray(outputs @ np.linalg.solve(s * np.eye(4) - self.dynamics, self.inputs(gains)[None]))
+        return np.asarray(outputs @ np.linalg.solve(s * np.eye(4) - self.dynamics, self.inputs(gains)))
 
     def third_order(self, gains: Array | None = None) -> tuple[float, float, float]:
         """kappa in rad/(V s3), eigenfrequency in Hz and damping ratio of theta2/z_theta2 (4.10)."""
@@ -79,16 +84,17 @@ def linearise(c: Array, theta2_deg: float, p_ab_bar: float) -> Linearisation:
     return Linearisation(np.array(columns).T, 1e-5 * np.array(fill), -1e-5 * np.array(out))
 
 
-def ripple_gains(lin: Linearisation, mean_v: float, amplitude_v: float, dead_zone: float) -> Array:
-    """Gains (2,) in bar/s per V of valves A and B for commands u = mean + amplitude sin: first harmonic.
+def ripple_gains(lin: Linearisation, mean_v: Array, amplitude_v: Array, dead_zone: float) -> Array:
+    """Gains (nf, 2) in bar/s per V of valves A and B for commands u = mean + amplitude sin: first harmonic.
 
-    The flow is fill u above the dead zone, exhaust u below, nothing inside: its describing function. The
-    mean is that of z_p, the same for both muscles; at zero amplitude it is undefined and nan.
+    The flow is fill u above the dead zone, exhaust u below, nothing inside: its describing function. `mean_v`
+    (2,) are the valves' mean commands, which the loops set so that no pressure drifts; `amplitude_v` (nf,)
+    must be positive.
     """
-    u = np.sin((np.arange(4096) + 0.5) * (2.0 * np.pi / 4096))
-    level = mean_v + amplitude_v * u
+    sine = np.sin((np.arange(720) + 0.5) * (TWO_PI / 720))
     gains = []
-    for fill, exhaust in zip(lin.fill, lin.exhaust, strict=True):
-        flow = np.where(np.abs(level) > dead_zone, np.where(level > 0.0, fill, exhaust) * level, 0.0)
-        gains.append(2.0 * np.mean(flow * u) / amplitude_v if amplitude_v > 0.0 else np.nan)
-    return np.array(gains)
+    for fill, exhaust, mean in zip(lin.fill, lin.exhaust, mean_v, strict=True):
+        u = mean + amplitude_v[:, None] * sine
+        flow = np.where(np.abs(u) > dead_zone, np.where(u > 0.0, fill, exhaust) * u, 0.0)
+        gains.append(2.0 * (flow * sine).mean(axis=1) / amplitude_v)
+    return np.stack(gains, axis=1)

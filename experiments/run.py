@@ -1,0 +1,21 @@
+"""Runs every study, or those named: `python experiments/run.py [name ...]`. Each has its own run.py."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def main() -> None:
+    """Run the studies in the order of their names."""
+    names = sys.argv[1:] or sorted(path.parent.name for path in HERE.glob("*/run.py"))
+    for name in names:
+        print(f"== {name} ==")
+        runpy.run_path(str(HERE / name / "run.py"), run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()

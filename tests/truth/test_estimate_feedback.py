@@ -1,0 +1,90 @@
+"""In a noisy closed loop the direct estimator keeps its error whatever the data; the reference-based one's falls."""
+
+import numpy as np
+import pytest
+from known_loops import LOOP, RATE, estimates, plant, record, run_loop
+from scipy.signal import lfilter
+
+from loopshape.estimate.frequency_response import estimate_frf
+from loopshape.estimate.transforms import Settings
+from loopshape.recording import Recording
+
+LENGTHS_S = (60, 240, 960)
+RECORDS = 16
+
+
+def signals(length_s, records=RECORDS):
+    """White n and a disturbance of low frequency that is as large, in the loop's band, as what n makes of y."""
+    rng = np.random.default_rng(length_s)
+    n = rng.standard_normal((records, round(length_s * RATE)))
+    return n, lfilter([1.0], [1.0, -0.9], 0.25 * rng.standard_normal(n.shape))
+
+
+def relative_error(estimator, length_s, place="controller_input"):
+    """RMS relative error between 1 and 8 Hz over several recordings."""
+    found = estimates(place, "noise", *signals(length_s), Settings(estimator, resolution_hz=0.5))
+    band = [frf.between(1.0, 8.0) for frf in found]
+    return float(np.sqrt(np.mean([np.abs(x.siso / plant(x.frequency_hz) - 1.0) ** 2 for x in band])))
+
+
+def exponent(errors):
+    return np.polyfit(np.log(LENGTHS_S), np.log(errors), 1)[0]
+
+
+def test_reference_based_error_falls_as_one_over_the_root_of_the_length():
+    errors = [relative_error("reference", length) for length in LENGTHS_S]
+    assert errors[0] < 0.5  # small enough that a ratio of averages behaves as its linearisation
+    assert exponent(errors) == pytest.approx(-0.5, abs=0.08)
+
+
+def test_direct_error_stays_whatever_the_length():
+    errors = [relative_error("direct", length) for length in LENGTHS_S]
+    assert min(errors) > 0.5
+    assert exponent(errors) == pytest.approx(0.0, abs=0.03)
+
+
+def test_direct_estimate_without_excitation_is_minus_the_inverse_controller():
+    _, v = signals(960, 1)
+    frf = estimates("controller_input", "noise", 1e-6 * v, v, Settings("direct", resolution_hz=0.5))[0].between(1.0, 8.0)
+    # the segments' ends leave 1 to 2 % of the controller's own memory (5 Hz low-pass, 2 s segments)
+    np.testing.assert_allclose(frf.siso, -1.0 / LOOP.controller.response(frf.frequency_hz), rtol=0.05)
+
+
+def test_in_open_loop_both_estimators_are_one():
+    both = [relative_error(estimator, 240, "control") for estimator in ("reference", "direct")]
+    assert both[0] == both[1] < 0.2
+
+
+def direct_notes(place, *, drop=(), loop=LOOP):
+    n, v = (x[0] for x in signals(60, 1))
+    whole = record(place, "noise", n, *run_loop(place, n, 0.01 * v))
+    kept = Recording(whole.info, RATE, {k: x for k, x in whole.columns.items() if k not in drop})
+    return " ".join(estimate_frf(kept, loop, Settings("direct")).notes)
+
+
+@pytest.mark.parametrize("place", ["controller_input", "plant_input", "reference"])
+def test_direct_estimator_warns_where_there_is_feedback(place):
+    note = direct_notes(place)
+    assert "direct estimator with feedback" in note
+    assert "biased towards -1/C" in note
+
+
+def test_direct_estimator_warns_in_closed_loop_without_an_injected_signal():
+    assert "direct estimator in closed loop" in direct_notes("controller_input", drop=("n_rad",))
+
+
+def test_direct_estimator_does_not_warn_in_open_loop():
+    assert "direct" not in direct_notes("control")
+
+
+def test_reference_based_estimator_does_not_warn():
+    n, v = (x[0] for x in signals(60, 1))
+    frf = estimate_frf(record("plant_input", "noise", n, *run_loop("plant_input", n, 0.01 * v)), LOOP)
+    assert frf.notes == ()
+
+
+@pytest.mark.xfail(strict=True, reason="feedback.py: no word of warning where the loop's controller is not known")
+def test_direct_estimator_warns_of_feedback_without_knowing_the_controller():
+    from dataclasses import replace
+
+    assert "direct estimator" in direct_notes("controller_input", loop=replace(LOOP, controller=None))
