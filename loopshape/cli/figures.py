@@ -73,8 +73,9 @@ def draw_estimates(
     with output.progress("draw", len(frfs)) as step:
         for loop in dict.fromkeys(one.loop for one in frfs):
             mine = [one for one in frfs if one.loop == loop]
-            own = [f for f in fits if f.loop == loop]
-            drawn.append(save(frf_overview(mine, own or None), folder / f"frf_{loop}.png"))
+            own = [f for one in mine for f in fits if (f.loop, f.recording) == (loop, one.recording)]
+            overlaid = own if len(own) == len(mine) else None
+            drawn.append(save(frf_overview(mine, overlaid), folder / f"frf_{loop}.png"))
             for one in (one for one in mine if pages is None or one.recording in pages):
                 fit = next((f for f in own if f.recording == one.recording), None)
                 drawn.append(save(frf_page(one, fit), folder / f"frf_{loop}_{one.recording}.png"))

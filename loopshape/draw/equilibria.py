@@ -59,8 +59,8 @@ def contours_by_angle(
     """
     ax = axes_or_new(ax, _SIZE)
     _frame(ax, theta2_deg, p_ab_bar, "theta2_deg", "p_ab_bar")
-    _contours(ax, theta2_deg, p_ab_bar, p_a_bar, 0.1, COLOURS[0], "-", lambda x, y: x - 0.22)
-    _contours(ax, theta2_deg, p_ab_bar, p_b_bar, 0.1, COLOURS[1], "--", lambda x, y: x - 0.78)
+    _contours(ax, theta2_deg, p_ab_bar, p_a_bar, 0.1, COLOURS[0], "-", lambda x, y: x - 0.9)
+    _contours(ax, theta2_deg, p_ab_bar, p_b_bar, 0.1, COLOURS[1], "--", lambda x, y: x - 0.1)
     _mark(ax, points, "theta2_deg", "p_ab_bar")
     _legend(ax, {quantity("p_a_bar"): (COLOURS[0], "-"), quantity("p_b_bar"): (COLOURS[1], "--")}, bool(points))
     return ax
@@ -101,7 +101,7 @@ def _places(ax: Axes, paths: Sequence[Path], line: Line) -> list[tuple[float, fl
         inside = np.abs((vertices - frame[:, 0]) / (frame[:, 1] - frame[:, 0]) - 0.5).max(axis=1) < 0.44
         away = np.where(inside, np.abs(line(*((vertices - low) / span).T)), np.inf)
         k = int(np.argmin(away))
-        if away[k] < 0.13:
+        if away[k] < 0.45:
             places.append((float(vertices[k, 0]), float(vertices[k, 1])))
     return places
 

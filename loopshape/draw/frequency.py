@@ -119,7 +119,7 @@ def _power_axis(ax: Axes, frf: FRF) -> None:
     values = values[values > 0.0]
     if values.size:
         ax.set_ylim(values.min() / 2.0, values.max() * 30.0)
-    ax.legend(loc="upper center", ncols=3, columnspacing=0.9, handlelength=1.3, handletextpad=0.4)
+    ax.legend(loc="upper center", ncols=3, columnspacing=0.7, handlelength=1.0, handletextpad=0.3, fontsize=7.0)
 
 
 def _absent(ax: Axes, text: str) -> None:
@@ -171,6 +171,8 @@ def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
         a.legend(loc="lower left")
         fit_decibels(a)
         fit_degrees(b)
+        low, high = a.get_ylim()
+        a.set_ylim(low - 0.2 * (high - low), high)  # room for the legend
     for ax in (a, b, c, d):
         shade_band(frf, ax=ax)
     hide_inner(a, c)
@@ -187,9 +189,11 @@ def _title(frf: FRF) -> str:
 def _fit_lines(fit: Fit | None) -> tuple[str, ...]:
     if fit is None:
         return ()
-    numbers = ", ".join(_estimate(p) for p in fit.parameters)
+    readable = [p for p in fit.parameters if p.unit != "SI"]  # bare coefficients say nothing to a reader
+    numbers = ", ".join(_estimate(p) for p in readable)
     outcome = "" if fit.outcome == "converged" else f", {fit.outcome.replace('_', ' ')}"
-    return (f"fit {fit.structure.replace('_', ' ')}: {numbers} (95 %), misfit {fit.misfit_db:.2g} dB{outcome}",)
+    misfit = f"misfit {fit.misfit_db:.2g} dB{outcome}"
+    return (f"fit {fit.structure.replace('_', ' ')}: {f'{numbers} (95 %), ' if numbers else ''}{misfit}",)
 
 
 def _estimate(parameter: Estimate) -> str:

@@ -1,0 +1,212 @@
+"""Recordings that cannot carry an estimate, settings that make no sense, and the sentences that say so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from loopshape.controller import Block, Controller
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.frequency_response import estimate_frf, estimate_run
+from loopshape.estimate.matrix import estimate_matrix
+from loopshape.estimate.transforms import Settings
+from loopshape.experiment import LoopSetup
+from loopshape.frf import FRF
+from loopshape.recording import Recording, RecordingInfo
+from loopshape.run import Run
+
+RATE, N = 100.0, 4000
+LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", Controller("axis", (Block("gain", {"gain": 0.5}),), RATE))
+INFO = RecordingInfo("r1.parquet", "noise", "controller_input", excites="axis")
+
+
+def recording(n=N, *, drop=(), offset=0.0, setpoint=0.0, columns=None, **info):
+    """A loop around y+ = 0.9 y + 0.1 u with white noise at the controller's input and on the sensor."""
+    rng = np.random.default_rng(0)
+    moved, v = rng.standard_normal(n), 0.05 * rng.standard_normal(n)
+    into = moved - v
+    z = 0.5 * lfilter([1.0, -0.9], [1.0, -0.85], into)
+    y = lfilter([0.0, 0.05], [1.0, -0.85], into) + v + offset
+    whole = {"r_rad": np.full(n, setpoint), "n_rad": moved, "z_v": z, "y_rad": y} | (columns or {})
+    return Recording(replace(INFO, **info), RATE, {k: x for k, x in whole.items() if k not in drop})
+
+
+def refusal(error, call):
+    with pytest.raises(error) as caught:
+        call()
+    return str(caught.value)
+
+
+def estimate_refusal(settings=None, **words):
+    return refusal(BadSignalError, lambda: estimate_frf(recording(**words), LOOP, settings))
+
+
+def test_a_column_that_is_missing_is_named():
+    text = estimate_refusal(drop=("y_rad",))
+    assert "has no column y_rad" in text
+    assert "r1.parquet" in text
+    assert "z_v" in text
+
+
+def test_a_value_that_is_not_a_number_is_counted_and_placed():
+    y = np.zeros(N)
+    y[[17, 40]] = np.nan, np.inf
+    text = estimate_refusal(columns={"y_rad": y})
+    assert "column y_rad" in text
+    assert "2 values that are not numbers" in text
+    assert "row 17" in text
+
+
+@pytest.mark.parametrize(("column", "what"), [("z_v", "input"), ("y_rad", "output"), ("n_rad", "injected signal")])
+def test_a_constant_signal_is_refused_by_its_place(column, what):
+    text = estimate_refusal(columns={column: np.full(N, 2.5)})
+    assert f"the {what} of loop axis" in text
+    assert "is constant" in text
+    assert "2.5 in every row" in text
+
+
+def test_a_closed_loop_without_an_injected_signal_is_refused():
+    text = estimate_refusal(drop=("n_rad",))
+    assert "closed loop and has no injected signal for loop axis" in text
+    assert "direct estimator" in text
+    assert "n_rad" not in text
+
+
+def test_a_moving_reference_that_was_not_logged_is_refused():
+    text = estimate_refusal(drop=("r_rad",), injection="reference")
+    assert "no injected signal" in text
+
+
+@pytest.mark.parametrize("words", [{"estimator": "spectral"}, {"estimator": ""}])
+def test_an_unknown_estimator_is_refused(words):
+    text = refusal(WrongUseError, lambda: Settings(**words))
+    assert "an estimator is not known" in text
+    assert "use reference or direct" in text
+
+
+@pytest.mark.parametrize("overlap", [-0.1, 0.95, 1.0, float("nan")])
+def test_an_overlap_out_of_range_is_refused(overlap):
+    assert "between 0 and 0.9" in refusal(WrongUseError, lambda: Settings(overlap=overlap))
+
+
+@pytest.mark.parametrize("resolution_hz", [0.0, -1.0, float("nan")])
+def test_a_resolution_that_is_not_positive_is_refused(resolution_hz):
+    assert "resolution must be positive" in refusal(WrongUseError, lambda: Settings(resolution_hz=resolution_hz))
+
+
+@pytest.mark.parametrize("n", [60, 237, 1001, 4000])
+@pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
+def test_a_record_too_short_is_refused_with_a_resolution_that_works(n, overlap):
+    wished = Settings(resolution_hz=1.2 * RATE / n, overlap=overlap)
+    text = estimate_refusal(wished, n=n)
+    assert f"too short for a resolution of {RATE / round(n / 1.2):.3g} Hz" in text
+    assert f"{n / RATE:g} s, which gives" in text
+    coarser = float(text.split("ask for ")[1].split(" Hz")[0])
+    estimate_frf(recording(n), LOOP, replace(wished, resolution_hz=coarser))
+
+
+@pytest.mark.parametrize(("periods", "word"), [(1.9, "1 whole period of 10 s"), (0.5, "0 whole periods of 10 s")])
+def test_fewer_than_two_periods_are_refused(periods, word):
+    text = estimate_refusal(n=round(1000 * periods) + 100, kind="multisine", period_s=10.0, periodic_from_s=1.0)
+    assert word in text
+    assert "two at least" in text
+    assert "periodic from 1 s" in text
+
+
+def test_a_period_that_is_no_whole_number_of_samples_is_refused():
+    text = estimate_refusal(kind="multisine", period_s=1.005)
+    assert "no whole number of samples" in text
+    assert "1.005 s at 100 Hz" in text
+
+
+def test_a_loop_that_did_not_hold_its_setpoint_is_noted():
+    notes = " ".join(estimate_frf(recording(setpoint=1.0, offset=0.4), LOOP).notes)
+    assert "loop axis did not hold its setpoint: 1 rad asked, 0.396 rad on average" in notes
+    assert "where it stood" in notes
+
+
+def test_a_loop_that_held_its_setpoint_is_not_noted():
+    assert estimate_frf(recording(setpoint=1.0, offset=1.0), LOOP).notes == ()
+
+
+def test_a_recording_that_ended_early_is_noted():
+    notes = estimate_frf(recording(ended_early="the joint hit its stop"), LOOP).notes
+    assert notes == ("the recording ended early: the joint hit its stop",)
+
+
+def test_a_record_that_knows_no_line_well_says_so():
+    rng = np.random.default_rng(3)
+    frf = estimate_frf(recording(columns={"y_rad": 1e3 * rng.standard_normal(N)}), LOOP)
+    assert not frf.trusted.any()
+    assert "is known to 10 %: excite more or measure longer" in " ".join(frf.notes)
+    text = refusal(WrongUseError, frf.trusted_lines)
+    assert "no line of the FRF axis r1 can be trusted" in text
+    assert np.isnan(frf.trusted_band_hz).all()
+
+
+def test_a_run_without_excited_loops_is_refused():
+    run = Run(RATE, (LOOP,), (recording(excites=None),))
+    assert "no recording of the run excites a loop" in refusal(BadSignalError, lambda: estimate_run(run))
+
+
+def test_a_run_names_its_loops_where_one_is_unknown():
+    run = Run(RATE, (LOOP,), (recording(excites="elbow"),))
+    text = refusal(WrongUseError, lambda: estimate_run(run))
+    assert "'elbow'" in text
+    assert "its loops are axis" in text
+
+
+def test_a_matrix_needs_one_recording_for_each_loop():
+    second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
+    run = Run(RATE, (LOOP, second), (recording(),))
+    text = refusal(WrongUseError, lambda: estimate_matrix(run, run.recordings))
+    assert "one recording for each loop" in text
+    assert "the loops are axis, elbow" in text
+    twice = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP,), ()), [recording(), recording()]))
+    assert "excite axis, axis" in twice
+
+
+def test_a_matrix_of_recordings_made_differently_is_refused():
+    second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
+    pair = [recording(), recording(3000, excites="elbow")]
+    text = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP, second), pair), pair))
+    assert "different lines" in text
+
+
+def some_frf(nf=5, ny=1, nu=1, **words):
+    given = {
+        "frequency_hz": np.arange(1.0, nf + 1),
+        "response": np.ones((nf, ny, nu), dtype=complex),
+        "covariance": np.ones((nf, ny * nu, ny * nu), dtype=complex),
+        "trusted": np.ones(nf, dtype=bool),
+        "inputs": tuple(f"u{k}_v" for k in range(nu)),
+        "outputs": tuple(f"y{k}_rad" for k in range(ny)),
+        "method": "made up",
+    }
+    return FRF(**given | words)
+
+
+def test_a_band_without_lines_is_refused_with_the_lines_there_are():
+    text = refusal(WrongUseError, lambda: some_frf().between(7.0, 9.0))
+    assert "7 to 9 Hz" in text
+    assert "the lines go from 1 to 5 Hz" in text
+    assert some_frf().between(2.0, 4.0).frequency_hz.tolist() == [2.0, 3.0, 4.0]
+
+
+def test_one_response_of_a_matrix_is_refused():
+    text = refusal(WrongUseError, lambda: some_frf(ny=2).siso)
+    assert "one loop's response was asked of a FRF with several" in text
+    assert "(2, 1)" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"response": np.ones((5, 1), dtype=complex)}, "(lines, outputs, inputs)"),
+        ({"covariance": np.ones((5, 2, 2), dtype=complex)}, "a covariance is"),
+        ({"frequency_hz": np.array([1.0, 2.0, 2.0, 3.0, 4.0])}, "must rise"),
+    ],
+)
+def test_a_frf_that_does_not_fit_together_is_refused(words, said):
+    assert said in refusal(WrongUseError, lambda: some_frf(**words))
