@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.check.crossings import axis_crossings, nearest_to_minus_one, unit_crossings
+from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import closed_loop_stability
 from loopshape.loop import Loop
 from loopshape.requirements import Margins
@@ -23,12 +24,13 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     - delay margin: least delay that does so;
     - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
     - |CS| also above the last line, where it is |C| because L has died out;
-    - bandwidth: first 0 dB crossing of L (downwards from the lowest line).
+    - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
+      starts below 1 a fit's model leads to it, at most an octave below the first line.
 
     Read from noisy lines at their face value: the peak of |S| comes out too high, the margins too small. A
     resonance between two lines is not seen. Margins mean room only where `stable` says "stable".
     """
-    f, L, C = loop.frequency_hz, loop.L, loop.C
+    f, L, C = judged_lines(loop) or (loop.frequency_hz, loop.L, loop.C)
     S = 1.0 / (1.0 + L)
     unit_f, unit_L = unit_crossings(f, L)
     axis_f, axis_L = axis_crossings(f, L)
@@ -50,7 +52,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         complementary_peak_db=_peak(f, L * S, "complementary_peak_db", at_hz),
         control_peak_db=_peak(f_all, CS, "control_peak_db", at_hz),
         control_high_frequency_db=_peak(f_all[high], CS[high], "control_high_frequency_db", at_hz),
-        bandwidth_hz=_bandwidth(f, L, unit_f, loop.integrators + loop.controller.integrators()),
+        bandwidth_hz=float(unit_f[0]) if abs(L[0]) >= 1.0 and unit_f.size else 0.0,
         crossings_hz=tuple(unit_f.tolist()),
         phase_crossings_hz=tuple(axis_f.tolist()),
         at_hz=at_hz,
@@ -90,10 +92,3 @@ def _peak(f: Array, response: ComplexArray, name: str, at_hz: dict[str, float]) 
     k = int(np.argmax(np.abs(response)))
     at_hz[name] = float(f[k])
     return float(db(response[k]))
-
-
-def _bandwidth(f: Array, L: ComplexArray, crossings_hz: Array, integrators: int) -> float:
-    """First crossing; below the lowest line it is extrapolated along the integrators' slope, else 0."""
-    if abs(L[0]) >= 1.0:
-        return float(crossings_hz[0]) if crossings_hz.size else float(f[-1])
-    return float(f[0] * abs(L[0]) ** (1.0 / integrators)) if integrators else 0.0

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.check.crossings import nearest_to_minus_one
+from loopshape.check.low_end import judged_lines
 from loopshape.loop import Loop
 from loopshape.units import Array, ComplexArray, deg
 
@@ -36,8 +37,8 @@ def closed_loop_stability(loop: Loop) -> Stability:
     Integrators and unstable poles of the plant are the loop's word; a wrong word gives a wrong answer. The
     contour passes integrators on the right. Below the lowest line the loop's model carries it; without one
     L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain.
-    Undecided where it does not, where L has not fallen below 1 at the last line, where 1 + L turns too far
-    between lines, or where -1 lies within the FRF's own 95 % reach.
+    Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
+    turns too far between lines, or where -1 lies within the FRF's own 95 % reach.
     """
     L, f = loop.L, loop.frequency_hz
     integrators = loop.integrators + loop.controller.integrators()
@@ -61,6 +62,10 @@ def closed_loop_stability(loop: Loop) -> Stability:
 
 
 def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
+    if judged_lines(loop) is None:
+        return (
+            f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
+        )
     if abs(L[-1]) >= 1.0:
         return f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
     steps = np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1]))))

@@ -59,7 +59,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
             f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", t.method
         )
     variance = np.real(covariance[rows])
-    trusted = trusted_lines(np.sqrt(variance) / np.abs(G[rows]), t.excited[rows])
+    trusted = trusted_lines(t.frequency_hz[rows], np.sqrt(variance) / np.abs(G[rows]), t.excited[rows])
     return FRF(
         frequency_hz=t.frequency_hz[rows],
         response=G[rows, None, None],

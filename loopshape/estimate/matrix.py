@@ -43,7 +43,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
         frequency_hz=f[rows],
         response=P,
         covariance=covariance,
-        trusted=trusted_lines(std / np.linalg.norm(P, 2, axis=(1, 2)), np.ones(rows.sum(), dtype=bool)),
+        trusted=trusted_lines(f[rows], std / np.linalg.norm(P, 2, axis=(1, 2)), np.ones(rows.sum(), dtype=bool)),
         inputs=tuple(loop.control for loop in run.loops),
         outputs=tuple(output_channel(loop).column for loop in run.loops),
         method=f"P = S_P S_I^-1, {columns[0].method}",

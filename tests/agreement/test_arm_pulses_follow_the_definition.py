@@ -87,9 +87,9 @@ def test_row_at_a_period_s_start_decides_its_pulse_and_no_other_row_does(arm, ar
     late = z.copy()
     late[120] += 0.05
     runs = [
-        arm.simulate(
-            [arm_experiment((0.0, 1.0), 200, injection="control", injected=i)], changes=quiet, states=True
-        )[0].column("true_p_a_bar")
+        arm.simulate([arm_experiment((0.0, 1.0), 200, injection="control", injected=i)], changes=quiet, states=True)[
+            0
+        ].column("true_p_a_bar")
         for i in (z, other, late)
     ]
     np.testing.assert_array_equal(runs[0], runs[1])

@@ -39,8 +39,8 @@ def test_flow_coefficients_of_table_3_3(arm_constants):
     c = arm_constants()
     root = np.sqrt(2.0 * 287.0 * 293.0)  # the kernel's beta carries the density's root along
     # ARM.md section 3; table 3.3 prints four digits
-    for place, beta in ((k.BETA_IN, 4.194e-7), (k.BETA_S, 7.088e-7), (k.BETA_OUT, 1.359e-6)):
-        assert c[place] * root == pytest.approx(beta, rel=0.5e-3 / 1.359)
+    for place, beta, digit in ((k.BETA_IN, 4.194e-7, 1e-10), (k.BETA_S, 7.088e-7, 1e-10), (k.BETA_OUT, 1.359e-6, 1e-9)):
+        assert c[place] * root == pytest.approx(beta, abs=0.5 * digit)
 
 
 @pytest.mark.parametrize(

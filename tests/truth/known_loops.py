@@ -59,7 +59,10 @@ def record(place, kind, n, z, y, period_s=None, from_s=None):
     moved, still = n, np.zeros(n.size)
     columns = {"z_v": z, "y_rad": y}
     if place != "control":
-        columns |= {"r_rad": moved if place == "reference" else still, "n_rad": still if place == "reference" else moved}
+        columns |= {
+            "r_rad": moved if place == "reference" else still,
+            "n_rad": still if place == "reference" else moved,
+        }
     return Recording(info, RATE, columns)
 
 

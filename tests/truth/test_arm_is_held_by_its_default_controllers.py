@@ -20,7 +20,9 @@ def reached(arm, arm_experiment):
             for k, (theta, p) in enumerate(EQUILIBRIA)
         ]
         out = {}
-        for point, r in zip(EQUILIBRIA, arm.simulate(asked, changes={"supply_bar": supply_bar}, states=True), strict=True):
+        for point, r in zip(
+            EQUILIBRIA, arm.simulate(asked, changes={"supply_bar": supply_bar}, states=True), strict=True
+        ):
             theta = np.degrees(r.column("true_theta2_rad"))
             p = r.column("true_p_a_bar") + r.column("true_p_b_bar")
             out[point] = r.info.ended_early, theta[-1000:].mean(), p[-1000:].mean(), np.abs(theta).max()

@@ -45,7 +45,9 @@ def test_direct_error_stays_whatever_the_length():
 
 def test_direct_estimate_without_excitation_is_minus_the_inverse_controller():
     _, v = signals(960, 1)
-    frf = estimates("controller_input", "noise", 1e-6 * v, v, Settings("direct", resolution_hz=0.5))[0].between(1.0, 8.0)
+    frf = estimates("controller_input", "noise", 1e-6 * v, v, Settings("direct", resolution_hz=0.5))[0].between(
+        1.0, 8.0
+    )
     # the segments' ends leave 1 to 2 % of the controller's own memory (5 Hz low-pass, 2 s segments)
     np.testing.assert_allclose(frf.siso, -1.0 / LOOP.controller.response(frf.frequency_hz), rtol=0.05)
 

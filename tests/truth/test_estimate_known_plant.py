@@ -26,7 +26,9 @@ def test_the_response_is_the_plants_within_its_own_standard_deviation(kind, plac
     excitation, period = EXCITATIONS[kind]
     n = excitation.signal(RATE)
     v = 0.02 * np.random.default_rng(7).standard_normal((1, n.size))
-    frf = estimates(place, kind, n, v, **period)[0].between(0.6, 39.5).trusted_lines()  # clear of the excitation's edges
+    frf = (
+        estimates(place, kind, n, v, **period)[0].between(0.6, 39.5).trusted_lines()
+    )  # clear of the excitation's edges
     d = np.abs(frf.siso - plant(frf.frequency_hz)) / np.sqrt(frf.variance[:, 0, 0])
     assert frf.frequency_hz.size > 50
     assert (0.4 if kind == "sweep" else 0.6) < np.mean(d**2) < 1.5

@@ -10,7 +10,6 @@ it from, the error over its stated deviation follows an F distribution and the c
 import numpy as np
 import pytest
 from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
-
 from scipy.signal import freqz, lfilter
 
 from loopshape.estimate.transforms import Settings
@@ -71,7 +70,9 @@ def test_sweeps_are_never_called_better_than_they_are(place):
 
 def test_colour_of_the_noise_is_followed_line_by_line():
     # the error is sum(V N*)/sum(U N*), so its variance is Phi_v/(|CS|² Phi_n) over the averages
-    frfs = estimates("controller_input", "noise", noise(6, SAMPLES), lfilter([1.0], [1.0, -0.95], 0.02 * noise(5, SAMPLES)))
+    frfs = estimates(
+        "controller_input", "noise", noise(6, SAMPLES), lfilter([1.0], [1.0, -0.95], 0.02 * noise(5, SAMPLES))
+    )
     ratio, _ = ratio_and_coverage(frfs)
     f, _, variance = common_lines(frfs, 1.0, 20.0)
     C = CONTROLLER.response(f)

@@ -1,0 +1,90 @@
+"""The README's commands run as they stand, in a copy of the project's examples."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+
+
+def blocks() -> dict[str, str]:
+    """Console blocks by the name in the comment before them."""
+    return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
+
+
+@pytest.mark.parametrize("name", ["tour", "own", "arm"])
+def test_block_runs(name: str, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    here = Path(sys.executable).parent
+    script = blocks()[name].replace("$PWD/.venv/bin", str(here))
+    if name == "arm":  # the whole identification belongs to `make demo`: two points of it here
+        _shorten(tmp_path / "examples" / "arm" / "identify.toml")
+    environment = os.environ | {"PATH": f"{here}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True,
+        check=False, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert done.stdout.rstrip().endswith("verdict: pass")
+
+
+def _shorten(study: Path) -> None:
+    text = study.read_text()
+    start, end = text.index("operating_points = ["), text.index("[[loop]]")
+    points = "operating_points = [{ theta2_deg = 0.0, p_ab_bar = 1.0 }, { theta2_deg = 15.0, p_ab_bar = 0.8 }]\n\n"
+    text = text[:start] + points + text[end:]
+    parts = re.split(r"(?=\[\[experiment\]\])", text)
+    study.write_text("".join(part for part in parts if "-high" not in part))
+
+
+def test_every_loopshape_command_shown_is_run_by_a_test() -> None:
+    shown = set(re.findall(r"^loopshape (\w+)", README, flags=re.M))
+    run = set(re.findall(r"^loopshape (\w+)", "\n".join(blocks().values()), flags=re.M))
+    assert shown == run
+
+
+def test_what_the_readme_shows_exists() -> None:
+    assert all((ROOT / path).exists() for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README))
+    named = re.findall(r"`((?:examples|experiments|loopshape)/[\w./]*)`", README)
+    assert named
+    assert all((ROOT / path).exists() for path in named)
+
+
+def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
+    """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 38 Hz of bandwidth."""
+    import numpy as np
+
+    from loopshape.cli.fit import fit_run
+    from loopshape.cli.frf import estimate_and_report
+    from loopshape.cli.import_file import import_run
+    from loopshape.cli.output import Output
+    from loopshape.fit.fit import modes
+    from loopshape.store.fits import read_fits
+    from loopshape.store.frfs import read_frfs
+    from loopshape.store.requirements import read_requirements
+    from loopshape.tune.tune import tune
+    from loopshape.units import db
+
+    bench, quiet = ROOT / "examples" / "motor_bench", Output(quiet=True)
+    import_run(bench / "multisine_type_a.parquet", bench / "map.toml", tmp_path, quiet)
+    estimate_and_report(tmp_path, quiet, figures=False)
+    fit_run(tmp_path, quiet, structure="rational", numerator=2, denominator=4, delay=True, weighting="relative")
+    (frf,), fits = read_frfs(tmp_path), read_fits(tmp_path)
+    size = db(frf.siso)
+    low = (frf.frequency_hz > 40) & (frf.frequency_hz < 65)
+    assert frf.frequency_hz[low][np.argmin(size[low])] in (53.0, 54.0)
+    assert size[low].min() == pytest.approx(-82.0, abs=0.5)
+    assert frf.frequency_hz[np.argmax(np.where(frf.frequency_hz > 60, size, -np.inf))] == 77.0
+    assert size[frf.frequency_hz == 77.0][0] == pytest.approx(-37.4, abs=0.5)
+    found = {e.name: e.value for e in modes(fits[0])}
+    assert found["zero1_f_hz"] == pytest.approx(53.9, abs=0.1)
+    assert found["pole2_f_hz"] == pytest.approx(76.2, abs=0.1)
+    tuned = tune([frf], read_requirements(bench / "requirements.toml")[0], fits)
+    assert tuned.feasible
+    assert tuned.bandwidth_hz == pytest.approx(38.0, abs=0.5)

@@ -1,0 +1,343 @@
+"""Fits recover known parameters, their intervals hold what they promise, and the residual test tells right from wrong.
+
+FRFs are made up: a known response with circular Gaussian errors of known variance, independent between lines.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from loopshape.fit.fit import fit, fit_best, modes, structure_by_name
+from loopshape.fit.least_squares import residual_tests, runs_test
+from loopshape.fit.linear_start import levy
+from loopshape.fit.structures import Integrator, Rational, ThirdOrder
+from loopshape.frf import FRF
+from loopshape.model import TransferFunction
+from loopshape.units import TWO_PI
+
+F = np.geomspace(0.3, 15.0, 80)
+W = TWO_PI * 6.3
+ARM = TransferFunction([780.0], [1.0, 2.0 * 0.05 * W, W * W, 0.0])  # the arm's third order, section 8 of the source
+ARM_VALUES = (780.0, 6.3, 0.05)
+
+
+def circular(rng, std):
+    return std * (rng.standard_normal(std.size) + 1j * rng.standard_normal(std.size)) / np.sqrt(2.0)
+
+
+def frf_of(response, std, f=F, **words):
+    n = f.size
+    return FRF(
+        f, response[:, None, None], (std**2)[:, None, None].astype(complex), np.ones(n, dtype=bool), ("z_v",), ("y_rad",),
+        "made up", recording="r1", loop="axis", rate_hz=1000.0, **words,
+    )  # fmt: skip
+
+
+def repeated(structure, model, share, count=300, weighting="variance", slope=0.0, f=F):
+    """Fits to `count` draws of a model's response with noise of `share` |G| (f/2 Hz)^slope."""
+    rng = np.random.default_rng(0)
+    G = model.response(f)
+    std = share * np.abs(G) * (f / 2.0) ** slope
+    return [fit(frf_of(G + circular(rng, std), std, f), structure, weighting=weighting) for _ in range(count)]
+
+
+def coverage(fits, truth):
+    """Share of fits whose interval holds the truth, for each parameter."""
+    inside = [
+        [e.interval[0] <= t <= e.interval[1] for e, t in zip(found.parameters, truth, strict=True)] for found in fits
+    ]
+    return np.mean(inside, axis=0)
+
+
+RATIONAL = TransferFunction([2.0, 3.0, 900.0], [1.0, 1.5, 1800.0, 0.0])
+KNOWN = {
+    "third order": (ThirdOrder(), ARM, ARM_VALUES),
+    "third order, delay": (ThirdOrder(True), TransferFunction(ARM.num, ARM.den, 5.5e-3), (*ARM_VALUES, 5.5e-3)),
+    "integrator": (Integrator(), TransferFunction([-4.0], [1.0, 0.0]), (-4.0,)),
+    "integrator, delay": (Integrator(True), TransferFunction([4.0], [1.0, 0.0], 0.01), (4.0, 0.01)),
+    "rational": (Rational(2, 3, 1), RATIONAL, (2.0, 3.0, 900.0, 1.5, 1800.0)),
+    "rational, delay": (
+        Rational(0, 2, delay=True),
+        TransferFunction([500.0], [1.0, 4.0, 900.0], 0.004),
+        (500.0, 4.0, 900.0, 0.004),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", KNOWN)
+def test_parameters_are_recovered_and_intervals_hold_95_percent(case):
+    # 300 fits know a share of 0.95 to 0.0126; 0.91 to 0.98 is three of these, for up to five parameters
+    structure, model, truth = KNOWN[case]
+    fits = repeated(structure, model, 0.02)
+    held = coverage(fits, truth)
+    assert np.all((held > 0.91) & (held < 0.985)), held
+    assert {found.outcome for found in fits} == {"converged"}
+    means = np.mean([[e.value for e in found.parameters] for found in fits], axis=0)
+    spread = np.std([[e.value for e in found.parameters] for found in fits], axis=0)
+    np.testing.assert_array_less(np.abs(means - truth), 0.3 * spread)  # 5 standard errors: no bias to speak of
+    stated = np.mean([[e.std for e in found.parameters] for found in fits], axis=0)
+    np.testing.assert_allclose(stated / spread, 1.0, atol=0.15)  # 300 fits know a spread to 4 %
+
+
+@pytest.mark.parametrize("case", KNOWN)
+def test_the_right_structure_is_accepted(case):
+    # size at 1 %, signs at 1 %: 0.98 of 300, known to 0.008
+    structure, model, _ = KNOWN[case]
+    fits = repeated(structure, model, 0.02)
+    assert np.mean([found.p_value > 0.01 for found in fits]) > 0.97
+    assert np.mean([found.sufficient for found in fits]) > 0.95
+    assert np.mean([found.chi2_per_dof for found in fits]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_p_values_of_the_right_structure_are_uniform():
+    p = np.sort([found.p_value for found in repeated(ThirdOrder(), ARM, 0.02)])
+    distance = np.abs(p - (np.arange(p.size) + 0.5) / p.size).max()
+    assert distance < 1.63 / np.sqrt(p.size)  # Kolmogorov's limit at 1 %
+
+
+@pytest.mark.parametrize("pole_hz", [20.0, 60.0])
+def test_a_plant_with_another_pole_is_no_third_order(pole_hz):
+    more = TransferFunction(ARM.num, np.polymul(ARM.den, [1.0 / (TWO_PI * pole_hz), 1.0]))
+    fits = repeated(ThirdOrder(), more, 0.02, 50)
+    assert not any(found.sufficient for found in fits)
+    assert min(found.chi2_per_dof for found in fits) > 2.0
+
+
+def test_a_misfit_is_reported_in_db():
+    G = ARM.response(F)
+    found = fit(frf_of(G * np.where(np.arange(F.size) % 2, 1.03, 1.0 / 1.03), 0.01 * np.abs(G)), ThirdOrder())
+    assert found.misfit_db == pytest.approx(20.0 * np.log10(1.03), abs=0.01)
+    assert not found.sufficient
+
+
+def test_intervals_widen_where_the_model_misses_more_than_the_noise():
+    rng = np.random.default_rng(1)
+    G = ARM.response(F)
+    noisy = G + circular(rng, 0.04 * np.abs(G))
+    honest, proud = (fit(frf_of(noisy, s * np.abs(G)), ThirdOrder()) for s in (0.04, 0.01))
+    assert proud.chi2_per_dof == pytest.approx(16.0 * honest.chi2_per_dof, rel=0.01)
+    assert proud["kappa"].std == pytest.approx(honest["kappa"].std, rel=0.15)
+
+
+def hann_errors(rng, std, averages=10):
+    """Errors of Welch's estimate with Hann segments: mean of E N*, each smeared over three lines."""
+    smear = np.array([-0.25, 0.5, -0.25]) / np.sqrt(0.375)
+    E, N = (
+        sum(smear[k] * X[:, k : k + std.size] for k in range(3))
+        for X in (rng.standard_normal((2, averages, std.size + 2, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0))
+    )
+    return std * (E * N.conj()).sum(0) / np.sqrt(averages)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_fits_to_hann_lines_need_their_overlap(known):
+    f = np.arange(0.3, 15.0, 0.1)
+    model = TransferFunction([780.0], [1.0, 2.0 * 0.3 * W, W * W, 0.0])
+    rng, G = np.random.default_rng(2), model.response(f)
+    std = 0.02 * np.abs(G)
+    overlap = 35.0 / 18.0 if known else 1.0
+    fits = [fit(frf_of(G + hann_errors(rng, std), std, f, line_overlap=overlap), ThirdOrder()) for _ in range(300)]
+    held, accepted = coverage(fits, (780.0, 6.3, 0.3)), np.mean([found.sufficient for found in fits])
+    if known:
+        assert np.all((held > 0.91) & (held < 0.985)), held
+        assert accepted > 0.95
+    else:
+        assert held.max() < 0.9  # 0.84 in theory: 1.96/sqrt(1.94) deviations
+        assert accepted < 0.5
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    f_hz=st.floats(0.8, 14.0),
+    log_zeta=st.floats(np.log(0.005), np.log(1.2)),
+    log_kappa=st.floats(np.log(1e-4), np.log(1e6)),
+    sign=st.sampled_from([-1.0, 1.0]),
+    delay_s=st.sampled_from([0.0, 0.002, 0.02]),
+    seed=st.integers(0, 2**31),
+)
+def test_third_order_converges_from_one_percent_of_noise(f_hz, log_zeta, log_kappa, sign, delay_s, seed):
+    w, zeta, kappa = TWO_PI * f_hz, np.exp(log_zeta), sign * np.exp(log_kappa)
+    G = TransferFunction([kappa], [1.0, 2.0 * zeta * w, w * w, 0.0], delay_s).response(F)
+    std = 0.01 * np.abs(G)
+    found = fit(frf_of(G + circular(np.random.default_rng(seed), std), std), ThirdOrder(delay_s > 0.0))
+    assert found.outcome == "converged"
+    assert found.chi2_per_dof < 1.6  # 157 degrees of freedom: 1 +- 0.11
+    assert found["kappa"].value == pytest.approx(kappa, abs=6.0 * found["kappa"].std)
+    assert found["f_hz"].value == pytest.approx(f_hz, abs=6.0 * found["f_hz"].std)
+
+
+@pytest.mark.parametrize("f_hz", [0.1, 30.0])
+def test_a_resonance_outside_the_lines_is_found_from_its_flank(f_hz):
+    w = TWO_PI * f_hz
+    model = TransferFunction([780.0 * (f_hz / 6.3) ** 2], [1.0, 0.1 * w, w * w, 0.0])
+    found = repeated(ThirdOrder(), model, 0.01, 1)[0]
+    assert found["f_hz"].value == pytest.approx(f_hz, rel=0.05)
+    assert found["f_hz"].value == pytest.approx(f_hz, abs=4.0 * found["f_hz"].std)
+
+
+@pytest.mark.xfail(strict=True, reason="ThirdOrder.start: Levy's guess from lines of 10 % ends far off in two of three")
+def test_third_order_converges_from_ten_percent_of_noise():
+    fits = repeated(ThirdOrder(), ARM, 0.1, 40)
+    assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
+
+
+@pytest.mark.xfail(strict=True, reason="levy: its guess from lines of 10 % ends far off in one of three")
+def test_rational_converges_from_ten_percent_of_noise():
+    w = TWO_PI * 4.0
+    model = TransferFunction(1000.0 * np.array([1.0, 0.04 * w, w * w]), [1.0, 0.03 * W, W * W, 0.0])
+    fits = repeated(Rational(2, 3, 1), model, 0.1, 40)
+    assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02])
+def test_relative_intervals_hold_where_the_noise_is_one_share_of_the_response(share):
+    # weights from the measured |G| pull the gain down by share², a quarter of its deviation at 2 %
+    fits = repeated(ThirdOrder(), ARM, share, weighting="relative")
+    assert np.all(coverage(fits, ARM_VALUES) > 0.91)
+    assert np.mean([found.chi2_per_dof for found in fits]) == pytest.approx(1.0, abs=0.03)  # by the FRF's own variance
+
+
+@pytest.mark.xfail(strict=True, reason="solve: relative weights are taken for variances; no sandwich with the FRF's own")
+@pytest.mark.parametrize(("share", "slope"), [(0.004, 0.0), (0.02, 1.0)])
+def test_relative_intervals_hold_95_percent_whatever_the_noise(share, slope):
+    held = coverage(repeated(ThirdOrder(), ARM, share, weighting="relative", slope=slope), ARM_VALUES)
+    assert np.all((held > 0.91) & (held < 0.985)), held
+
+
+def test_relative_weighting_is_the_fairer_one_to_a_plant_of_no_low_order():
+    # an extra pole, and lines above 5 Hz known ten times better: weighting by variance gives up the rest of the band
+    G = TransferFunction(ARM.num, np.polymul(ARM.den, [1.0 / (TWO_PI * 15.0), 1.0])).response(F)
+    frf = frf_of(G, np.where(F > 5.0, 0.002, 0.02) * np.abs(G))
+    by_variance, relative = (fit(frf, ThirdOrder(), weighting=w) for w in ("variance", "relative"))
+    assert relative.misfit_db < 0.9 * by_variance.misfit_db
+    assert not relative.sufficient  # and both say that the structure is wrong
+    assert not by_variance.sufficient
+
+
+@pytest.mark.xfail(strict=True, reason="residual_tests: the variance is taken as known, and a FRF does not say from how many averages")
+def test_the_right_structure_is_accepted_with_a_variance_from_five_periods():
+    rng, G = np.random.default_rng(3), ARM.response(F)
+    std, accepted = 0.02 * np.abs(G), []
+    for _ in range(100):
+        estimated = std * np.sqrt(rng.gamma(4.0, 0.25, F.size))  # what five periods say of it
+        accepted.append(fit(frf_of(G + circular(rng, std), estimated), ThirdOrder()).sufficient)
+    assert np.mean(accepted) > 0.93
+
+
+@pytest.mark.parametrize(("numerator", "denominator", "integrators"), [(0, 3, 1), (2, 3, 1), (2, 4, 0), (2, 4, 2), (3, 5, 1)])
+def test_levy_recovers_exact_rational_data(numerator, denominator, integrators):
+    rng = np.random.default_rng(numerator)
+    roots = TWO_PI * np.array([-0.1 + 2.0j, -0.3 + 6.0j, -0.2 + 10.0j])
+    pairs = [np.real(np.poly([r, r.conj()])) for r in roots]
+    den = np.ones(1)
+    for k in range((denominator - integrators) // 2):
+        den = np.polymul(den, pairs[k])
+    if (denominator - integrators) % 2:
+        den = np.polymul(den, [1.0, 30.0])
+    num = rng.uniform(0.5, 2.0) * (np.polymul(pairs[2], [1.0] if numerator == 2 else [1.0, 40.0]) if numerator else np.ones(1))
+    truth = TransferFunction(num, np.concatenate([den, np.zeros(integrators)]))
+    G = truth.response(F)
+    found = levy(F, G, 1.0 / np.abs(G), numerator, denominator, integrators)
+    np.testing.assert_allclose(found.num, truth.num, rtol=1e-6)
+    np.testing.assert_allclose(found.den, truth.den, rtol=1e-6, atol=1e-12)
+    assert found.integrators() == integrators
+
+
+@pytest.mark.xfail(strict=True, raises=ValueError, reason="levy: nothing to stack where all poles lie at zero")
+@pytest.mark.parametrize("poles", [1, 2])
+def test_a_rational_whose_poles_all_lie_at_zero(poles):
+    found = repeated(Rational(0, poles, poles), TransferFunction([4.0], [1.0] + [0.0] * poles), 0.01, 1)[0]
+    assert found["b0"].value == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_delay_at_its_limit_is_called_at_bound():
+    G = TransferFunction([4.0], [1.0, 0.0]).response(F) * np.exp(1j * TWO_PI * F * 0.01)  # leads: no delay explains it
+    found = fit(frf_of(G, 0.01 * np.abs(G)), Integrator(True))
+    assert found.outcome == "at_bound"
+    assert found["delay_s"].value == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_best_of_several_structures_is_the_right_one(seed):
+    rng = np.random.default_rng(seed)
+    candidates = [Integrator(), Integrator(True), ThirdOrder(), ThirdOrder(True)]
+    for k, model in enumerate(
+        [
+            TransferFunction([4.0], [1.0, 0.0]),
+            TransferFunction([4.0], [1.0, 0.0], 0.01),
+            ARM,
+            TransferFunction(ARM.num, ARM.den, 5.5e-3),
+        ]
+    ):
+        G = model.response(F)
+        std = 0.02 * np.abs(G)
+        found = fit_best(frf_of(G + circular(rng, std), std), candidates)
+        assert found.structure == candidates[k].name
+
+
+def test_orders_of_a_rational_are_chosen_right():
+    rng = np.random.default_rng(0)
+    G = RATIONAL.response(F)
+    std = 0.02 * np.abs(G)
+    candidates = [Rational(n, d, 1) for n, d in ((0, 2), (0, 3), (2, 3), (3, 4), (4, 5))]
+    assert fit_best(frf_of(G + circular(rng, std), std), candidates).structure == "rational 2/3 with 1 at zero"
+
+
+def test_modes_are_the_zeros_and_poles_with_intervals_that_hold():
+    w1, w2 = TWO_PI * 4.0, TWO_PI * 7.0
+    model = TransferFunction([1.0, 0.04 * w1, w1**2], np.polymul([1.0, 0.06 * w2, w2**2], [1.0, TWO_PI, 0.0]))
+    truth = {
+        "zero1_f_hz": 4.0, "zero1_damping": 0.02, "pole1_f_hz": 1.0, "pole1_damping": 1.0,
+        "pole2_f_hz": 7.0, "pole2_damping": 0.03,
+    }  # fmt: skip
+    inside = dict.fromkeys(truth, 0)
+    fits = repeated(Rational(2, 4, 1), model, 0.01, 200)
+    for found in fits:
+        for mode in modes(found):
+            low, high = mode.interval
+            inside[mode.name] += (low - 1e-9 <= truth[mode.name] <= high + 1e-9)
+    assert inside.pop("pole1_damping") == len(fits)  # a real root's, exact
+    assert all(0.9 < count / len(fits) < 0.995 for count in inside.values()), inside
+
+
+def test_modes_leave_a_delay_out():
+    found = repeated(Rational(0, 3, 1, delay=True), TransferFunction(ARM.num, ARM.den, 0.005), 0.001, 1)[0]
+    (f_hz, damping) = modes(found)
+    assert f_hz.value == pytest.approx(6.3, abs=5.0 * f_hz.std)
+    assert damping.value == pytest.approx(0.05, abs=5.0 * damping.std)
+    assert f_hz.std < 0.01
+
+
+@pytest.mark.xfail(strict=True, raises=ValueError, reason="modes: a root pair that splits within the step changes the count")
+def test_modes_of_a_critically_damped_pair():
+    found = repeated(Rational(0, 2), TransferFunction([100.0], [1.0, 20.0, 100.0]), 1e-9, 1)[0]
+    assert modes(found)[0].value == pytest.approx(10.0 / TWO_PI, rel=1e-3)
+
+
+def test_units_name_the_plants_own():
+    found = repeated(ThirdOrder(True), TransferFunction(ARM.num, ARM.den, 0.005), 0.01, 1)[0]
+    assert [e.unit for e in found.parameters] == ["rad/(V s3)", "Hz", "1", "s"]
+
+
+def test_names_make_structures():
+    assert structure_by_name("third_order_delay") == ThirdOrder(True)
+    assert structure_by_name("third_order", delay=True) == ThirdOrder(True)
+    assert structure_by_name("integrator") == Integrator()
+    assert structure_by_name("rational", numerator=2, denominator=4, integrators=1) == Rational(2, 4, 1)
+
+
+def test_runs_test_has_its_size_and_sees_a_trend():
+    rng = np.random.default_rng(4)
+    p = np.array([runs_test(rng.standard_normal(200)) for _ in range(2000)])
+    assert np.mean(p < 0.01) == pytest.approx(0.01, abs=0.01)
+    assert np.mean(p < 0.05) == pytest.approx(0.05, abs=0.02)
+    assert runs_test(np.sin(np.arange(200) / 20.0)) < 1e-6
+    assert runs_test((-1.0) ** np.arange(200)) < 1e-6
+
+
+def test_size_test_knows_too_large_a_residual():
+    rng = np.random.default_rng(5)
+    unit = rng.standard_normal(400) + 1j * rng.standard_normal(400)
+    assert residual_tests(unit, 3, 1.0)[0] > 0.01
+    assert residual_tests(1.15 * unit, 3, 1.0)[0] < 0.01
