@@ -193,9 +193,14 @@ class Multisine:
         _check_below_half_rate(self.kind, float(lines[-1]), rate_hz)
         n = samples(self.period_s, rate_hz)
         one = _low_crest(np.round(lines * self.period_s).astype(int), n, self.seed, self.crest_iterations)
-        ramp_n = samples(self.ramp_s, rate_hz) if self.ramp_s else 0
-        index = np.arange(-ramp_n, self.periods * n + ramp_n) % n
-        return self.amplitude * one[index] * ramp(index.size, ramp_n)
+        return self.amplitude * _repeated(one, self.periods, self.ramp_s, rate_hz)
+
+
+def _repeated(one: Array, periods: int, ramp_s: float, rate_hz: float) -> Array:
+    """Whole periods of `one` (n,), with a ramp before the first and after the last."""
+    ramp_n = samples(ramp_s, rate_hz) if ramp_s else 0
+    index = np.arange(-ramp_n, periods * one.size + ramp_n) % one.size
+    return one[index] * ramp(index.size, ramp_n)
 
 
 def _low_crest(bins: NDArray[np.int64], n: int, seed: int, iterations: int) -> Array:
@@ -221,7 +226,8 @@ def _low_crest(bins: NDArray[np.int64], n: int, seed: int, iterations: int) -> A
 class Prbs:
     """Maximum-length pseudo-random binary sequence, `periods` times, one bit every `clock_s`.
 
-    `order` n gives 2^n - 1 bits a period; the seed picks where in the sequence it starts.
+    `order` n gives 2^n - 1 bits a period; the seed picks where in the sequence it starts. Ramps of `ramp_s`
+    lie before and after the whole periods.
     """
 
     order: int
@@ -229,6 +235,7 @@ class Prbs:
     amplitude: float
     periods: int = 4
     seed: int = 0
+    ramp_s: float = 0.0
     kind: str = "prbs"
 
     def __post_init__(self) -> None:
@@ -243,8 +250,8 @@ class Prbs:
 
     @property
     def duration_s(self) -> float:
-        """All periods."""
-        return self.periods * self.period_s
+        """Both ramps and the whole periods."""
+        return 2.0 * self.ramp_s + self.periods * self.period_s
 
     @property
     def band_hz(self) -> tuple[float, float]:
@@ -259,7 +266,7 @@ class Prbs:
         bits = np.asarray(max_len_seq(self.order)[0], dtype=float)
         start = int(np.random.default_rng(self.seed).integers(bits.size))
         one = np.repeat(2.0 * np.roll(bits, -start) - 1.0, hold)
-        return self.amplitude * np.tile(one, self.periods)
+        return self.amplitude * _repeated(one, self.periods, self.ramp_s, rate_hz)
 
 
 @dataclass(frozen=True)

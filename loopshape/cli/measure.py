@@ -32,7 +32,7 @@ def record(study_file: Path, out: Path, output: Output, *, states: bool = False)
 
     from loopshape import registry
     from loopshape.errors import WrongUseError
-    from loopshape.rigs.simulated import experiments, header, measure
+    from loopshape.rigs.simulated import header, measure, plan
     from loopshape.store.run_folder import add_recording, finished, read_run, start_run
     from loopshape.store.study import read_study
 
@@ -40,7 +40,7 @@ def record(study_file: Path, out: Path, output: Output, *, states: bool = False)
     if study.rig != "simulated":
         raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated"')
     plant = registry.plant(study.plant)
-    todo = experiments(study, plant)
+    todo = plan(study, plant)
     digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
     start_run(out, header(study, plant, {"study_sha256": digest}))
     done = frozenset(finished(out))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -30,13 +31,24 @@ class Rig(Plant, Protocol):
         """References of all loops at an operating point, in stored units."""
 
 
-def experiments(study: Study, plant: Rig) -> list[Experiment]:
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """One experiment to come: a template at an operating point, its name and its seed. It holds no signals."""
+
+    name: str
+    template: ExperimentTemplate
+    operating_point: Mapping[str, float]
+    loops: tuple[LoopSetup, ...]
+    seed: int
+
+
+def plan(study: Study, plant: Rig) -> list[Planned]:
     """All experiments of a study in order: each template at each of its operating points.
 
-    Seeds of sensor noise follow from the study's seed and the place in this list, so a resumed or a
-    partial campaign gives the same recordings.
+    Refuses what the plant cannot do before anything moves. Seeds of sensor noise follow from the study's
+    seed and the place in this list, so a resumed or a partial campaign gives the same recordings.
     """
-    out: list[Experiment] = []
+    out: list[Planned] = []
     controllers = _controllers(study, plant)
     for template in study.experiments:
         points = study.operating_points if template.operating_points is None else template.operating_points
@@ -49,8 +61,8 @@ def experiments(study: Study, plant: Rig) -> list[Experiment]:
         for k, point in enumerate(points):
             plant.check_operating_point(point)
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
-            out.append(_experiment(study, plant, template, loops, point, name, study.seed * 100_003 + len(out)))
-    names = [e.name for e in out]
+            out.append(Planned(name, template, dict(point), loops, study.seed * 100_003 + len(out)))
+    names = [planned.name for planned in out]
     if len(set(names)) != len(names):
         raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
     return out
@@ -85,40 +97,37 @@ def _controllers(study: Study, plant: Rig) -> tuple[Controller, ...]:
     )
 
 
-def _experiment(
-    study: Study,
-    plant: Rig,
-    template: ExperimentTemplate,
-    loops: tuple[LoopSetup, ...],
-    point: Mapping[str, float],
-    name: str,
-    seed: int,
-) -> Experiment:
-    setpoint = plant.setpoint(point)
+def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
+    """A planned experiment with its signals."""
+    template = planned.template
+    setpoint = np.asarray(plant.setpoint(planned.operating_point), dtype=float)
     n = _samples(template, study.rate_hz)
-    references = np.tile(np.asarray(setpoint, dtype=float), (n, 1))
-    injected = np.zeros((n, len(loops)))
+    shape = (n, setpoint.size)
+    moved = bool(template.references)
+    references = np.tile(setpoint, (n, 1)) if moved else np.broadcast_to(setpoint, shape)
     for loop, signal in template.references.items():
         k = _place(plant, loop, template.name)
         references[:, k] = signal.sampled(n, study.rate_hz, float(setpoint[k]))
+    driven = bool(template.control) or template.excitation is not None
+    injected = np.zeros(shape) if driven else np.broadcast_to(0.0, shape)
     for loop, signal in template.control.items():
         injected[:, _place(plant, loop, template.name)] = signal.sampled(n, study.rate_hz, 0.0)
     period_s, periodic_from_s = _excite(injected, template, plant, study.rate_hz)
     return Experiment(
-        name=name,
+        name=planned.name,
         kind=template.kind,
-        loops=loops,
+        loops=planned.loops,
         rate_hz=study.rate_hz,
         references=references,
         injected=injected,
         injection=template.injection,
-        operating_point=dict(point),
+        operating_point=planned.operating_point,
         excites=template.excites,
         role=template.role,
         closed_loop=template.injection != "control",
         period_s=period_s,
         periodic_from_s=periodic_from_s,
-        seed=seed,
+        seed=planned.seed,
         parameters=dict(template.parameters),
         pwm=dict(study.pwm),
     )
@@ -162,7 +171,7 @@ def _excite(
 
 def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) -> Run:
     """The run that the study's recordings belong to, without recordings; `extra` keys go along."""
-    first = experiments(study, plant)[0]
+    first = plan(study, plant)[0]
     pwm = {
         key: float(study.pwm.get(key, plant.parameters.rows[plant.parameters.index(f"pwm_{key}")].value))
         for key in ("frequency_hz", "dead_zone")
@@ -184,9 +193,13 @@ def measure(
 
     `states` adds the plant's true states as columns.
     """
-    todo = [e for e in experiments(study, plant) if e.name not in done]
+    todo = [planned for planned in plan(study, plant) if planned.name not in done]
     workers = threads or os.cpu_count() or 1
     for k in range(0, len(todo), workers):
         yield from plant.simulate(
-            todo[k : k + workers], solver=study.solver, changes=study.changes, threads=workers, states=states
+            [experiment(study, plant, planned) for planned in todo[k : k + workers]],
+            solver=study.solver,
+            changes=study.changes,
+            threads=workers,
+            states=states,
         )
