@@ -196,10 +196,5 @@ def measure(
     todo = [planned for planned in plan(study, plant) if planned.name not in done]
     workers = threads or os.cpu_count() or 1
     for k in range(0, len(todo), workers):
-        yield from plant.simulate(
-            [experiment(study, plant, planned) for planned in todo[k : k + workers]],
-            solver=study.solver,
-            changes=study.changes,
-            threads=workers,
-            states=states,
-        )
+        few = [experiment(study, plant, planned) for planned in todo[k : k + workers]]
+        yield from plant.simulate(few, solver=study.solver, changes=study.changes, threads=workers, states=states)

@@ -137,9 +137,11 @@ class Arm1:
         controllers = [_biquads(loop, e) for loop in e.loops]
         state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
         references = np.ascontiguousarray(e.references * np.array([1.0, 1e5]))
+        injected = np.ascontiguousarray(e.injected)
+        injected.setflags(write=False)  # one kind of array, one compiled kernel
         out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
         ended, n = kernel.run(
-            c, sensors, x, controllers[0], controllers[1], state, references, np.ascontiguousarray(e.injected),
+            c, sensors, x, controllers[0], controllers[1], state, references, injected,
             _INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, period_ticks,
             float(vector[self.parameters.index("pwm_dead_zone")]), solver, steps, start_state(e.seed), out,
         )  # fmt: skip
