@@ -39,7 +39,7 @@ def _by_point(ax: Axes, fits: Sequence[Fit], name: str, keys: Sequence[str]) -> 
     lines = _lines(fits, keys)
     labels = numbers(list(lines)) if len(keys) == 2 else ["fits"]
     places = np.unique([fit.operating_point[keys[0]] for fit in fits])
-    gap = 0.04 * float(np.min(np.diff(places)))
+    gap = 0.015 * float(np.min(np.diff(places)))
     for k, members in enumerate(lines.values()):
         aside = gap * (k - 0.5 * (len(lines) - 1))
         x = np.array([fit.operating_point[keys[0]] for fit in members]) + aside

@@ -85,8 +85,12 @@ def test_response_is_that_of_the_biquads(blocks):
 
 @settings(max_examples=100)
 @given(
-    f1=st.floats(0.01, 400.0), f2=st.floats(0.01, 400.0), b1=st.floats(0.0, 5.0), b2=st.floats(1e-3, 5.0), f=st.floats(0.5, 499.0)
-)  # fmt: skip
+    f1=st.floats(0.01, 400.0),
+    f2=st.floats(0.01, 400.0),
+    b1=st.floats(0.0, 5.0),
+    b2=st.floats(1e-3, 5.0),
+    f=st.floats(0.5, 499.0),
+)
 def test_response_is_that_of_the_biquads_for_any_notch(f1, f2, b1, b2, f):
     block = Block("notch", {"f1_hz": f1, "f2_hz": f2, "damping1": b1, "damping2": b2})
     ours = Controller("one", (block,), RATE_HZ)

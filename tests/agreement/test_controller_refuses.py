@@ -10,7 +10,7 @@ GAIN = Block("gain", {"gain": 1.0})
 
 @pytest.mark.parametrize("kind", ["pid", "low_pass", "", "Gain"])
 def test_unknown_kind(kind):
-    with pytest.raises(WrongUseError, match="block is not known; received .*use one of gain, lead_lag, notch"):
+    with pytest.raises(WrongUseError, match=r"block is not known; received .*use one of gain, lead_lag, notch"):
         Block(kind, {"gain": 1.0})
 
 
@@ -25,7 +25,7 @@ def test_unknown_kind(kind):
     ],
 )
 def test_unknown_table(table):
-    with pytest.raises(WrongUseError, match="block is not known; received .*low_pass with order 1 or 2"):
+    with pytest.raises(WrongUseError, match=r"block is not known; received .*low_pass with order 1 or 2"):
         Block.from_table(table)
 
 
@@ -73,7 +73,7 @@ def test_a_notch_without_numerator_damping_is_allowed():
 
 @pytest.mark.parametrize("f_hz", [500.0, 700.0, [1.0, 500.0]])
 def test_response_at_half_the_rate(f_hz):
-    with pytest.raises(WrongUseError, match="no response at or above 500 Hz; received .*ask below half the rate"):
+    with pytest.raises(WrongUseError, match=r"no response at or above 500 Hz; received .*ask below half the rate"):
         Controller("theta2", (GAIN,), 1000.0).response(f_hz)
 
 

@@ -180,7 +180,7 @@ def test_default_angle_controller_at_28_points(at_28_points):
 
 
 def test_default_angle_controller_misses_the_source_s_requirements(at_28_points):
-    """ARM.md sections 6 and 10: the phase margin stays below 45 deg everywhere; |S| exceeds 6 dB at +-30 deg, 0.8 bar."""
+    """ARM.md sections 6 and 10: the phase margin stays below 45 deg; |S| exceeds 6 dB at +-30 deg, 0.8 bar."""
     assert all(m.phase_margin_deg < 45.0 for m in at_28_points.values())
     loud = {q for q, m in at_28_points.items() if m.sensitivity_peak_db > 6.0}
     assert loud == {(-30, 0.8), (30, 0.8)}

@@ -52,7 +52,7 @@ def test_number_that_must_be_positive(make, value):
 
 @pytest.mark.parametrize("duration_s", [0.0105, 0.0, -1.0, NAN, INF, 1e-9])
 def test_duration_that_is_no_whole_number_of_samples(duration_s):
-    with pytest.raises(WrongUseError, match="whole number of samples; received .* s at 1000 Hz; change the duration"):
+    with pytest.raises(WrongUseError, match=r"whole number of samples; received .* s at 1000 Hz; change the duration"):
         samples(duration_s, 1000.0)
 
 
@@ -83,7 +83,7 @@ def test_lines_off_the_grid(lines):
 def test_band_without_a_line():
     with pytest.raises(WrongUseError, match="whole multiples of 1 Hz"):
         Multisine(1.2, 1.8, 1.0, 1.0).lines()
-    with pytest.raises(WrongUseError, match="lines every 1 Hz, and none in its band; received 0.2 to 0.8 Hz; lengthen"):
+    with pytest.raises(WrongUseError, match=r"every 1 Hz, and none in its band; received 0\.2 to 0\.8 Hz; lengthen"):
         BandNoise(0.2, 0.8, 1.0, 1.0, ramp_s=0.0).signal(1000.0)
 
 
@@ -96,7 +96,7 @@ def test_lines_above_half_the_rate_in_any_order(lines):
 @pytest.mark.parametrize("ramp_s", [0.6, 1.0, 2.0, -0.1])
 @pytest.mark.parametrize("make", [Sweep, BandNoise])
 def test_ramps_that_leave_no_signal_between_them(make, ramp_s):
-    with pytest.raises(WrongUseError, match="outlast both its ramps; received .*shorten ramp_s"):
+    with pytest.raises(WrongUseError, match=r"outlast both its ramps; received .*shorten ramp_s"):
         make(5.0, 20.0, 1.0, 1.0, ramp_s=ramp_s).signal(1000.0)
 
 

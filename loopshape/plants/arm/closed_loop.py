@@ -131,6 +131,39 @@ def converted(value: float, step: float, low: float, high: float) -> float:
 
 
 @compiled
+def sense(
+    x: Array, sensors: Array, random_state: int, spare: float, has_spare: bool
+) -> tuple[float, float, float, int, float, bool]:
+    """Measured angle and pressures (rad, Pa, Pa) with noise and converters, and the noise's state after."""
+    theta, p_a, p_b = x[3], x[1], x[2]
+    if sensors[0] > 0.0 or sensors[1] > 0.0:
+        random_state, n1, n2 = noise.normal_pair(random_state)
+        if has_spare:
+            n3, has_spare = spare, False
+        else:
+            random_state, n3, spare = noise.normal_pair(random_state)
+            has_spare = True
+        theta += sensors[0] * n1
+        p_a += sensors[1] * n2
+        p_b += sensors[1] * n3
+    theta = converted(theta, sensors[2], -4.0, 4.0)
+    p_a = converted(p_a, sensors[3], 0.0, 1e7)
+    return theta, p_a, converted(p_b, sensors[3], 0.0, 1e7), random_state, spare, has_spare
+
+
+@compiled
+def log(
+    out: Array, tick: int, theta: float, p_a: float, p_b: float, z_theta: float, z_p: float, u_a: float, u_b: float,
+    x: Array,
+) -> None:  # fmt: skip
+    """One row of the log; the true states too where `out` has room for them."""
+    out[tick, 0], out[tick, 1], out[tick, 2] = theta, p_a, p_b
+    out[tick, 3], out[tick, 4], out[tick, 5], out[tick, 6] = z_theta, z_p, u_a, u_b
+    if out.shape[1] > MEASURED:
+        out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
+
+
+@compiled
 def range_left(x: Array, sensors: Array) -> int:
     """Which limit of the model's range the state has passed, or COMPLETE."""
     if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4]):
@@ -172,21 +205,7 @@ def run(
     u_a = u_b = close_a = close_b = 0.0
     spare, has_spare = 0.0, False
     for tick in range(references.shape[0]):
-        theta, p_a, p_b = x[3], x[1], x[2]
-        if sensors[0] > 0.0 or sensors[1] > 0.0:
-            random_state, n1, n2 = noise.normal_pair(random_state)
-            if has_spare:
-                n3, has_spare = spare, False
-            else:
-                random_state, n3, spare = noise.normal_pair(random_state)
-                has_spare = True
-            theta += sensors[0] * n1
-            p_a += sensors[1] * n2
-            p_b += sensors[1] * n3
-        theta = converted(theta, sensors[2], -4.0, 4.0)
-        p_a = converted(p_a, sensors[3], 0.0, 1e7)
-        p_b = converted(p_b, sensors[3], 0.0, 1e7)
-
+        theta, p_a, p_b, random_state, spare, has_spare = sense(x, sensors, random_state, spare, has_spare)
         if closed:
             e_theta = references[tick, 0] - theta
             e_p = 1e-5 * (references[tick, 1] - (p_a + p_b))
@@ -203,11 +222,7 @@ def run(
             v_p += injected[tick, 1]
         now_a, now_b = v_theta + v_p, v_p - v_theta
 
-        out[tick, 0], out[tick, 1], out[tick, 2] = theta, p_a, p_b
-        out[tick, 3], out[tick, 4], out[tick, 5], out[tick, 6] = z_theta, z_p, now_a, now_b
-        if out.shape[1] > MEASURED:
-            out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
-
+        log(out, tick, theta, p_a, p_b, z_theta, z_p, now_a, now_b, x)
         phase = tick % period_ticks
         if phase == 0:
             u_a, u_b = now_a, now_b

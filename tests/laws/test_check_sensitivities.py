@@ -1,0 +1,80 @@
+"""S + T = 1 and the relations between the four sensitivities, for any plant and any controller."""
+
+import numpy as np
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from loopshape.check.margins import margins
+from loopshape.controller import Block, Controller
+from loopshape.frf import FRF
+from loopshape.loop import Loop
+from loopshape.units import from_db
+
+RATE = 500.0
+frequencies = st.floats(0.05, 200.0)
+blocks = st.one_of(
+    st.builds(lambda g: Block("gain", {"gain": g}), st.floats(-100.0, 100.0).filter(lambda g: abs(g) > 1e-3)),
+    st.builds(lambda a, b: Block("lead_lag", {"f1_hz": a, "f2_hz": b}), frequencies, frequencies),
+    st.builds(lambda a, d: Block("low_pass_2", {"f_hz": a, "damping": d}), frequencies, st.floats(0.05, 2.0)),
+    st.builds(lambda a: Block("pi", {"f_hz": a}), frequencies),
+    st.builds(
+        lambda a, b, c, d: Block("notch", {"f1_hz": a, "f2_hz": b, "damping1": c, "damping2": d}),
+        frequencies, frequencies, st.floats(0.01, 1.0), st.floats(0.05, 3.0),
+    ),
+)  # fmt: skip
+
+
+@st.composite
+def loops(draw):
+    """Any response on any lines under any controller; no model stands behind it."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    f = np.sort(rng.uniform(0.1, 240.0, draw(st.integers(2, 60))))
+    assume(np.all(np.diff(f) > 0.0))
+    P = 10.0 ** rng.uniform(-3.0, 3.0, f.size) * np.exp(2j * np.pi * rng.random(f.size))
+    P, known = P[:, None, None], np.ones(f.size, dtype=bool)
+    frf = FRF(f, P, 1e-8 * np.abs(P) ** 2 + 0j, known, ("z_v",), ("y_rad",), "made up", rate_hz=RATE)
+    return Loop(frf, Controller("axis", tuple(draw(st.lists(blocks, min_size=1, max_size=4))), RATE))
+
+
+@settings(max_examples=80, deadline=None)
+@given(loops())
+def test_s_plus_t_is_one_and_the_four_belong_together(loop):
+    S, T = loop.S, loop.T
+    big = np.maximum(np.abs(S), np.abs(T))
+    np.testing.assert_allclose((S + T) / big, 1.0 / big, atol=1e-9)
+    np.testing.assert_allclose(loop.CS * loop.plant.siso, T, rtol=1e-9)
+    np.testing.assert_allclose(loop.PS * loop.C, T, rtol=1e-9)
+    np.testing.assert_allclose(S * (1.0 + loop.L), 1.0, rtol=1e-9)
+
+
+@settings(max_examples=80, deadline=None)
+@given(loops())
+def test_margins_bound_each_other(loop):
+    # every crossing of the axis lies on a chord, and no chord comes nearer to -1 than the modulus margin
+    found = margins(loop)
+    m = found.modulus_margin
+    assert m <= np.abs(1.0 + loop.L).min() * (1.0 + 1e-9)
+    assert np.isclose(from_db(found.sensitivity_peak_db) * m, 1.0)
+    assert from_db(found.complementary_peak_db) <= 1.0 + from_db(found.sensitivity_peak_db) * (1.0 + 1e-9)
+    if found.at_hz.get("gain_margin_db") in found.phase_crossings_hz:
+        assert 1.0 - 1.0 / from_db(found.gain_margin_db) >= m - 1e-9
+    if np.isfinite(found.gain_reduction_margin_db):
+        assert from_db(found.gain_reduction_margin_db) - 1.0 >= m - 1e-9
+    if found.crossings_hz:
+        assert found.delay_margin_s >= found.phase_margin_deg / 360.0 / found.crossings_hz[-1] * (1.0 - 1e-9)
+        assert found.phase_margin_deg <= 180.0
+    else:
+        assert (found.phase_margin_deg, found.delay_margin_s) == (np.inf, np.inf)
+
+
+@settings(max_examples=40, deadline=None)
+@given(loops(), st.floats(0.1, 10.0))
+def test_gain_moved_from_plant_to_controller_changes_nothing_of_the_loop(loop, gain):
+    from dataclasses import replace
+
+    plant = replace(loop.plant, response=gain * loop.plant.response, covariance=gain**2 * loop.plant.covariance)
+    controller = replace(loop.controller, blocks=(*loop.controller.blocks, Block("gain", {"gain": 1.0 / gain})))
+    moved = Loop(plant, controller)
+    np.testing.assert_allclose(moved.L, loop.L, rtol=1e-9)
+    assert margins(moved).stable == margins(loop).stable
+    np.testing.assert_allclose(margins(moved).modulus_margin, margins(loop).modulus_margin, rtol=1e-6, atol=1e-9)

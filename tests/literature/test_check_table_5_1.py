@@ -1,0 +1,60 @@
+"""The source's controller on the source's plant: van den Brink, DCT 2007.002, table 5.1, figures of ARM.md section 8.
+
+kappa 780, 6.3 Hz, damping 0.05 is what was measured on the arm at (0 deg, 1.0 bar). The controller is one at the
+arm's 1 kHz; the numbers in the page were computed with two digits, hence the tolerances of half a digit.
+"""
+
+import numpy as np
+import pytest
+
+from loopshape.check.margins import margins
+from loopshape.check.verdict import check
+from loopshape.controller import Block, Controller
+from loopshape.frf import FRF
+from loopshape.loop import Loop
+from loopshape.model import TransferFunction
+from loopshape.requirements import Requirements
+from loopshape.units import TWO_PI
+
+RATE = 1000.0
+TABLE_5_1 = Controller(
+    "theta2",
+    (
+        Block("gain", {"gain": 55.0}),
+        Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}),
+        Block("notch", {"f1_hz": 6.1, "f2_hz": 6.1, "damping1": 0.05, "damping2": 5.0}),
+        Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
+    ),
+    RATE,
+)
+
+
+def arm_frf(delay_s=0.0):
+    w = TWO_PI * 6.3
+    f = np.geomspace(0.1, 100.0, 8000)
+    G = TransferFunction([780.0], [1.0, 2.0 * 0.05 * w, w * w, 0.0], delay_s).response(f)
+    return FRF(
+        f, G[:, None, None], 1e-12 * np.abs(G[:, None, None]) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",),
+        ("theta2_rad",), "exact", recording=f"delay {delay_s}", rate_hz=RATE,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "phase_deg", "gain_db", "peak_db"), [(0.0, 55.0, 10.7, 4.4), (0.0055, 50.0, 8.1, 5.4)]
+)
+def test_margins_of_the_published_pair(delay_s, phase_deg, gain_db, peak_db):
+    found = margins(Loop(arm_frf(delay_s), TABLE_5_1, 1))
+    assert found.bandwidth_hz == pytest.approx(2.7, abs=0.05)
+    assert found.phase_margin_deg == pytest.approx(phase_deg, abs=0.5)
+    assert found.gain_margin_db == pytest.approx(gain_db, abs=0.05)
+    assert found.sensitivity_peak_db == pytest.approx(peak_db, abs=0.05)
+    assert found.stable == "stable"
+
+
+def test_it_meets_the_sources_requirements_with_and_without_the_delay():
+    wished = Requirements(
+        "theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, bandwidth_hz=1.0, integrators=1
+    )
+    verdict = check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
+    assert verdict.passed
+    assert {line.recording for line in verdict.lines} - {"delay 0.0"} == {"delay 0.0055"}  # the delayed one is worse

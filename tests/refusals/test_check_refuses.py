@@ -1,0 +1,84 @@
+"""What a check refuses, with its sentences."""
+
+import numpy as np
+import pytest
+
+from loopshape.check.verdict import check
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.frf import FRF
+from loopshape.loop import Loop
+from loopshape.requirements import Requirements
+
+WISHED = Requirements("axis", phase_margin_deg=30.0, integrators=1)
+
+
+def frf_of(recording="r1", trusted=True, rate_hz=1000.0, outputs=1, top_hz=100.0):
+    f = np.geomspace(0.1, top_hz, 200)
+    G = np.repeat((20.0 / (2j * np.pi * f))[:, None, None], outputs, axis=1)
+    covariance = np.tile(1e-8 * np.eye(outputs, dtype=complex), (f.size, 1, 1))
+    return FRF(
+        f, G, covariance, np.full(f.size, trusted), ("z_v",), tuple(f"y{k}_rad" for k in range(outputs)), "made up",
+        recording=recording, loop="axis", rate_hz=rate_hz,
+    )  # fmt: skip
+
+
+def under_gain(rate_hz=1000.0):
+    return Controller("axis", (Block("gain", {"gain": 1.0}),), rate_hz)
+
+
+def refusal(call):
+    with pytest.raises(WrongUseError) as caught:
+        call()
+    return str(caught.value)
+
+
+def test_no_frf_at_all():
+    text = refusal(lambda: check([], under_gain(), WISHED))
+    assert "there is no FRF of loop 'axis' to check" in text
+    assert "measure or import one" in text
+
+
+def test_a_controller_at_another_rate():
+    text = refusal(lambda: check([frf_of()], under_gain(500.0), WISHED))
+    assert "the controller of loop axis runs at another rate than the recording r1" in text
+    assert "500 and 1000 Hz" in text
+
+
+def test_a_frf_of_unknown_rate_is_taken():
+    assert check([frf_of(rate_hz=0.0)], under_gain(500.0), WISHED).passed
+
+
+def test_the_same_recording_twice():
+    text = refusal(lambda: check([frf_of(), frf_of()], under_gain(), WISHED))
+    assert "two FRFs of one loop come from the same recording" in text
+    assert "r1, r1" in text
+
+
+def test_frfs_without_a_recording_get_names_of_their_own():
+    verdict = check([frf_of(""), frf_of("")], under_gain(), WISHED)
+    assert list(verdict.margins) == ["frf 1", "frf 2"]
+
+
+def test_a_frf_without_a_trusted_line():
+    text = refusal(lambda: check([frf_of(trusted=False)], under_gain(), WISHED))
+    assert "no line of the FRF axis r1 can be trusted" in text
+    assert "excite more" in text
+
+
+def test_a_band_without_lines():
+    text = refusal(
+        lambda: check([frf_of()], under_gain(), Requirements("axis", phase_margin_deg=1.0, band_hz=(200.0, 300.0)))
+    )
+    assert "no line of the FRF lies in the band" in text
+    assert "200 to 300 Hz" in text
+
+
+def test_a_matrix_instead_of_one_loop():
+    assert "with several" in refusal(lambda: check([frf_of(outputs=2)], under_gain(), WISHED))
+
+
+def test_lines_above_half_the_controllers_rate():
+    text = refusal(lambda: Loop(frf_of(rate_hz=0.0, top_hz=100.0), under_gain(150.0)).L)
+    assert "a controller at 150 Hz has no response at or above 75 Hz" in text
+    assert "100 Hz" in text

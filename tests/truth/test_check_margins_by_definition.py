@@ -1,0 +1,194 @@
+"""Margins by their definition: change the loop by the margin and it touches -1; by less, and it does not."""
+
+import numpy as np
+import pytest
+
+from loopshape.check.margins import margins
+from loopshape.controller import Block, Controller
+from loopshape.frf import FRF
+from loopshape.loop import Loop
+from loopshape.model import TransferFunction
+from loopshape.units import TWO_PI, from_db, rad
+
+RATE = 1000.0
+F = np.geomspace(0.02, 400.0, 6000)
+
+
+def pair(f_hz, damping):
+    w = TWO_PI * f_hz
+    return np.array([1.0 / w**2, 2.0 * damping / w, 1.0])
+
+
+def real(f_hz):
+    return np.array([1.0 / (TWO_PI * f_hz), 1.0])
+
+
+def product(*polynomials):
+    out = np.ones(1)
+    for polynomial in polynomials:
+        out = np.polymul(out, polynomial)
+    return out
+
+
+INTEGRATOR = np.array([1.0, 0.0])
+LEAD = (Block("gain", {"gain": 1.0}), Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 30.0}))
+GAIN = (Block("gain", {"gain": 1.0}),)
+PI_LEAD = (Block("pi", {"f_hz": 0.2}), *LEAD)
+#: plant, controller's blocks, integrators, unstable poles; all stable in closed loop
+LOOPS = {
+    "integrator with a resonance": (
+        TransferFunction([20.0], product(INTEGRATOR, pair(20.0, 0.1))), GAIN, 1, 0),
+    "the same with a delay": (
+        TransferFunction([20.0], product(INTEGRATOR, pair(20.0, 0.1)), 0.004), GAIN, 1, 0),
+    "a resonance that a delay turns away from -1": (
+        TransferFunction([20.0], product(INTEGRATOR, pair(20.0, 0.02)), 0.02), GAIN, 1, 0),
+    "double integrator with a lead": (TransferFunction([30.0], [1.0, 0.0, 0.0], 0.002), LEAD, 2, 0),
+    "conditionally stable, three integrators": (
+        TransferFunction(
+            100.0 * product(real(0.4), real(0.4)), product(INTEGRATOR, INTEGRATOR, INTEGRATOR, real(30.0))),
+        GAIN, 3, 0),
+    "unstable pole": (TransferFunction([4.0], product([1.0 / TWO_PI, -1.0], real(15.0))), GAIN, 0, 1),
+    "no integrator": (TransferFunction([6.0], product(real(0.5), real(3.0), real(20.0))), GAIN, 0, 0),
+    "several crossings": (
+        TransferFunction(12.0 * pair(5.0, 0.05), product(INTEGRATOR, pair(7.0, 0.02), real(60.0))), GAIN, 1, 0),
+    "an integrator in the controller": (TransferFunction([30.0], [1.0, 0.0, 0.0], 0.002), PI_LEAD, 2, 0),
+    "biproper until far above": (TransferFunction(0.4 * real(10.0), product(INTEGRATOR, real(200.0)) / 30), GAIN, 1, 0),
+}  # fmt: skip
+
+
+def loop_of(name):
+    plant, blocks, integrators, unstable = LOOPS[name]
+    G, known = plant.response(F)[:, None, None], np.ones(F.size, dtype=bool)
+    frf = FRF(F, G, 1e-20 * np.abs(G) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=RATE)
+    return Loop(frf, Controller("axis", blocks, RATE), integrators, unstable)
+
+
+@pytest.fixture(params=LOOPS)
+def case(request):
+    """A loop, its margins, and L (nf,) at any frequencies."""
+    loop = loop_of(request.param)
+    plant = LOOPS[request.param][0]
+    return loop, margins(loop), lambda f: loop.controller.response(f) * plant.response(f)
+
+
+SHARES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.97)
+
+
+def distance(open_loop, change, near_hz=None):
+    """Least |1 + L| after a change, over the lines, or at one frequency."""
+    f = F if near_hz is None else np.array([near_hz])
+    return float(np.min(np.abs(1.0 + change(f, open_loop(f)))))
+
+
+def assert_margin(open_loop, change, near_hz):
+    """At the whole margin the loop touches -1 where the margins say; at any part of it nowhere."""
+    # crossings are interpolated over 0.17 % of frequency: a touch is missed by less than 1e-4
+    assert distance(open_loop, change(1.0), near_hz) < 2e-4
+    for share in SHARES:
+        assert distance(open_loop, change(share)) > 1e-3
+
+
+def test_every_loop_here_is_stable(case):
+    assert case[1].stable == "stable", case[1].stability_reason
+
+
+def test_gain_margin(case):
+    loop, found, open_loop = case
+    f = found.at_hz["gain_margin_db"]
+    if f == F[-1]:  # no crossing seen: the margin is bounded by the last line, and |L| just reaches 1 there
+        assert from_db(found.gain_margin_db) * np.abs(loop.L[-1]) == pytest.approx(1.0, rel=1e-9)
+        return
+    assert_margin(open_loop, lambda share: lambda _, L: L * from_db(share * found.gain_margin_db), f)
+
+
+def test_gain_reduction_margin(case):
+    _, found, open_loop = case
+    if not np.isfinite(found.gain_reduction_margin_db):
+        for share in np.linspace(0.001, 1.0, 50):
+            assert distance(open_loop, lambda _, L, share=share: share * L) > 1e-3
+        return
+    f = found.at_hz["gain_reduction_margin_db"]
+    assert_margin(open_loop, lambda share: lambda _, L: L / from_db(share * found.gain_reduction_margin_db), f)
+
+
+def test_which_loops_have_a_reduction_margin():
+    have = {name for name in LOOPS if np.isfinite(margins(loop_of(name)).gain_reduction_margin_db)}
+    assert {"conditionally stable, three integrators", "an integrator in the controller"} <= have
+    assert not {"integrator with a resonance", "double integrator with a lead", "no integrator"} & have
+
+
+def test_phase_margin(case):
+    _, found, open_loop = case
+    touched = []
+    for sign in (-1.0, 1.0):
+        turn = np.exp(sign * 1j * rad(found.phase_margin_deg))
+        touched.append(distance(open_loop, lambda _, L, turn=turn: L * turn, found.at_hz["phase_margin_deg"]))
+        for share in SHARES:
+            less = turn**share
+            assert distance(open_loop, lambda _, L, less=less: L * less) > 1e-3
+    assert min(touched) < 2e-4
+
+
+def test_delay_margin(case):
+    _, found, open_loop = case
+    assert_margin(
+        open_loop,
+        lambda share: lambda f, L: L * np.exp(-1j * TWO_PI * f * share * found.delay_margin_s),
+        found.at_hz["delay_margin_s"],
+    )
+
+
+def test_modulus_margin_is_the_distance_from_minus_one(case):
+    loop, found, open_loop = case
+    at = found.at_hz["modulus_margin"]
+    assert found.modulus_margin == pytest.approx(distance(open_loop, lambda _, L: L, at), rel=1e-3)
+    assert found.modulus_margin <= np.abs(1.0 + loop.L).min() * (1.0 + 1e-12)
+    assert found.modulus_margin == pytest.approx(np.abs(1.0 + loop.L).min(), rel=1e-2)
+
+
+def test_peaks_are_those_of_the_responses(case):
+    loop, found, _ = case
+    L = loop.L
+    assert found.sensitivity_peak_db == pytest.approx(-20.0 * np.log10(found.modulus_margin), rel=1e-12)
+    assert from_db(found.sensitivity_peak_db) == pytest.approx(np.abs(1.0 / (1.0 + L)).max(), rel=1e-2)
+    assert from_db(found.complementary_peak_db) == pytest.approx(np.abs(L / (1.0 + L)).max(), rel=1e-9)
+    k = int(np.argmin(np.abs(F - found.at_hz["complementary_peak_db"])))
+    assert np.abs(L / (1.0 + L))[k] == np.abs(L / (1.0 + L)).max()
+
+
+def test_bandwidth_is_the_first_crossing_and_crossings_have_gain_one(case):
+    _, found, open_loop = case
+    assert found.bandwidth_hz == found.crossings_hz[0]
+    np.testing.assert_allclose(np.abs(open_loop(np.array(found.crossings_hz))), 1.0, atol=2e-4)
+    at_axis = open_loop(np.array(found.phase_crossings_hz))
+    np.testing.assert_allclose(at_axis.imag / np.abs(at_axis), 0.0, atol=1e-3)
+    assert np.all(at_axis.real < 0.0)
+
+
+def test_three_crossings_are_seen_and_the_worst_phase_counts():
+    found = margins(loop_of("several crossings"))
+    assert len(found.crossings_hz) == 3
+    worst = found.at_hz["phase_margin_deg"]
+    assert worst in found.crossings_hz
+    assert worst > found.bandwidth_hz
+
+
+def test_control_peaks_count_the_controller_above_the_last_line():
+    loop = loop_of("double integrator with a lead")
+    low = Loop(loop.plant.between(0.02, 40.0), loop.controller, 2)
+    found = margins(low, high_frequency_from_hz=200.0)
+    # above 40 Hz |CS| is |C|, which climbs to 30 at half the rate; margins look up to 0.45 of the rate
+    top = np.abs(loop.controller.response([450.0]))[0]
+    assert from_db(found.control_high_frequency_db) == pytest.approx(top, rel=1e-9)
+    assert found.at_hz["control_high_frequency_db"] == pytest.approx(450.0)
+    assert from_db(found.control_peak_db) >= top * (1.0 - 1e-9)
+    assert margins(low).control_high_frequency_db == -np.inf
+
+
+def test_gain_margin_never_exceeds_what_the_last_line_bounds():
+    loop = loop_of("integrator with a resonance")
+    cut = Loop(loop.plant.between(0.02, 12.0), loop.controller, 1)  # the axis is crossed at 20 Hz, unseen
+    found = margins(cut)
+    assert found.phase_crossings_hz == ()
+    assert from_db(found.gain_margin_db) == pytest.approx(1.0 / np.abs(cut.L[-1]), rel=1e-12)
+    assert found.at_hz["gain_margin_db"] == cut.frequency_hz[-1]
