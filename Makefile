@@ -24,8 +24,8 @@ test: $(STAMP) ## run the tests
 	$(BIN)/python -m pytest -n auto tests
 
 check: $(STAMP) ## ruff, the type checker, and who may import whom
-	$(BIN)/ruff check loopshape tests
-	$(BIN)/ruff format --check loopshape tests
+	$(BIN)/ruff check loopshape tests experiments examples
+	$(BIN)/ruff format --check loopshape tests experiments examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 

@@ -94,7 +94,10 @@ class Experiment:
                     f"{name} of experiment {self.name!r} must be (samples, {len(self.loops)})",
                     f"{values.shape}",
                 )
-            values.setflags(write=False)
+            if values.flags.writeable:
+                values = values.copy()
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
 
     @property
     def samples(self) -> int:

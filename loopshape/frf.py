@@ -30,7 +30,9 @@ class FRF:
     `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
     of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
     use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
-    periods, 1.94 for Hann segments). `method` says in one line how it was measured; `notes` are warnings.
+    periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance.
+    `parameters` are settings of the rig that held for this recording alone. `method` says in one line how it
+    was measured; `notes` are warnings.
     """
 
     frequency_hz: Array
@@ -50,6 +52,8 @@ class FRF:
     cross_power: ComplexArray | None = None
     power_per: str = "Hz"
     line_overlap: float = 1.0
+    variance_freedom: float = float("inf")
+    parameters: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from loopshape.controller import Controller
 from loopshape.frf import FRF
 from loopshape.model import TransferFunction
-from loopshape.units import Array, ComplexArray
+from loopshape.units import TWO_PI, Array, ComplexArray
 
 
 def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
@@ -33,14 +33,14 @@ def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
 class Loop:
     """One plant FRF (1 x 1) under one controller; responses (nf,) on the FRF's lines.
 
-    `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane;
-    the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
+    `integrators` is the number of poles of the plant at s = 0 (None: not known), `unstable_poles` in the right
+    half plane; the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
     says how the plant goes on below the lowest line; only the count of encirclements uses it.
     """
 
     plant: FRF
     controller: Controller
-    integrators: int = 0
+    integrators: int | None = 0
     unstable_poles: int = 0
     model: TransferFunction | None = None
 
@@ -86,9 +86,20 @@ class Loop:
 
     @property
     def below_hz(self) -> Array:
-        """Three decades of frequencies below the lowest line, where only a model tells; none without one."""
-        lowest = self.frequency_hz[0]
-        return np.zeros(0) if self.model is None else np.geomspace(1e-3 * lowest, lowest, 60, endpoint=False)
+        """Three decades of frequencies below the lowest line, where only a model tells; none without one.
+
+        Dense about each of the model's poles and zeros there: a sharp resonance must not be stepped over.
+        """
+        if self.model is None:
+            return np.zeros(0)
+        lowest = float(self.frequency_hz[0])
+        grid = [np.geomspace(1e-3 * lowest, lowest, 60, endpoint=False)]
+        for root in np.concatenate([self.model.poles(), np.roots(self.model.num)]):
+            centre, width = abs(root.imag) / TWO_PI, max(abs(root.real) / TWO_PI, 1e-9)
+            if centre > 0.0:
+                grid.append(centre + width * np.sinh(np.linspace(-6.0, 6.0, 61)) / 20.0)
+        every = np.unique(np.concatenate(grid))
+        return every[(every >= 1e-3 * lowest) & (every < lowest)]
 
     @property
     def P_below(self) -> ComplexArray:

@@ -72,7 +72,8 @@ class Fit:
     FRF's own variance, `misfit_db` is the rms of |measured/model - 1| as 20 log10(1 + .); `sufficient` is
     the residual test's word: does what is left look like the noise? Intervals are widened by
     sqrt(chi2_per_dof) where the model misses more than the noise does. They then describe how well the
-    numbers are pinned by these lines, not how true the structure is.
+    numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
+    `parameters`: settings of the rig that held for its recording alone.
     """
 
     structure: str
@@ -90,6 +91,7 @@ class Fit:
     loop: str = ""
     operating_point: Mapping[str, float] = field(default_factory=dict)
     delay_free: bool = False
+    rig_parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sufficient(self) -> bool:

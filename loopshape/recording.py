@@ -47,12 +47,12 @@ class Recording:
     columns: Mapping[str, Array]
 
     def column(self, name: str) -> Array:
-        """A column (n,), read-only; refuses one that is missing or holds NaN."""
+        """A column (n,), as a read-only view; refuses one that is missing or holds NaN."""
         if name not in self.columns:
             raise BadSignalError(
                 f"recording {self.info.file} has no column {name}", f"columns {', '.join(self.columns)}"
             )
-        values = np.asarray(self.columns[name], dtype=float)
+        values = np.asarray(self.columns[name], dtype=float).view()
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise BadSignalError(

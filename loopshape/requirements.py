@@ -125,7 +125,8 @@ class Requirements:
 
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
-    are looked at, and None takes the FRF's trusted band.
+    are looked at, and None takes the FRF's trusted band. `integrators` and `unstable_poles` declare the
+    plant's; None leaves them to its fit or its lowest lines. Refuses values that make no sense.
     """
 
     loop: str
@@ -143,14 +144,34 @@ class Requirements:
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
+    unstable_poles: int | None = None
 
     def __post_init__(self) -> None:
+        self._check_values()
         if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
             raise WrongUseError(
                 f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
                 "one of them",
                 "give both or none",
             )
+
+    def _check_values(self) -> None:
+        for name in ("modulus_margin", "delay_margin_s", "bandwidth_hz", "control_high_frequency_from_hz"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be above zero and finite", f"{value!r}")
+        for name in (limit.name for limit in LIMITS):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be finite", f"{value!r}")
+        for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
+            value = getattr(self, name)
+            if value is not None and value < 0.0:
+                raise WrongUseError(f"{name} of loop {self.loop!r} must not be negative", f"{value!r}")
+        for name in ("integrators", "unstable_poles"):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, int) or value < 0):
+                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from 0", f"{value!r}")
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Requirements:
@@ -171,9 +192,14 @@ class Requirements:
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
                 raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
-        if band is not None and not (len(band) == 2 and 0.0 < band[0] < band[1]):
+        if band is not None and not _rising_pair(band):
             raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
         return cls(**given, structure=structure, band_hz=None if band is None else (band[0], band[1]))
+
+
+def _rising_pair(band: Any) -> bool:
+    numbers = isinstance(band, (list, tuple)) and all(isinstance(x, (int, float)) for x in band)
+    return numbers and len(band) == 2 and 0.0 < band[0] < band[1]
 
 
 @dataclass(frozen=True)

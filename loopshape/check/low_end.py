@@ -24,7 +24,7 @@ def judged_lines(loop: Loop) -> tuple[Array, ComplexArray, ComplexArray] | None:
     if loop.model is None:
         return None
     below = loop.controller.response(loop.below_hz) * loop.P_below
-    if not loop.integrators + loop.controller.integrators() and np.abs(below).max() < 1.0:
+    if not (loop.integrators or 0) + loop.controller.integrators() and np.abs(below).max() < 1.0:
         return f, L, C
     led = np.geomspace(f[0] / LED, f[0], 24, endpoint=False)
     C_led = loop.controller.response(led)

@@ -23,7 +23,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     - phase margin: least rotation, either way, that brings L onto -1 over all 0 dB crossings;
     - delay margin: least delay that does so;
     - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
-    - |CS| also above the last line, where it is |C| because L has died out;
+    - above the last line |L| is taken to stay below its last value l: there |S| may reach 1/(1 - l), |T|
+      l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 
@@ -31,25 +32,28 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     resonance between two lines is not seen. Margins mean room only where `stable` says "stable".
     """
     f, L, C = judged_lines(loop) or (loop.frequency_hz, loop.L, loop.C)
-    S = 1.0 / (1.0 + L)
+    at_hz: dict[str, float] = {}
     unit_f, unit_L = unit_crossings(f, L)
     axis_f, axis_L = axis_crossings(f, L)
-    distance, nearest_hz = nearest_to_minus_one(f, L)
-    at_hz: dict[str, float] = {"modulus_margin": nearest_hz, "sensitivity_peak_db": nearest_hz}
-    phase, delay = _phase_and_delay(unit_f, unit_L, at_hz)
-    gain, reduction = _gain(np.append(axis_f, f[-1]), np.append(axis_L, min(-abs(L[-1]), -1e-300)), at_hz)
-    stability = closed_loop_stability(loop)
+    phase, delay = _phase_and_delay(unit_f, unit_L, at_hz) if abs(L[-1]) < 1.0 else (0.0, 0.0)
+    gain, reduction = _gain(axis_f, axis_L, f[-1], float(abs(L[-1])), at_hz)
+    distance = _distance(f, L, at_hz)
+    worst_S = 1.0 / max(1.0 - float(abs(L[-1])), 1e-300)  # above the last line, at most
+    S = 1.0 / (1.0 + L)
     f_all = np.concatenate([f, loop.above_hz])
-    CS = np.concatenate([C * S, loop.controller.response(loop.above_hz)])
+    CS = np.concatenate([C * S, loop.controller.response(loop.above_hz) * worst_S])
     high = f_all >= (np.inf if high_frequency_from_hz is None else high_frequency_from_hz)
+    stability = closed_loop_stability(loop)
     return Margins(
         gain_margin_db=gain,
         gain_reduction_margin_db=reduction,
         phase_margin_deg=phase,
         modulus_margin=distance,
         delay_margin_s=delay,
-        sensitivity_peak_db=float(-db(distance)) if distance > 0.0 else INF,
-        complementary_peak_db=_peak(f, L * S, "complementary_peak_db", at_hz),
+        sensitivity_peak_db=float(-db(distance)),
+        complementary_peak_db=_peak(
+            np.append(f, f[-1]), np.append(L * S, abs(L[-1]) * worst_S), "complementary_peak_db", at_hz
+        ),
         control_peak_db=_peak(f_all, CS, "control_peak_db", at_hz),
         control_high_frequency_db=_peak(f_all[high], CS[high], "control_high_frequency_db", at_hz),
         bandwidth_hz=float(unit_f[0]) if abs(L[0]) >= 1.0 and unit_f.size else 0.0,
@@ -59,6 +63,16 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         stable=stability.outcome,
         stability_reason=stability.reason,
     )
+
+
+def _distance(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> float:
+    """Least |1 + L|, which above the last line may come down to 1 - |L| there."""
+    distance, where = nearest_to_minus_one(f, L)
+    beyond = max(1.0 - float(abs(L[-1])), 0.0)
+    if beyond < distance:
+        distance, where = beyond, float(f[-1])
+    at_hz["modulus_margin"] = at_hz["sensitivity_peak_db"] = where
+    return distance
 
 
 def _phase_and_delay(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> tuple[float, float]:
@@ -72,18 +86,20 @@ def _phase_and_delay(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> tupl
     return float(either.min()), float(delay.min())
 
 
-def _gain(f: Array, L: Array, at_hz: dict[str, float]) -> tuple[float, float]:
-    sizes = db(L)
-    out = []
-    inner = np.append(np.ones(f.size - 1, dtype=bool), False)  # the last line only bounds the gain margin
-    for name, rows in (("gain_margin_db", sizes <= 0.0), ("gain_reduction_margin_db", (sizes > 0.0) & inner)):
-        if rows.any():
-            k = int(np.argmin(np.where(rows, np.abs(sizes), np.inf)))
-            at_hz[name] = float(f[k])
-            out.append(float(abs(sizes[k])))
-        else:
-            out.append(INF)
-    return out[0], out[1]
+def _gain(f: Array, L: Array, last_hz: float, last: float, at_hz: dict[str, float]) -> tuple[float, float]:
+    """Gain margin and reduction margin from real-axis crossings, the first bounded by |L| at the last line."""
+    sizes = np.append(db(L), -np.inf)
+    inside = sizes <= 0.0
+    down = np.where(inside, -sizes, np.inf)
+    down[-1] = max(float(-db(last)), 0.0)  # beyond the last line, no larger
+    places = np.append(f, last_hz)
+    k = int(np.argmin(down))
+    at_hz["gain_margin_db"] = float(places[k])
+    if inside[:-1].all():
+        return float(down[k]), INF
+    up = np.where(inside, np.inf, sizes)
+    at_hz["gain_reduction_margin_db"] = float(places[np.argmin(up)])
+    return float(down[k]), float(up.min())
 
 
 def _peak(f: Array, response: ComplexArray, name: str, at_hz: dict[str, float]) -> float:

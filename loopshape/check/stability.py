@@ -41,6 +41,13 @@ def closed_loop_stability(loop: Loop) -> Stability:
     turns too far between lines, or where -1 lies within the FRF's own 95 % reach.
     """
     L, f = loop.L, loop.frequency_hz
+    if loop.integrators is None:
+        return Stability(
+            "undecided",
+            None,
+            "the number of integrators of the plant is not known: declare integrators in the requirements' [[loop]],"
+            " or fit a model that follows the lines",
+        )
     integrators = loop.integrators + loop.controller.integrators()
     reason = _undecidable(loop, L, f)
     if reason:
@@ -52,7 +59,8 @@ def closed_loop_stability(loop: Loop) -> Stability:
             "undecided",
             None,
             f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
-            f" {integrators} integrators: fit a model, measure lower, or declare their number",
+            f" {integrators} integrators (the controller's included): fit a model, measure lower, or declare"
+            " integrators in the requirements' [[loop]]",
         )
     if poles < 0:
         return Stability("undecided", None, f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
@@ -68,6 +76,9 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
         )
     if abs(L[-1]) >= 1.0:
         return f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
+    distance, where = nearest_to_minus_one(f, L)
+    if distance < 1e-3:
+        return f"L passes -1 within {distance:.1g} at {where:.3g} Hz"
     steps = np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1]))))
     if steps.size and steps.max() > COARSE_DEG:
         k = int(np.argmax(steps))
@@ -76,9 +87,6 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
     unclear = np.flatnonzero(np.abs(1.0 + L) < reach)
     if unclear.size:
         return f"-1 lies within the uncertainty of L at {f[unclear[0]]:.3g} Hz: measure longer or excite more"
-    distance, where = nearest_to_minus_one(f, L)
-    if distance < 1e-3:
-        return f"L passes -1 within {distance:.1g} at {where:.3g} Hz"
     return ""
 
 
@@ -113,4 +121,6 @@ def _turn_to_first(first: complex, integrators: int, negative: bool, either_sign
         return None
     if integrators:
         return swing + float(np.angle((1.0 + first) / first))
+    if negative and not either_sign and first.real > -1.0:
+        return None
     return float(np.angle(1.0 + first)) - (np.pi if first.real < -1.0 else 0.0) * float(np.sign(first.imag or 1.0))

@@ -43,20 +43,42 @@ def loops_of(
 
 
 def _witness(fit: Fit) -> bool:
-    """Whether a fit may speak for the plant outside the measured band: it ended well and follows the lines."""
-    return fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
+    """Whether a fit may speak for the plant outside the measured band.
+
+    It ended well and follows the lines; if it has unstable poles it leaves nothing but noise too, because a
+    fit that misses something likes to put it into such poles.
+    """
+    follows = fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
+    return follows and (fit.sufficient or not fit.model.unstable_poles())
 
 
-def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int, int, str]:
-    """Integrators and unstable poles of the plant, and a note where they had to be assumed."""
-    declared = requirements.integrators
+def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, int, str]:
+    """Integrators (None: not known) and unstable poles of the plant, and a note where they were assumed."""
+    declared, unstable = requirements.integrators, requirements.unstable_poles
     if fit is not None:
-        return fit.model.integrators() if declared is None else declared, fit.model.unstable_poles(), ""
+        note = ""
+        if unstable is None and (unstable := fit.model.unstable_poles()):
+            note = f"plant taken to have {unstable} unstable poles, from the fit of {fit.recording}"
+        return fit.model.integrators() if declared is None else declared, unstable or 0, note
     if declared is not None:
-        return declared, 0, ""
-    lowest = frf.siso[: max(3, frf.siso.size // 20)]
-    integrators = round(float(np.median(-deg(np.angle(lowest)) % 360.0)) / 90.0) % 4
-    return integrators, 0, f"plant taken to have {integrators} integrators, from the phase at its lowest lines"
+        return declared, unstable or 0, ""
+    by_phase, by_slope = _low_frequency_order(frf)
+    integrators = round(by_phase)
+    if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
+        note = f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope"
+        return None, unstable or 0, note
+    word = "integrator" if integrators == 1 else "integrators"
+    return integrators, unstable or 0, f"plant taken to have {integrators} {word}, from its lowest lines"
+
+
+def _low_frequency_order(frf: FRF) -> tuple[float, float]:
+    """-phase/90 deg and -slope/20 dB a decade over the lowest lines (a factor of 1.6 in frequency, four at least)."""
+    f = frf.frequency_hz
+    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
+    lowest = frf.siso[:count]
+    phase = float(deg(np.angle(np.mean(lowest / np.abs(lowest)))))
+    slope = np.polyfit(np.log(f[: lowest.size]), np.log(np.abs(lowest)), 1)[0] if lowest.size > 1 else 0.0
+    return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
 
 
 def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()) -> Verdict:
@@ -67,6 +89,12 @@ def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirement
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
+    from_hz = requirements.control_high_frequency_from_hz
+    if from_hz is not None and from_hz >= 0.45 * controller.rate_hz:
+        raise WrongUseError(
+            f"control_high_frequency_from_hz of loop {requirements.loop!r} must lie below 0.45 of the rate",
+            f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
+        )
     loops, notes = loops_of(frfs, controller, requirements, fits)
     found = {
         name: margins(loop, high_frequency_from_hz=requirements.control_high_frequency_from_hz)

@@ -23,11 +23,17 @@ def import_file(
 
 def import_run(file: Path, map_file: Path, out: Path, output: Output) -> None:
     """Import, check, write and report."""
+    from loopshape.errors import WrongUseError
     from loopshape.store.import_file import import_file as read
-    from loopshape.store.run_folder import add_recording, check_recordings, start_run
+    from loopshape.store.run_folder import add_recording, check_recordings, finished, start_run
 
     run = read(file, map_file)
     warnings = check_recordings(run)
+    taken = finished(out) & {recording.info.name for recording in run.recordings} if out.exists() else set()
+    if taken:
+        raise WrongUseError(
+            f"the run {out} has such a recording already", ", ".join(sorted(taken)), "give it another name in the map"
+        )
     start_run(out, run)
     for recording in run.recordings:
         add_recording(out, recording)

@@ -17,8 +17,8 @@ def tune(
     run: RunFolder,
     require: RequireFile,
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
-    seed: Annotated[int, typer.Option(help="Seed of the random starts.")] = 0,
-    starts: Annotated[int, typer.Option(help="How many of the random starts are followed.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
+    starts: Annotated[int, typer.Option(min=1, help="How many of the random starts are followed.")] = 16,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -45,7 +45,11 @@ def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int =
         write_controllers(out, [t.controller for t in found], None)
         output.say(f"controller written to {out}")
     else:
-        output.warn(["no controller meets all requirements; the nearest is shown above, nothing was written"])
+        unstable = [t.controller.loop for t in found if t.verdict.unstable]
+        reason = (
+            f"no start was found stable in loop {', '.join(unstable)}" if unstable else "the nearest is shown above"
+        )
+        output.warn([f"no controller was found that meets all requirements: {reason}; nothing was written"])
     output.json({"controller": str(out) if feasible else None, "loops": [_json(t) for t in found]})
     return feasible
 

@@ -20,33 +20,45 @@ def against_instrument(t: Transforms) -> ComplexArray:
         return np.asarray(np.einsum("skf,kf->fs", t.signals, t.instrument.conj()) / power[:, None])
 
 
-def error_covariance(t: Transforms, residual: ComplexArray) -> ComplexArray:
-    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf).
+#: degrees of freedom wanted of a variance; with fewer periods it is pooled over neighbouring lines
+POOLED = 40
 
-    Where every segment carries the same excitation (noise, periods) the noise is pooled over all. Where a
-    sweep passes, each segment's residual counts with its own excitation, which follows disturbances that
-    come with the sweep; the number of averages is then per line, and a line carried by less than about one
-    and a half gets an infinite variance.
+
+def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArray, float]:
+    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf), and its degrees of freedom.
+
+    Where every segment carries the same excitation (noise, periods) the noise is pooled over all, and with
+    few periods over neighbouring excited lines too: noise that stands on one line alone is then underrated.
+    Where a sweep passes, each segment's residual counts with its own excitation, which follows disturbances
+    that come with the sweep; the number of averages is then per line, and a line carried by less than about
+    one and a half gets an infinite variance.
     """
     nn = np.abs(t.instrument) ** 2
     k = nn.shape[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         if t.stationary:
             averages = np.full(nn.shape[1], k * t.independent)
-            scatter = np.einsum("akf,bkf->fab", residual, residual.conj()) / k * nn.sum(0)[:, None, None]
+            noise = np.einsum("akf,bkf->fab", residual, residual.conj()) / k
+            each = 2.0 * max(k * t.independent - 1.0, 0.5)
+            width = int(np.ceil(POOLED / each)) if t.power_per == "line" else 1
+            noise[t.excited] = _smooth(noise[t.excited], width // 2)
+            scatter, freedom = noise * nn.sum(0)[:, None, None], each * (2 * (width // 2) + 1)
         else:
             averages = t.independent * nn.sum(0) ** 2 / (nn**2).sum(0)
-            scatter = _smooth(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn))
-        freedom = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
-        scale = freedom / (t.independent * nn.sum(0) ** 2)
-        return np.asarray(scatter * scale[:, None, None])
+            scatter = _smooth(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
+            median = float(np.median(averages[t.excited])) if t.excited.any() else 1.5
+            freedom = 2.0 * max(median - 1.0, 0.5) * 5.0 / t.line_overlap
+        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
+        scale = unbiased / (t.independent * nn.sum(0) ** 2)
+        return np.asarray(scatter * scale[:, None, None]), freedom
 
 
-def _smooth(power: ComplexArray, half: int = 2) -> ComplexArray:
-    """Moving mean over neighbouring lines: a handful of segments alone would make a ragged variance."""
-    width = 2 * half + 1
-    padded = np.pad(power, ((half, half), (0, 0), (0, 0)), mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(-1))
+def _smooth(power: ComplexArray, half: int) -> ComplexArray:
+    """Moving mean over `half` neighbouring lines on each side."""
+    if half == 0 or power.shape[0] < 2:
+        return power
+    padded = np.pad(power, ((half, half), (0, 0), (0, 0)), mode="reflect" if power.shape[0] > half else "edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(-1))
 
 
 def coherence(Y: ComplexArray, U: ComplexArray) -> Array:

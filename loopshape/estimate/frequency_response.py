@@ -22,11 +22,16 @@ def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
 
 
 def excited_recordings(run: Run) -> list[Recording]:
-    """The recordings that excite a loop, in order; refuses a run without any."""
-    found = [recording for recording in run.recordings if recording.info.excites is not None]
+    """The estimation recordings that excite a loop, in order; refuses a run without any.
+
+    Validation recordings are held out: nothing downstream of a FRF may have seen them.
+    """
+    found = [r for r in run.recordings if r.info.excites is not None and r.info.role == "estimation"]
     if not found:
         raise BadSignalError(
-            "no recording of the run excites a loop", f"{len(run.recordings)} recordings", "say what each excites"
+            "no estimation recording of the run excites a loop",
+            f"{len(run.recordings)} recordings",
+            'say what each excites, and give role = "estimation" to those that may be used',
         )
     return found
 
@@ -44,7 +49,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     """
     settings = settings or Settings()
     if settings.estimator == "direct":
-        s, notes = direct_signals(recording, loop)
+        s, notes = direct_signals(recording, loop, settings)
     else:
         s, notes = loop_signals(recording, loop), ()
     t = transform(recording, [s.y, s.u], s.instrument, settings)
@@ -52,7 +57,8 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     Y, U = t.signals
     with np.errstate(divide="ignore", invalid="ignore"):
         G = to_instrument[:, 0] / to_instrument[:, 1]
-        covariance = error_covariance(t, (Y - G * U)[None])[:, 0, 0] / np.abs(to_instrument[:, 1]) ** 2
+        error, freedom = error_covariance(t, (Y - G * U)[None])
+        covariance = error[:, 0, 0] / np.abs(to_instrument[:, 1]) ** 2
     rows = _kept(t.excited) & np.isfinite(G) & np.isfinite(covariance)
     if not rows.any():
         raise BadSignalError(
@@ -78,6 +84,8 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         cross_power=t.density * (Y * U.conj()).mean(0)[rows],
         power_per=t.power_per,
         line_overlap=t.line_overlap,
+        variance_freedom=freedom,
+        parameters=dict(recording.info.parameters),
         notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),
     )
 

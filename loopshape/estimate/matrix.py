@@ -50,6 +50,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
         recording="+".join(names),
         loop="+".join(order),
         rate_hz=run.rate_hz,
+        parameters=dict(recordings[0].info.parameters),
         line_overlap=columns[0].line_overlap,
         operating_point=dict(recordings[0].info.operating_point),
     )
@@ -72,7 +73,7 @@ def _matrix(columns: Sequence[Transforms], rows: np.ndarray) -> tuple[ComplexArr
     for i, c in enumerate(columns):
         Y, U = c.signals[:m, :, rows], c.signals[m:, :, rows]
         residual = Y - np.einsum("fab,bkf->akf", P, U)
-        error = error_covariance(_on(c, rows), residual)
+        error, _ = error_covariance(_on(c, rows), residual)
         weight = np.einsum("fj,fk->fjk", inverse[:, i, :], inverse[:, i, :].conj())
         covariance += np.einsum("fjk,fab->fjakb", weight, error).reshape(covariance.shape)
     return P, covariance

@@ -111,7 +111,7 @@ def _periodic_lines(N: ComplexArray) -> np.ndarray:
     power = np.abs(mean) ** 2
     scatter = (np.abs(N - mean) ** 2).sum(0) / max(N.shape[0] - 1, 1) / N.shape[0]
     excited = (power > FLOOR * power[1:].max()) & (power > 10.0 * scatter)
-    excited[0] = False
+    excited[0] = excited[-1] = False
     return np.asarray(excited)
 
 
@@ -130,8 +130,10 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
     share = independent_share(segments, length, step, window)
     N = segment_spectra(instrument, length, step, window)
     power = (np.abs(N) ** 2).mean(0)
-    excited = power > FLOOR * power[2:].max()
-    excited[:2] = False  # the window smears the mean into the first line
+    fed = power > FLOOR * power[2:].max()
+    fed[:2] = fed[-1] = False  # the window smears the mean into the first line
+    # a line at the edge of the excitation is fed by the window's side lobes from one side only, and biased
+    excited = fed & np.roll(fed, 1) & np.roll(fed, -1)
     text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Transforms(
         frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from loopshape.channel import Channel
 from loopshape.errors import WrongUseError
-from loopshape.fit.least_squares import Solution, residual_tests, solve
+from loopshape.fit.least_squares import Data, Solution, solve
 from loopshape.fit.structures import Integrator, Rational, Structure, ThirdOrder
 from loopshape.frf import FRF
 from loopshape.model import Estimate, Fit
-from loopshape.units import SUFFIXES, TWO_PI, Array, db
+from loopshape.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
 
 STRUCTURES = ("third_order", "third_order_delay", "integrator", "integrator_delay", "rational", "auto")
 WEIGHTINGS = ("variance", "relative")
@@ -48,33 +47,45 @@ def fit(
         raise WrongUseError("a weighting is not known", f"{weighting!r}", f"use {' or '.join(WEIGHTINGS)}")
     lines = frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()
     f, G, variance = lines.frequency_hz, lines.siso, lines.variance[:, 0, 0]
+    if not variance.min() > 0.0:
+        raise WrongUseError(
+            "a fit weighs lines by their variance, and it must be above zero",
+            f"{float(variance.min()):g} at {f[np.argmin(variance)]:g} Hz",
+            "estimate the FRF from noisy data, or give it a variance",
+        )
     if 2 * f.size <= len(structure.names) + 2:
         raise WrongUseError(
             f"too few lines to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
         )
     if isinstance(structure, Rational):
         structure = _centred(structure, f)
-    used = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
-    start = structure.start(f, G, 1.0 / np.sqrt(used))
+    weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
     low, high = structure.bounds()
-    start = np.clip(start, low + 1e-9, high - 1e-9)
-    solution = solve(lambda x: structure.model(x).response(f), start, (low, high), G, used, lines.line_overlap)
-    if weighting == "relative":
-        solution = _judged(solution, structure, f, lines)
+    starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, 1.0 / np.sqrt(weight_variance))]
+    data = Data(G, variance, lines.line_overlap, lines.variance_freedom)
+    solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
     return _fit(structure, solution, lines)
+
+
+#: delays in s that a fit with a delay starts from
+DELAYS = (0.0, 0.01, 0.03, 0.1)
+
+
+def _starts(structure: Structure, f: Array, G: ComplexArray, weight: Array) -> list[Array]:
+    """Starts of a fit; with a delay in it, from data turned back by several delays, for the phase may wrap."""
+    if "delay_s" not in structure.names:
+        return [structure.start(f, G, weight)]
+    starts = []
+    for delay in DELAYS:
+        start = structure.start(f, G * np.exp(1j * angular(f) * delay), weight)
+        start[-1] = delay + 1e-4
+        starts.append(start)
+    return starts
 
 
 def _centred(structure: Rational, f: Array) -> Rational:
     w0 = TWO_PI * float(np.exp(np.mean(np.log(f))))
     return Rational(structure.numerator, structure.denominator, structure.integrators, structure.delay, w0)
-
-
-def _judged(solution: Solution, structure: Structure, f: Array, lines: FRF) -> Solution:
-    """The same parameters, with the residual test against the FRF's own variance."""
-    residual = (structure.model(solution.x).response(f) - lines.siso) / np.sqrt(0.5 * lines.variance[:, 0, 0])
-    total, freedom = float(np.sum(np.abs(residual) ** 2)), 2 * f.size - solution.x.size
-    p_value, runs = residual_tests(residual, solution.x.size, lines.line_overlap)
-    return replace(solution, chi2_per_dof=total / freedom, p_value=p_value, runs_p_value=runs)
 
 
 def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
@@ -101,6 +112,7 @@ def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
         recording=lines.recording,
         loop=lines.loop,
         operating_point=dict(lines.operating_point),
+        rig_parameters=dict(lines.parameters),
         delay_free="delay_s" in structure.names,
     )
 

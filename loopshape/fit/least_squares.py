@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -24,47 +25,67 @@ class Solution:
     outcome: str
 
 
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What is fitted: response (nf,), its variance E|d|² (nf,), and how sure and how independent that variance is.
+
+    `overlap` lines carry one line's worth of independent error; `freedom` are the variance's degrees of freedom.
+    """
+
+    response: ComplexArray
+    variance: Array
+    overlap: float
+    freedom: float
+
+
 def solve(
     model: Callable[[Array], ComplexArray],
-    start: Array,
+    starts: Sequence[Array],
     bounds: tuple[Array, Array],
-    measured: ComplexArray,
-    variance: Array,
-    overlap: float,
+    data: Data,
+    weight_variance: Array,
 ) -> Solution:
-    """Fit `model(x)` (nf,) to `measured` (nf,) with variance E|d|² (nf,), from `start`.
+    """Fit `model(x)` (nf,) to the data, weighted by 1/`weight_variance` (nf,), from the best of several starts.
 
-    The residual is scaled to unit variance in its real and imaginary part. The covariance is that of the
-    linearised problem, widened where the residual exceeds the noise, and by `overlap` where neighbouring
-    lines share their error (that many lines count as one); the tests count independent lines alike.
+    The covariance is that of the linearised estimate under the data's own variance, whatever the weights
+    (the sandwich A^-1 J' V J A^-1), widened where the residual exceeds the noise, and by the overlap where
+    neighbouring lines share their error.
     """
-    scale = np.sqrt(0.5 * variance)
+    scale = np.sqrt(0.5 * weight_variance)
 
     def residual(x: Array) -> Array:
-        r = (model(x) - measured) / scale
+        r = (model(x) - data.response) / scale
         return np.concatenate([r.real, r.imag])
 
-    size = np.maximum(np.abs(start), 1e-3)
-    found = least_squares(residual, start, bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    freedom = max(found.fun.size - start.size, 1)
-    total = float(found.fun @ found.fun)
-    covariance = _inverse(np.asarray(found.jac)) * max(total / freedom, 1.0) * overlap
-    at_bound = np.any(found.active_mask != 0)
-    outcome = "not_converged" if found.status <= 0 else ("at_bound" if at_bound else "converged")
-    half = found.fun.size // 2
-    p_value, runs = residual_tests(found.fun[:half] + 1j * found.fun[half:], start.size, overlap)
-    return Solution(found.x, covariance, total / freedom, p_value, runs, outcome)
+    def one(start: Array) -> Any:
+        size = np.maximum(np.abs(start), 1e-3)
+        return least_squares(residual, start, bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+
+    found = min((one(start) for start in starts), key=lambda result: result.cost)
+    left = (model(found.x) - data.response) / np.sqrt(0.5 * data.variance)
+    freedom = max(2 * left.size - found.x.size, 1)
+    chi2_per_dof = float(np.sum(np.abs(left) ** 2)) / freedom
+    J, share = np.asarray(found.jac), np.tile(data.variance / weight_variance, 2)
+    inverse = _inverse(J)
+    covariance = inverse @ (J.T @ (share[:, None] * J)) @ inverse * max(chi2_per_dof, 1.0) * data.overlap
+    outcome = "not_converged" if found.status <= 0 else ("at_bound" if np.any(found.active_mask) else "converged")
+    p_value, runs = residual_tests(left, found.x.size, data)
+    return Solution(found.x, covariance, chi2_per_dof, p_value, runs, outcome)
 
 
-def residual_tests(residual: ComplexArray, parameters: int, overlap: float) -> tuple[float, float]:
-    """p-values that a residual (nf,), of unit variance in each part, is noise: by its size and by its signs.
+def residual_tests(left: ComplexArray, parameters: int, data: Data) -> tuple[float, float]:
+    """p-values that what is left (nf,), of unit variance in each part, is noise: by its size and by its signs.
 
-    Size: chi² over independent lines; signs: a runs test over lines far enough apart not to share error.
+    Size: chi² over independent lines, allowing for variances that are estimates themselves (then each square
+    is F-distributed, with mean nu/(nu-2) and a wider spread). Signs: a runs test over lines far enough apart
+    not to share error.
     """
-    freedom = max(2 * residual.size - parameters, 1)
-    size = float(chi2.sf(float(np.sum(np.abs(residual) ** 2)) / overlap, freedom / overlap))
-    apart = residual[:: 1 if overlap == 1.0 else int(np.ceil(overlap)) + 1]
-    return size, min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
+    nu = max(data.freedom, 6.0)
+    mean, spread = (1.0, 1.0) if np.isinf(nu) else (nu / (nu - 2.0), nu / (nu - 4.0))
+    count = max(2 * left.size - parameters, 1) / (data.overlap * spread)
+    total = float(np.sum(np.abs(left) ** 2)) / (mean * data.overlap * spread)
+    apart = left[:: 1 if data.overlap == 1.0 else int(np.ceil(data.overlap)) + 1]
+    return float(chi2.sf(total, count)), min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
 
 
 def _inverse(jacobian: Array) -> Array:

@@ -25,7 +25,7 @@ def levy(
     w0 = float(np.exp(np.mean(np.log(angular(f)))))
     s = 1j * angular(f) / w0
     b_terms = np.stack([s**k for k in range(numerator, -1, -1)], axis=1)
-    a_terms = np.stack([s**k for k in range(denominator - 1, integrators - 1, -1)], axis=1).reshape(f.size, -1)
+    a_terms = s[:, None] ** np.arange(denominator - 1, integrators - 1, -1)
     top = s**denominator
     shape = 1.0 / np.abs(top)
     best, best_error = None, np.inf

@@ -65,12 +65,15 @@ class ThirdOrder:
         return ("1/s3", "Hz", "1") + (("s",) if self.delay else ())
 
     def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
-        """By Levy's linear equation."""
-        model = levy(f, response, weight, numerator=0, denominator=3, integrators=1)
-        w2, damping = abs(model.den[2]), abs(model.den[1])
-        w = np.sqrt(w2)
-        zeta = np.clip(0.5 * damping / w, 1e-3, 2.0)
-        x = [model.num[-1], np.log(w), np.log(zeta)]
+        """The best of a grid over w and zeta, each with its own linear kappa."""
+        s = 1j * angular(f)
+        w, zeta = np.geomspace(0.5 * angular(f[0]), 2.0 * angular(f[-1]), 60), np.array([0.01, 0.03, 0.1, 0.3, 1.0])
+        W, Z = w[:, None, None], zeta[:, None]
+        shape = weight / (s * (s * s + 2.0 * Z * W * s + W * W))
+        kappa = (shape.conj() * (response * weight)).sum(-1).real / (np.abs(shape) ** 2).sum(-1)
+        error = (np.abs(response * weight - kappa[..., None] * shape) ** 2).sum(-1)
+        i, j = np.unravel_index(int(np.argmin(error)), error.shape)
+        x = [kappa[i, j], np.log(w[i]), np.log(zeta[j])]
         return np.array([*x, 1e-3] if self.delay else x)
 
     def bounds(self) -> tuple[Array, Array]:
@@ -139,8 +142,7 @@ class Rational:
     """Ratio of polynomials of chosen orders, with poles at zero and a delay if wanted.
 
     x holds the numerator's and the monic denominator's coefficients in s/w0 with w0 in the middle of the
-    band. Reported are the eigenfrequencies and damping ratios of its zeros and poles, where they pair, and
-    real ones as break frequencies.
+    band; reported are the coefficients in s. `fit.modes` gives zeros and poles with their spread.
     """
 
     numerator: int

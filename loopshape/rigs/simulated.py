@@ -75,7 +75,8 @@ def _check_units(study: Study, template: ExperimentTemplate, loops: Sequence[Loo
         asked = [(units.get("references", {}).get(loop.name), loop.reference)]
         asked += [(units.get("control", {}).get(loop.name), loop.control)]
         if loop.name == template.excites:
-            asked += [(units.get("excitation"), loop.injected)]
+            place = {"control": loop.control, "reference": loop.reference}.get(template.injection, loop.injected)
+            asked += [(units.get("excitation"), place)]
         for unit, column in asked:
             if unit is not None and column is not None and unit != Channel.from_column(column).unit:
                 raise WrongUseError(
@@ -103,7 +104,7 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
     setpoint = np.asarray(plant.setpoint(planned.operating_point), dtype=float)
     n = _samples(template, study.rate_hz)
     shape = (n, setpoint.size)
-    moved = bool(template.references)
+    moved = bool(template.references) or (template.excitation is not None and template.injection == "reference")
     references = np.tile(setpoint, (n, 1)) if moved else np.broadcast_to(setpoint, shape)
     for loop, signal in template.references.items():
         k = _place(plant, loop, template.name)
@@ -112,7 +113,8 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
     injected = np.zeros(shape) if driven else np.broadcast_to(0.0, shape)
     for loop, signal in template.control.items():
         injected[:, _place(plant, loop, template.name)] = signal.sampled(n, study.rate_hz, 0.0)
-    period_s, periodic_from_s = _excite(injected, template, plant, study.rate_hz)
+    target = references if template.injection == "reference" else injected
+    period_s, periodic_from_s = _excite(target, template, plant, study.rate_hz)
     return Experiment(
         name=planned.name,
         kind=template.kind,
@@ -152,7 +154,7 @@ def _place(plant: Rig, loop: str, experiment: str) -> int:
 
 
 def _excite(
-    injected: Array, template: ExperimentTemplate, plant: Rig, rate_hz: float
+    target: Array, template: ExperimentTemplate, plant: Rig, rate_hz: float
 ) -> tuple[float | None, float | None]:
     """Add the excitation in place; gives its period and from when on the response can repeat."""
     excitation = template.excitation
@@ -162,7 +164,7 @@ def _excite(
         raise WrongUseError(f"experiment {template.name!r} has an excitation and does not say which loop it excites")
     signal = excitation.signal(rate_hz)
     start = round(template.lead_s * rate_hz)
-    injected[start : start + signal.size, _place(plant, template.excites, template.name)] += signal
+    target[start : start + signal.size, _place(plant, template.excites, template.name)] += signal
     if excitation.period_s is None:
         return None, None
     ramp_s = float(getattr(excitation, "ramp_s", 0.0))

@@ -29,6 +29,8 @@ _WORDS = (
     "operating_point",
     "power_per",
     "line_overlap",
+    "variance_freedom",
+    "parameters",
     "notes",
 )
 
@@ -90,6 +92,8 @@ def _words(header: dict[str, Any]) -> dict[str, Any]:
         "operating_point": {str(k): float(v) for k, v in header["operating_point"].items()},
         "power_per": str(header.get("power_per", "Hz")),
         "line_overlap": float(header.get("line_overlap", 1.0)),
+        "variance_freedom": float(header.get("variance_freedom", "inf")),
+        "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
         "notes": tuple(map(str, header["notes"])),
     }
 

@@ -107,18 +107,27 @@ def _peaks(
         chosen = chosen[p.f[chosen] >= from_hz]
         slopes = np.real(factor[chosen] * dlnC[:, chosen]).T
         rows.add(name, limit - size[chosen], -slopes, chosen)
-        if name.startswith("control_"):
-            _peaks_above(p, x, name, limit, from_hz, rows)
+        _peaks_above(p, x, name, limit, from_hz, L, dlnC, rows)
 
 
-def _peaks_above(p: Problem, x: Array, name: str, limit: float, from_hz: float, rows: _Rows) -> None:
-    """Rooms of |CS| above the last lines, where it is |C|: at its largest values."""
-    if not p.f_above.size:
-        return
-    C, slopes = p.above(x)
-    size = np.where(p.f_above >= from_hz, np.log(np.abs(C)), -np.inf)
-    chosen = np.flatnonzero(size > max(size.max() - 0.05, limit - 0.7))
-    rows.add(name, limit - size[chosen], -slopes[:, chosen].real.T, p.f.size + chosen)
+def _peaks_above(
+    p: Problem, x: Array, name: str, limit: float, from_hz: float, L: ComplexArray, dlnC: ComplexArray, rows: _Rows
+) -> None:
+    """Rooms above the last lines, where |L| <= l, its last value: |S| <= 1/(1-l), |T| <= l/(1-l), |CS| <= |C|/(1-l)."""
+    last = p.first[1:] - 1
+    ln_last = np.log(np.minimum(np.abs(L[last]), 0.999999))
+    share = np.exp(ln_last)
+    worst_S, slope_S = -np.log1p(-share), (share / (1.0 - share))[:, None] * dlnC[:, last].real.T
+    if name == "complementary_peak_db":
+        rows.add(name, limit - ln_last - worst_S, -slope_S - dlnC[:, last].real.T, last)
+    elif not name.startswith("control_"):
+        rows.add(name, limit - worst_S, -slope_S, last)
+    elif p.f_above.size:
+        C, slopes = p.above(x)
+        worst = int(np.argmax(worst_S))
+        size = np.where(p.f_above >= from_hz, np.log(np.abs(C)) + worst_S[worst], -np.inf)
+        chosen = np.flatnonzero(size > max(size.max() - 0.05, limit - 0.7))
+        rows.add(name, limit - size[chosen], -slopes[:, chosen].real.T - slope_S[worst], p.f.size + chosen)
 
 
 def _local_peaks(p: Problem, size: Array, above: float) -> np.ndarray:

@@ -69,7 +69,7 @@ class Problem:
         """Blocks at x."""
         values: list[dict[str, float]] = [{} for _ in self.templates]
         for v, value in zip(self.variables, np.exp(x), strict=True):
-            values[v.block][v.name] = float(value)
+            values[v.block][v.name] = min(max(float(value), v.low), v.high)
         return tuple(t.block(values[k]) for k, t in enumerate(self.templates))
 
     def controller(self, x: Array) -> Controller:
@@ -127,6 +127,13 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
     )
     if not variables:
         raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
+    unknown = [loop.plant.recording for loop in loops if loop.integrators is None]
+    if unknown:
+        raise WrongUseError(
+            f"the number of integrators of the plant in loop {requirements.loop!r} is not known",
+            f"lowest lines that fit no whole number at {', '.join(unknown)}",
+            "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
+        )
     f = np.concatenate([loop.frequency_hz for loop in loops])
     unique, line = np.unique(f, return_inverse=True)
     unit = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), rate_hz)
@@ -141,7 +148,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
         first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
         unique_s=unit.s_at(unique),
         line=line,
-        integrators=np.array([loop.integrators for loop in loops]) + sum(t.kind == "pi" for t in templates),
+        integrators=np.array([loop.integrators or 0 for loop in loops]) + sum(t.kind == "pi" for t in templates),
         unstable=np.array([loop.unstable_poles for loop in loops]),
         P_below=np.concatenate([loop.P_below for loop in loops]),
         s_below=unit.s_at(np.concatenate([loop.below_hz for loop in loops])),

@@ -131,7 +131,7 @@ def test_requirements_out_of_reach_write_no_controller_and_exit_1(arm: Path) -> 
     )
     done = loopshape("tune", arm / "run", "--require", require, "--out", arm / "none.toml")
     assert done.returncode == 1
-    assert "no controller meets all requirements" in done.stderr
+    assert "no controller was found that meets all requirements" in done.stderr
     assert not (arm / "none.toml").exists()
 
 

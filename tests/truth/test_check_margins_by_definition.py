@@ -185,6 +185,34 @@ def test_control_peaks_count_the_controller_above_the_last_line():
     assert margins(low).control_high_frequency_db == -np.inf
 
 
+def led(f_low_hz, model=True):
+    """Margins of an integrator with a resonance, crossover 3.2 Hz, from lines above `f_low_hz`, with its model."""
+    loop = loop_of("integrator with a resonance")
+    plant = LOOPS["integrator with a resonance"][0]
+    return margins(Loop(loop.plant.between(f_low_hz, 400.0), loop.controller, 1, 0, plant if model else None))
+
+
+def test_a_model_leads_to_a_crossover_at_most_an_octave_below_the_lines():
+    whole = margins(loop_of("integrator with a resonance"))
+    near = led(1.5 * whole.bandwidth_hz)
+    assert near.stable == "stable"
+    assert near.bandwidth_hz == pytest.approx(whole.bandwidth_hz, rel=1e-3)
+    assert near.phase_margin_deg == pytest.approx(whole.phase_margin_deg, abs=0.1)
+    assert near.gain_margin_db == pytest.approx(whole.gain_margin_db, abs=1e-2)
+    for far in (led(2.5 * whole.bandwidth_hz), led(1.5 * whole.bandwidth_hz, model=False)):
+        assert far.stable == "undecided"
+        assert "the crossover lies lower" in far.stability_reason
+        assert far.bandwidth_hz == 0.0
+
+
+def test_a_loop_below_1_everywhere_needs_no_crossover():
+    loop = loop_of("no integrator")
+    quiet = Controller("axis", (Block("gain", {"gain": 0.1}),), RATE)
+    found = margins(Loop(loop.plant, quiet, 0, 0, LOOPS["no integrator"][0]))
+    assert found.stable == "stable"
+    assert (found.bandwidth_hz, found.crossings_hz, found.phase_margin_deg) == (0.0, (), np.inf)
+
+
 def test_gain_margin_never_exceeds_what_the_last_line_bounds():
     loop = loop_of("integrator with a resonance")
     cut = Loop(loop.plant.between(0.02, 12.0), loop.controller, 1)  # the axis is crossed at 20 Hz, unseen
