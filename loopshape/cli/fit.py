@@ -12,9 +12,6 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 if TYPE_CHECKING:
     from loopshape.model import Fit
 
-#: what `auto` chooses from, by the Bayesian information criterion
-AUTO = ("integrator", "integrator_delay", "third_order", "third_order_delay")
-
 
 def fit(
     run: RunFolder,
@@ -60,16 +57,23 @@ def fit_run(
 ) -> None:
     """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
     from loopshape.errors import WrongUseError
-    from loopshape.fit.fit import fit_best, structure_by_name
+    from loopshape.fit.fit import fit as fit_one
+    from loopshape.fit.fit import fit_automatically, structure_by_name
     from loopshape.store.fits import read_fits, write_fits
     from loopshape.store.frfs import read_frfs
 
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
         raise WrongUseError("the run has no FRF of such a loop", repr(loop))
-    words = AUTO if structure == "auto" else (structure,)
-    choices = [structure_by_name(word, **orders) for word in words]
-    made = [fit_best(one, choices, weighting=weighting, band_hz=band_hz) for one in frfs]
+    chosen = None if structure == "auto" else structure_by_name(structure, **orders)
+    made = []
+    with output.progress("fit", len(frfs)) as step:
+        for one in frfs:
+            if chosen is None:
+                made.append(fit_automatically(one, weighting=weighting, band_hz=band_hz))
+            else:
+                made.append(fit_one(one, chosen, weighting=weighting, band_hz=band_hz))
+            step(one.recording)
     known = {(f.recording, f.loop) for f in made}
     stored = read_fits(run) if (run / "fits.json").exists() else ()
     write_fits(run, [*(f for f in stored if (f.recording, f.loop) not in known), *made])
@@ -80,17 +84,28 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
     """Table for each structure, and the JSON."""
     for name in dict.fromkeys(f.structure for f in fits):
         mine = [f for f in fits if f.structure == name]
-        parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters]
+        shown = [p.name for p in mine[0].parameters if p.unit != "SI"]  # bare coefficients are in --json
+        parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters if p.name in shown]
         columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
         rows = [
             [f.recording, f.loop, point(f.operating_point)]
-            + [f"{p.value:.5g} ± {1.96 * p.std:.2g}" for p in f.parameters]
+            + [f"{p.value:.5g} ± {1.96 * p.std:.2g}" for p in f.parameters if p.name in shown]
             + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
             for f in mine
         ]
         output.table(f"Fits of structure {name} (± 95 %)", columns, rows)
         if name.startswith("rational"):
             _report_modes(mine, output)
+    output.warn(
+        f"{f.recording}: the fitted model has {f.model.unstable_poles()} unstable poles"
+        for f in fits
+        if f.model.unstable_poles()
+    )
+    output.warn(
+        f"{f.recording}: the model misses the lines by {f.misfit_db:.1f} dB rms: try --weighting relative, other orders"
+        for f in fits
+        if f.misfit_db > 3.0
+    )
     bad = [f for f in fits if not f.sufficient]
     if bad:
         output.say(

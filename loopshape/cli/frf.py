@@ -39,6 +39,7 @@ def estimate_and_report(
     extra: Mapping[str, Any] | None = None,
 ) -> None:
     """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording ended early."""
+    from loopshape.errors import BadSignalError
     from loopshape.estimate.frequency_response import estimate_frf, excited_recordings
     from loopshape.estimate.transforms import Settings
     from loopshape.store.frfs import frf_csv, write_frfs
@@ -51,8 +52,15 @@ def estimate_and_report(
     found = []
     with output.progress("estimate", len(recordings)) as step:
         for recording in recordings:
-            found.append(estimate_frf(recording, run.loop(str(recording.info.excites)), chosen))
+            try:
+                found.append(estimate_frf(recording, run.loop(str(recording.info.excites)), chosen))
+            except BadSignalError as error:
+                if recording.info.ended_early is None:
+                    raise
+                warnings.append(f"{recording.info.name}: {recording.info.ended_early}; no FRF from it ({error.what})")
             step(recording.info.name)
+    if not found:
+        raise BadSignalError(f"no recording of {folder} gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
     write_frfs(folder, found)
     if csv:
         for one in found:

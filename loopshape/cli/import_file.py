@@ -14,28 +14,34 @@ def import_file(
     file: Annotated[Path, typer.Argument(help="CSV, MAT (v5, v7.3), Parquet or NPZ.", show_default=False)],
     map_file: Annotated[Path, typer.Option("--map", help="Which column is what, in which unit, at which rate.")],
     out: Annotated[Path, typer.Option(help="The run folder to write, or to add to.")],
+    replace: Annotated[bool, typer.Option("--replace", help="Put this in place of the run that is there.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a run folder from a recording of your own."""
-    import_run(file, map_file, out, Output(as_json, quiet))
+    """Make a run folder from a recording of your own; the map's keys are in docs/files.md."""
+    import_run(file, map_file, out, Output(as_json, quiet), replace=replace)
 
 
-def import_run(file: Path, map_file: Path, out: Path, output: Output) -> None:
-    """Import, check, write and report."""
+def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False) -> None:
+    """Import, check, write and report; what is there already, number for number, is left as it is."""
     from loopshape.errors import WrongUseError
     from loopshape.store.import_file import import_file as read
-    from loopshape.store.run_folder import add_recording, check_recordings, finished, start_run
+    from loopshape.store.run_folder import add_recording, check_recordings, clear_run, finished, holds, start_run
 
     run = read(file, map_file)
     warnings = check_recordings(run)
-    taken = finished(out) & {recording.info.name for recording in run.recordings} if out.exists() else set()
+    if replace:
+        clear_run(out)
+    todo = [recording for recording in run.recordings if not holds(out, recording)]
+    taken = finished(out) & {recording.info.name for recording in todo}
     if taken:
         raise WrongUseError(
-            f"the run {out} has such a recording already", ", ".join(sorted(taken)), "give it another name in the map"
+            f"the run {out} has another recording of this name",
+            ", ".join(sorted(taken)),
+            "add --replace to start the run anew, or give [recording] another name in the map",
         )
     start_run(out, run)
-    for recording in run.recordings:
+    for recording in todo:
         add_recording(out, recording)
     rows = [
         [name, float(values.min()), float(values.max()), float(values.std()), int(values.size)]

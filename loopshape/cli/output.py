@@ -34,17 +34,18 @@ class Output:
         from rich.table import Table
         from rich.text import Text
 
-        made = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+        made = Table(box=None, pad_edge=False)
         rows = [list(row) for row in rows]
         for k, name in enumerate(columns):
             number = all(isinstance(row[k], (int, float)) for row in rows)
-            made.add_column(Text(name), justify="right" if number else "left", no_wrap=number)
+            made.add_column(Text(name), no_wrap=True, justify="right" if number else "left")
         for row in rows:
             made.add_row(*(Text(text(cell)) for cell in row))
-        console = Console()
-        if not console.is_terminal:  # a pipe or a log has no width to keep to
-            console = Console(width=240)
-        console.print(made)
+        print(title)
+        Console(width=400, soft_wrap=True).print(
+            made, crop=False, no_wrap=True
+        )  # a narrow terminal folds, nothing is cut
+        print()
 
     def say(self, line: str) -> None:
         """One line."""
@@ -85,7 +86,7 @@ def text(cell: Any) -> str:
     if isinstance(cell, bool):
         return "yes" if cell else "no"
     if isinstance(cell, float):
-        return f"{cell:.4g}"
+        return "0" if abs(cell) < 1e-6 else f"{cell:.4g}"
     return str(cell)
 
 

@@ -52,6 +52,7 @@ def _margins(verdict: Verdict, output: Output) -> None:
     rows = [
         [
             name,
+            m.stable,
             m.bandwidth_hz,
             m.gain_margin_db,
             m.phase_margin_deg,
@@ -60,15 +61,12 @@ def _margins(verdict: Verdict, output: Output) -> None:
             m.sensitivity_peak_db,
             m.complementary_peak_db,
             m.control_peak_db,
-            len(m.crossings_hz),
-            m.stable,
+            ", ".join(f"{f:.3g}" for f in m.crossings_hz) or "none",
         ]
         for name, m in verdict.margins.items()
     ]
-    columns = [
-        "recording", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]", "|S| [dB]", "|T| [dB]",
-        "|CS| [dB]", "crossings", "closed loop",
-    ]  # fmt: skip
+    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]"]
+    columns += ["|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
 
 

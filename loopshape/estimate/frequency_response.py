@@ -7,7 +7,7 @@ import numpy as np
 from loopshape.errors import BadSignalError
 from loopshape.estimate.averages import against_instrument, coherence, error_covariance, trusted_lines
 from loopshape.estimate.feedback import direct_signals
-from loopshape.estimate.signals import held_note, loop_signals
+from loopshape.estimate.signals import held_note, loop_signals, wiring_notes
 from loopshape.estimate.transforms import Settings, transform
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
@@ -65,6 +65,9 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
             f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", t.method
         )
     variance = np.real(covariance[rows])
+    if settings.estimator == "reference":
+        z = to_instrument[rows, 1] - (1.0 if recording.info.injection == "plant_input" else 0.0)
+        notes += wiring_notes(recording, loop, t.frequency_hz[rows], z, to_instrument[rows, 0])
     trusted = trusted_lines(t.frequency_hz[rows], np.sqrt(variance) / np.abs(G[rows]), t.excited[rows])
     return FRF(
         frequency_hz=t.frequency_hz[rows],

@@ -10,7 +10,7 @@ from loopshape.channel import Channel, sum_terms
 from loopshape.errors import BadSignalError
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
-from loopshape.units import Array
+from loopshape.units import Array, ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +101,33 @@ def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
         f"loop {loop.name} did not hold its setpoint: {float(wished[0]):.3g} {unit} asked,"
         f" {float(found.mean()):.3g} {unit} on average; the FRF is that of where it stood",
     )
+
+
+def wiring_notes(
+    recording: Recording, loop: LoopSetup, frequency_hz: Array, z: ComplexArray, y: ComplexArray
+) -> tuple[str, ...]:
+    """Warnings where the log contradicts what is said of it; z, y (nf,) are responses to the instrument.
+
+    With a known controller, z must be its answer to the error; where it is not, the injection or the
+    controller is other than said. A plant-input log whose z follows the injected signal one to one at high
+    frequency was taken after the sum, and the plant's input is then counted twice.
+    """
+    injection, controller = recording.info.injection, loop.controller
+    if not recording.info.closed_loop or injection == "control" or not frequency_hz.size:
+        return ()
+    notes: tuple[str, ...] = ()
+    if controller is not None and frequency_hz[-1] < 0.45 * recording.rate_hz:
+        error = -y if injection == "plant_input" else 1.0 - y
+        off = float(np.median(np.abs(z / (controller.response(frequency_hz) * error) - 1.0)))
+        if off > 0.1:
+            notes += (
+                f"the logged control of loop {loop.name} is not its controller's answer to the error (off by"
+                f" {100.0 * off:.0f} % in the median): check injection, controller and signs in the map or run.toml",
+            )
+    top = z[3 * z.size // 4 :]
+    if injection == "plant_input" and top.size and float(np.median(np.abs(top - 1.0))) < 0.2:
+        notes += (
+            f"the control of loop {loop.name} follows the injected signal one to one at high frequency: it seems logged"
+            ' after the sum; then say injection = "reference" and name the injected column as reference',
+        )
+    return notes

@@ -58,6 +58,12 @@ class Transforms:
 def transform(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
     """Transforms of signals (n,) and their instrument (n,) of one recording; refuses one that is too short."""
     if recording.info.period_s is not None:
+        if settings.resolution_hz is not None:
+            raise WrongUseError(
+                "a resolution is for records without a period",
+                f"{settings.resolution_hz:g} Hz for {recording.info.file} with period {recording.info.period_s:g} s",
+                "leave it out, or take period_s out of run.toml",
+            )
         return _by_periods(recording, signals, instrument)
     return _by_segments(recording, signals, instrument, settings)
 
@@ -68,6 +74,7 @@ def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Arra
     part = slice(start, start + periods * length)
     N = period_spectra(instrument[part], length)
     X = np.stack([period_spectra(x[part], length) for x in signals])
+    _check_period(recording, N)
     dropped = periods > 2 and any(_first_differs(x) for x in X)
     if dropped:
         X, N = X[:, 1:], N[1:]
@@ -103,6 +110,19 @@ def _periods(recording: Recording, n: int) -> tuple[int, int, int]:
             "two at least are needed to tell noise from response",
         )
     return length, start, periods
+
+
+def _check_period(recording: Recording, N: ComplexArray) -> None:
+    """Refuse a period with which the excitation does not repeat."""
+    later = N[1:] if N.shape[0] > 2 else N
+    power = float((np.abs(later[:, 1:]) ** 2).mean(0).sum())
+    scatter = float((np.abs(later[:, 1:] - later[:, 1:].mean(0)) ** 2).mean(0).sum())
+    if scatter > 0.05 * power:
+        raise BadSignalError(
+            f"the excitation of recording {recording.info.file} does not repeat every {recording.info.period_s:g} s",
+            f"{100.0 * scatter / power:.0f} % of its power differs between periods",
+            "correct period_s or periodic_from_s, or leave them out",
+        )
 
 
 def _periodic_lines(N: ComplexArray) -> np.ndarray:

@@ -142,16 +142,30 @@ def fit_best(
     weighting: str = "variance",
     band_hz: tuple[float, float] | None = None,
 ) -> Fit:
-    """The fit with the least Bayesian information criterion (Schwarz 1978) among structures."""
+    """The fit with the least Bayesian information criterion (Schwarz 1978) among structures that converge."""
 
-    def criterion(found: Fit) -> float:
+    def criterion(found: Fit) -> tuple[bool, float]:
         count = len(found.parameters)
-        freedom = 2 * found.lines - count
-        return found.chi2_per_dof * freedom / frf.line_overlap + count * float(
-            np.log(2 * found.lines / frf.line_overlap)
-        )
+        total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
+        return found.outcome != "converged", total + count * float(np.log(2 * found.lines / frf.line_overlap))
 
     return min((fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures), key=criterion)
+
+
+#: a named structure that follows the lines this well, rms, is not exchanged for a rational one
+FOLLOWS_DB = 1.0
+
+
+def fit_automatically(frf: FRF, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None) -> Fit:
+    """The best named structure; where it misses the lines by over 1 dB, the best with rational ones to order four."""
+    named = [structure_by_name(name) for name in STRUCTURES[:4]]
+    best = fit_best(frf, named, weighting=weighting, band_hz=band_hz)
+    lines = (frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()).frequency_hz.size
+    if (best.outcome == "converged" and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
+        return best
+    orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
+    rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
+    return fit_best(frf, [*named, *rational], weighting=weighting, band_hz=band_hz)
 
 
 def modes(found: Fit) -> tuple[Estimate, ...]:

@@ -79,6 +79,27 @@ def finished(folder: Path) -> set[str]:
     return {recording.info.name for recording in read_run(folder).recordings}
 
 
+def holds(folder: Path, recording: Recording) -> bool:
+    """Whether a run lists this very recording: same words, same columns, same numbers."""
+    if recording.info.name not in finished(folder):
+        return False
+    there = read_run(folder).recording(recording.info.name)
+    wanted = _timed(recording)
+    same = there.info == recording.info and there.rate_hz == recording.rate_hz and set(there.columns) == set(wanted)
+    return same and all(np.array_equal(there.column(name), values) for name, values in wanted.items())
+
+
+def clear_run(folder: Path) -> None:
+    """Take a run out of its folder: its recordings' tables, FRFs, fits and `run.toml`, in that order; no other file."""
+    if not (folder / RUN_TOML).exists():
+        return
+    run = read_run(folder)
+    for path in [folder / r.info.file for r in run.recordings] + [*folder.glob("frf/*.npz"), folder / "fits.json"]:
+        with suppress(FileNotFoundError):
+            path.unlink()
+    (folder / RUN_TOML).unlink()
+
+
 def start_run(folder: Path, run: Run) -> None:
     """Make a run folder without recordings, or resume one whose header is the same.
 
@@ -89,7 +110,8 @@ def start_run(folder: Path, run: Run) -> None:
     if (folder / RUN_TOML).exists():
         _resume(folder, header)
         return
-    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(PART)] if folder.is_dir() else []
+    ours = (PART, "figures", "frf")
+    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)] if folder.is_dir() else []
     if foreign:
         raise WrongUseError(
             "a folder that is no run is not written into",
@@ -111,7 +133,7 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
         raise WrongUseError(
             f"{folder} already holds another run",
             f"different {', '.join(differing)}",
-            "choose another folder, or repeat what made this one",
+            "choose another folder, or delete this one",
         )
     for left in folder.glob(f".*{PART}"):  # of a write that was killed
         with suppress(OSError):
