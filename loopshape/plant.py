@@ -80,8 +80,13 @@ class Plant(Protocol):
     def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
         """Controllers that hold the simulated machine over its working range."""
 
-    def check_operating_point(self, operating_point: Mapping[str, float]) -> None:
-        """Refuse an operating point that the machine cannot stand in."""
+    def check_operating_point(
+        self, operating_point: Mapping[str, float], changes: Mapping[str, float] | None = None
+    ) -> None:
+        """Refuse an operating point that the machine, with these changes, cannot stand in."""
+
+    def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
+        """Refuse changes of parameters, and a rate, that the machine cannot have."""
 
     def simulate(
         self,

@@ -70,7 +70,7 @@ def arm_open_loop():
     """The bare kernel, driven by z (n, 2) in V from a state (5,), SI, without noise: log (n, 12) and last state."""
     from loopshape.plants.arm import closed_loop
 
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9])  # noise, converter steps, a range that never ends
+    sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9])  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
 
     def run(c, start, z, *, solver=closed_loop.EDGES, steps=1, tick_s=1e-3, period_ticks=20, dead_zone=0.01):

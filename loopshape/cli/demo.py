@@ -18,6 +18,12 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Identify, fit, tune and check: the simulated arm at 24 equilibria, and a real motor bench."""
+    from loopshape.errors import UnreadableInputError
+
+    if not (examples / "arm").is_dir():
+        raise UnreadableInputError(
+            "the project's examples are not here", str(examples), "run this in the project's folder, or name --examples"
+        )
     output = Output(as_json, quiet)
     started = time.monotonic()
     output.say("\n== The simulated arm: 24 equilibria, angle loop and pressure loop ==\n")

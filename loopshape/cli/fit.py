@@ -88,7 +88,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters if p.name in shown]
         columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
         rows = [
-            [f.recording, f.loop, point(f.operating_point)]
+            [f.recording, f.loop, point(f.operating_point, f.rig_parameters)]
             + [f"{p.value:.5g} ± {1.96 * p.std:.2g}" for p in f.parameters if p.name in shown]
             + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
             for f in mine

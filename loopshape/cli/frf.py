@@ -108,7 +108,7 @@ def report(
         low, high = one.trusted_band_hz
         count = int(one.trusted.sum())
         spread = float(20.0 * np.log10(1.0 + np.median(std)))
-        rows.append([one.recording, one.loop, point(one.operating_point), low, high, count, spread])
+        rows.append([one.recording, one.loop, point(one.operating_point, one.parameters), low, high, count, spread])
     output.table("Frequency responses", columns, rows)
     for method in dict.fromkeys(one.method for one in frfs):
         output.say(f"estimated by the {method}")

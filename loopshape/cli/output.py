@@ -90,6 +90,8 @@ def text(cell: Any) -> str:
     return str(cell)
 
 
-def point(operating_point: Mapping[str, float]) -> str:
-    """An operating point in a few letters: values with the units that end their names."""
-    return ", ".join(f"{value:g} {name.rsplit('_', 1)[-1]}" for name, value in operating_point.items()) or "-"
+def point(operating_point: Mapping[str, float], parameters: Mapping[str, float] | None = None) -> str:
+    """An operating point in a few letters: values with the units that end their names; and the rig's settings."""
+    text = ", ".join(f"{value:g} {name.rsplit('_', 1)[-1]}" for name, value in operating_point.items()) or "-"
+    settings = ", ".join(f"{name} {value:g}" for name, value in (parameters or {}).items())
+    return f"{text} ({settings})" if settings else text

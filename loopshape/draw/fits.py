@@ -37,7 +37,8 @@ def parameter_map(fits: Sequence[Fit], name: str, *, ax: Axes | None = None) -> 
 
 def _by_point(ax: Axes, fits: Sequence[Fit], name: str, keys: Sequence[str]) -> None:
     lines = _lines(fits, keys)
-    labels = numbers(list(lines)) if len(keys) == 2 else ["fits"]
+    seconds = numbers([second for second, _ in lines]) if len(keys) == 2 else ["fits"] * len(lines)
+    labels = [f"{text} ({settings})" if settings else text for text, (_, settings) in zip(seconds, lines, strict=True)]
     places = np.unique([fit.operating_point[keys[0]] for fit in fits])
     gap = 0.015 * float(np.min(np.diff(places)))
     for k, members in enumerate(lines.values()):
@@ -57,11 +58,12 @@ def _by_point(ax: Axes, fits: Sequence[Fit], name: str, keys: Sequence[str]) -> 
         )
 
 
-def _lines(fits: Sequence[Fit], keys: Sequence[str]) -> Mapping[float, list[Fit]]:
-    """Fits by the value of the second key, each sorted by the first."""
-    groups: dict[float, list[Fit]] = {}
+def _lines(fits: Sequence[Fit], keys: Sequence[str]) -> Mapping[tuple[float, str], list[Fit]]:
+    """Fits by the value of the second key and the rig's own settings, each sorted by the first key."""
+    groups: dict[tuple[float, str], list[Fit]] = {}
     for fit in sorted(fits, key=lambda f: tuple(f.operating_point[k] for k in keys)):
-        groups.setdefault(fit.operating_point[keys[1]] if len(keys) == 2 else 0.0, []).append(fit)
+        settings = ", ".join(f"{name} {value:g}" for name, value in fit.rig_parameters.items())
+        groups.setdefault((fit.operating_point[keys[1]] if len(keys) == 2 else 0.0, settings), []).append(fit)
     return dict(sorted(groups.items()))
 
 

@@ -58,8 +58,10 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
             )
         loops = plant.loop_setups(controllers, template.injection)
         _check_units(study, template, loops)
+        changes = {f"pwm_{k}": float(v) for k, v in study.pwm.items()} | dict(study.changes) | dict(template.parameters)
+        plant.check_settings(study.rate_hz, changes)
         for k, point in enumerate(points):
-            plant.check_operating_point(point)
+            plant.check_operating_point(point, changes)
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
             out.append(Planned(name, template, dict(point), loops, study.seed * 100_003 + len(out)))
     names = [planned.name for planned in out]

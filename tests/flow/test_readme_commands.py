@@ -51,7 +51,7 @@ def test_every_loopshape_command_shown_is_run_by_a_test() -> None:
 
 def test_what_the_readme_shows_exists() -> None:
     assert all((ROOT / path).exists() for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README))
-    named = re.findall(r"`((?:examples|experiments|loopshape)/[\w./]*)`", README)
+    named = re.findall(r"`((?:examples|experiments|loopshape|docs)/[\w./]*)`", README)
     assert named
     assert all((ROOT / path).exists() for path in named)
 

@@ -27,7 +27,7 @@ def test_operating_point_with_other_names(arm, point):
 )
 def test_operating_point_out_of_the_model_s_range(arm, theta, p_ab):
     with pytest.raises(WrongUseError, match=r"cannot stand there.*0\.15 to 1\.2 bar.*choose a point inside"):
-        arm.setpoint({"theta2_deg": theta, "p_ab_bar": p_ab})
+        arm.check_operating_point({"theta2_deg": theta, "p_ab_bar": p_ab})
 
 
 @pytest.mark.parametrize("start", [(0.0, -1.0), (0.0, 0.03), (NAN, 1.0)])

@@ -99,5 +99,5 @@ def test_stopping_one_does_not_stop_the_others(arm, arm_experiment, source_contr
     ],
 )
 def test_each_limit_has_its_reason(state, why):
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5])
+    sensors = np.array([0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5, 4.0, 1e9])
     assert closed_loop.range_left(np.array(state), sensors) == why

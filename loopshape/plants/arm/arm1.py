@@ -17,7 +17,7 @@ from loopshape.plants.arm import closed_loop as kernel
 from loopshape.plants.arm.equilibrium import pressures, rest
 from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
 from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import Array
+from loopshape.units import Array, rad
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
 _INJECTIONS = {
@@ -78,25 +78,33 @@ class Arm1:
 
     def setpoint(self, operating_point: Mapping[str, float]) -> tuple[float, float]:
         """The references (rad, bar) at an operating point."""
-        self.check_operating_point(operating_point)
-        return float(np.radians(operating_point["theta2_deg"])), float(operating_point["p_ab_bar"])
+        return float(rad(operating_point["theta2_deg"])), float(operating_point["p_ab_bar"])
 
-    def check_operating_point(self, operating_point: Mapping[str, float]) -> None:
+    def check_operating_point(
+        self, operating_point: Mapping[str, float], changes: Mapping[str, float] | None = None
+    ) -> None:
         """Refuse a point with other keys than theta2_deg and p_ab_bar, or without an equilibrium in range."""
         if set(operating_point) != {"theta2_deg", "p_ab_bar"}:
             raise WrongUseError(
                 "an operating point of the 1-DoF arm names theta2_deg and p_ab_bar", f"{dict(operating_point)!r}"
             )
-        vector = self.parameters.vector()
+        vector = self.parameters.vector(changes)
         theta, p_ab = operating_point["theta2_deg"], operating_point["p_ab_bar"]
-        low, high = (vector[self.parameters.index(f"range_{k}_bar")] for k in ("low", "high"))
+        low, high, widest = (self._value(vector, f"range_{k}") for k in ("low_bar", "high_bar", "angle_deg"))
         pair = pressures(constants(vector), theta, p_ab)
-        if not (abs(theta) < 45.0 and low <= min(pair) and max(pair) <= high):
+        if not (abs(theta) < widest and low <= min(pair) and max(pair) <= high):
             raise WrongUseError(
                 f"the 1-DoF arm cannot stand there: its model holds for {low:g} to {high:g} bar in each muscle",
                 f"theta2 {theta:g} deg, p_AB {p_ab:g} bar, which asks for {pair[0]:.3g} and {pair[1]:.3g} bar",
                 "choose a point inside",
             )
+
+    def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
+        """Refuse unknown or out-of-bounds parameters, and a PWM period that is no whole number of samples."""
+        _period_ticks(rate_hz, self._value(self.parameters.vector(changes), "pwm_frequency_hz"))
+
+    def _value(self, vector: Array, name: str) -> float:
+        return float(vector[self.parameters.index(name)])
 
     def simulate(
         self,
@@ -132,7 +140,7 @@ class Arm1:
         moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters)
         vector = self.parameters.vector(moves)
         c, sensors = constants(vector), sensor_constants(vector)
-        period_ticks = _period_ticks(e.rate_hz, float(vector[self.parameters.index("pwm_frequency_hz")]))
+        period_ticks = _period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
         controllers = [_biquads(loop, e) for loop in e.loops]
         state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
@@ -143,7 +151,7 @@ class Arm1:
         ended, n = kernel.run(
             c, sensors, x, controllers[0], controllers[1], state, references, injected,
             _INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, period_ticks,
-            float(vector[self.parameters.index("pwm_dead_zone")]), solver, steps, start_state(e.seed), out,
+            self._value(vector, "pwm_dead_zone"), solver, steps, start_state(e.seed), out,
         )  # fmt: skip
         return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
 

@@ -146,9 +146,9 @@ def sense(
         theta += sensors[0] * n1
         p_a += sensors[1] * n2
         p_b += sensors[1] * n3
-    theta = converted(theta, sensors[2], -4.0, 4.0)
-    p_a = converted(p_a, sensors[3], 0.0, 1e7)
-    return theta, p_a, converted(p_b, sensors[3], 0.0, 1e7), random_state, spare, has_spare
+    theta = converted(theta, sensors[2], -sensors[7], sensors[7])
+    p_a = converted(p_a, sensors[3], 0.0, sensors[8])
+    return theta, p_a, converted(p_b, sensors[3], 0.0, sensors[8]), random_state, spare, has_spare
 
 
 @compiled
@@ -198,8 +198,8 @@ def run(
     """Simulate as many ticks as `references` (n, 2: rad, Pa) has; fills `out` (n, 7 or 12) by `LOGGED`.
 
     `x` (5,) and `controller_state` (2, sections, 2) move in place. Gives why it ended and how many ticks
-    are logged. Sensor spans: the angle is centred, the pressure starts at 0; 12-bit spans never clip within
-    the model's range.
+    are logged. Sensor spans: the angle is centred, the pressure starts at 0; beyond them the
+    converters clip.
     """
     period_s = period_ticks * tick_s
     u_a = u_b = close_a = close_b = 0.0

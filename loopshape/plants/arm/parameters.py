@@ -135,7 +135,7 @@ def constants(vector: Array) -> Array:
 
 
 def sensor_constants(vector: Array) -> Array:
-    """Noise (rad, Pa), converter steps (rad, Pa; 0 is off) and the range's limits (rad, Pa, Pa), (7,)."""
+    """Noise (rad, Pa), converter steps (rad, Pa; 0 is off), the range's limits (rad, Pa, Pa), spans (rad, Pa), (9,)."""
     p = dict(zip(ARM1_PARAMETERS.names, vector.tolist(), strict=True))
     codes = 2.0 ** p["converter_bits"]
     on = p["converter_bits"] > 0
@@ -143,4 +143,5 @@ def sensor_constants(vector: Array) -> Array:
     pressure_step = 1e5 * p["pressure_span_bar"] / codes if on else 0.0
     noise = [float(rad(p["angle_noise_deg"])), 1e5 * p["pressure_noise_bar"]]
     limits = [float(rad(p["range_angle_deg"])), 1e5 * p["range_low_bar"], 1e5 * p["range_high_bar"]]
-    return np.array([*noise, angle_step, pressure_step, *limits])
+    spans = [0.5 * float(rad(p["angle_span_deg"])), 1e5 * p["pressure_span_bar"]]
+    return np.array([*noise, angle_step, pressure_step, *limits, *spans])
