@@ -174,7 +174,9 @@ def loop_page(loops: Sequence[Loop], requirements: Requirements | None, *, verdi
     for name in "ST":
         _sensitivity(panels[name], loops, key, name, "")
     _guides(panels, requirements, verdict)
-    place_notes(panels["S"], _limit_entries(requirements, verdict), "lower right")
+    if place_notes(panels["S"], _limit_entries(requirements, verdict), "lower right"):
+        low, high = panels["S"].get_ylim()
+        panels["S"].set_ylim(low - 0.4 * (high - low), high)  # room for the notes
     place_key(figure, key)
     head(figure, _title("Loop shaping", loops), key.common)
     return figure

@@ -36,7 +36,7 @@ def response(recording: Recording, loop: LoopSetup, *, ax: Axes | None = None) -
     ax = axes_or_new(ax)
     values, unit = shown(recording, loop.output)
     ax.plot(times_s(recording), values, color=COLOURS[0], linewidth=0.9, label=expression(loop.output))
-    if loop.reference is not None and loop.reference in recording.columns:
+    if recording.info.closed_loop and loop.reference is not None and loop.reference in recording.columns:
         setpoint, _ = shown(recording, loop.reference)
         ax.plot(times_s(recording), setpoint, color="0.1", linewidth=0.8, linestyle="--", label="setpoint")
     return _finish(ax, recording, symbol(loop.name) + bracket(unit))
@@ -94,7 +94,8 @@ def _by_unit(recording: Recording, columns: Sequence[str]) -> list[list[str]]:
 
 
 def _pressures(recording: Recording, loops: Sequence[LoopSetup]) -> list[str]:
-    """Columns in bar that are neither a loop's setpoint or injected signal nor its output alone."""
+    """Columns in bar that are no loop's own signal, nor the true state behind a measured column."""
     outputs = {loop.output for loop in loops if len(sum_terms(loop.output)) == 1}
     known = outputs | {c for loop in loops for c in (loop.reference, loop.injected, loop.control) if c}
-    return [c for c in recording.columns if c.endswith("_bar") and c not in known]
+    columns = [c for c in recording.columns if c.endswith("_bar") and c not in known]
+    return [c for c in columns if not (c.startswith("true_") and c.removeprefix("true_") in recording.columns)]
