@@ -1,7 +1,7 @@
 """Excitations and setpoints: the signals that a study asks for, made from numbers and a seed.
 
 Every excitation gives a signal at a rate, in the unit of the place where it is injected; amplitudes are
-peak values there. Ramps at both ends keep a start or a stop from being a step.
+peak values there, of noise the standard deviation. Ramps at both ends keep a start or a stop from being a step.
 """
 
 from __future__ import annotations

@@ -43,11 +43,6 @@ class LoopSetup:
             raise WrongUseError(f"the output of loop {self.name!r} adds different units", f"{self.output!r}")
         return units.pop()
 
-    @property
-    def input_unit(self) -> str:
-        """Suffix of the control signal's unit."""
-        return Channel.from_column(self.control).unit
-
 
 @dataclass(frozen=True, eq=False)
 class Experiment:

@@ -14,7 +14,7 @@ from loopshape.units import Array
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """What `run.toml` says of one recording; see the run folder's page for each word.
+    """What `run.toml` says of one recording; docs/files.md explains each word.
 
     `parameters` are settings of the rig that held for this recording alone (a supply pressure, a load), in
     the plant's names; `ended_early` says why a recording is shorter than asked.

@@ -1,6 +1,6 @@
 """Units: Hz and rad/s, degrees and radians, dB and ratios, and what a column's suffix means.
 
-2 pi and 180/pi occur in this file only. Inside the project a quantity is SI or bar, as its name says
+Conversions are done here and nowhere else. Inside the project a quantity is SI or bar, as its name says
 (`_hz`, `_rad`, `_deg`, `_bar`, `_v`); `to_stored` brings a user's unit to the stored one at the door.
 """
 

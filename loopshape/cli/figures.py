@@ -99,12 +99,14 @@ def draw_loops(
     from loopshape.cli.pictures import save
     from loopshape.draw.loops import loop_page, nichols, sensitivities
     from loopshape.draw.style import figure_of
+    from loopshape.draw.verdicts import margins_map
 
     loops, _ = loops_of(frfs, controller, requirements, fits)
-    name = controller.loop
-    made = (
-        (figure_of(nichols(loops, requirements)), f"nichols_{name}.png"),
-        (loop_page(loops, requirements, verdict=verdict), f"loop_{name}.png"),
-        (sensitivities(loops, requirements), f"sensitivities_{name}.png"),
-    )
-    return [str(save(figure, folder / file)) for figure, file in made]
+    made = {
+        "nichols": figure_of(nichols(loops, requirements)),
+        "loop": loop_page(loops, requirements, verdict=verdict),
+        "sensitivities": sensitivities(loops, requirements),
+    }
+    if verdict is not None and verdict.lines:
+        made["margins"] = margins_map(verdict)
+    return [str(save(figure, folder / f"{name}_{controller.loop}.png")) for name, figure in made.items()]

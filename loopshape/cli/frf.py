@@ -18,6 +18,7 @@ def frf(
     run: RunFolder,
     estimator: Annotated[str, typer.Option(help="reference, or direct (biased under feedback).")] = "reference",
     resolution_hz: Annotated[float | None, typer.Option(help="Distance between lines; default by the record.")] = None,
+    overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
     csv: Annotated[bool, typer.Option("--csv", help="Write each FRF as a table too.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw a page for each FRF, and an overview of each loop.")] = True,
     as_json: AsJson = False,
@@ -25,7 +26,7 @@ def frf(
 ) -> None:
     """Estimate the FRFs of a run with variance, coherence and trusted band, and draw them."""
     output = Output(as_json, quiet)
-    settings = {"estimator": estimator, "resolution_hz": resolution_hz}
+    settings = {"estimator": estimator, "resolution_hz": resolution_hz, "overlap": overlap}
     estimate_and_report(run, output, settings=settings, figures=figures, csv=csv)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from loopshape.check.stability import count_unstable
 from loopshape.tune.problem import Problem
-from loopshape.units import Array, ComplexArray, from_db, rad
+from loopshape.units import TWO_PI, Array, ComplexArray, from_db, rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,15 +170,15 @@ def _phase_rooms(
     limits: dict[str, float], tighten: dict[str, float], k: np.ndarray, phase: Array, slope: Array,
     crossing: Array, move: Array, rows: _Rows,
 ) -> None:  # fmt: skip
-    ahead = (phase + np.pi) % (2.0 * np.pi)  # rotation by lag onto -1
+    ahead = (phase + np.pi) % (TWO_PI)  # rotation by lag onto -1
     if "phase_margin_deg" in limits:
         wished = float(rad(limits["phase_margin_deg"] + tighten.get("phase_margin_deg", 0.0)))
         lag = ahead <= np.pi
-        either = np.where(lag, ahead, 2.0 * np.pi - ahead)
+        either = np.where(lag, ahead, TWO_PI - ahead)
         rows.add("phase_margin_deg", either - wished, np.where(lag, 1.0, -1.0)[:, None] * slope, k)
     if "delay_margin_s" in limits:
         wished = limits["delay_margin_s"] + tighten.get("delay_margin_s", 0.0)
-        ln_delay = np.log(np.maximum(ahead, 1e-12) / (2.0 * np.pi)) - crossing
+        ln_delay = np.log(np.maximum(ahead, 1e-12) / (TWO_PI)) - crossing
         rows.add("delay_margin_s", ln_delay - np.log(wished), slope / np.maximum(ahead, 1e-12)[:, None] - move, k)
 
 

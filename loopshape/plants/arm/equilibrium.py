@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from loopshape.errors import WrongUseError
 from loopshape.plants.arm.model import derivatives
-from loopshape.units import Array, rad
+from loopshape.units import Array, deg, rad
 
 LOWEST_BAR = 0.02
 
@@ -44,7 +44,7 @@ def angle_deg(c: Array, p_a_bar: float, p_b_bar: float, limit_deg: float = 45.0)
         return float("nan")
     k = int(crossings[np.argmin(np.abs(grid[crossings] + grid[crossings + 1]))])
     root = brentq(lambda q: acceleration(c, q, p_a_bar, p_b_bar), float(grid[k]), float(grid[k + 1]), xtol=1e-14)
-    return float(np.degrees(root))
+    return float(deg(root))
 
 
 def pressure_map(c: Array, theta2_deg: Array, p_ab_bar: Array) -> tuple[Array, Array]:

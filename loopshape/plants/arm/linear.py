@@ -1,7 +1,7 @@
 """The arm linearised about an equilibrium, with averaged valves: the truth that estimates are held against.
 
 An averaged valve lets through its full flow times the duty. Filling and exhaust differ, so the nominal gain
-is the mean of both (`ARM.md` speaks of kappa so); `ripple_gains` gives the gains that a moving command sees.
+is the mean of both; `ripple_gains` gives the gains that a moving command sees.
 """
 
 from __future__ import annotations
