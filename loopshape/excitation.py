@@ -48,7 +48,13 @@ def samples(duration_s: float, rate_hz: float) -> int:
             f"{duration_s!r} s at {rate_hz:g} Hz",
             "change the duration or the rate",
         )
+    if n > MOST_SAMPLES:
+        raise WrongUseError("a signal is too long", f"{n:.3g} samples", f"{MOST_SAMPLES:g} at most")
     return round(n)
+
+
+#: longest signal that is made, in samples
+MOST_SAMPLES = 50_000_000
 
 
 def ramp(n: int, ramp_n: int) -> Array:

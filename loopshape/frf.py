@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 
 import numpy as np
 
+from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.units import Array, ComplexArray
 
@@ -31,7 +33,8 @@ class FRF:
     of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
     use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
     periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance.
-    `parameters` are settings of the rig that held for this recording alone. `method` says in one line how it
+    `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
+    which the loop stood, where it is known. `method` says in one line how it
     was measured; `notes` are warnings.
     """
 
@@ -54,6 +57,7 @@ class FRF:
     line_overlap: float = 1.0
     variance_freedom: float = float("inf")
     parameters: Mapping[str, float] = field(default_factory=dict)
+    held_by: Controller | None = None
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -62,14 +66,35 @@ class FRF:
             raise WrongUseError("a response is (lines, outputs, inputs)", f"{np.shape(self.response)}")
         if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
             raise WrongUseError("a covariance is (lines, outputs inputs, outputs inputs)")
-        if np.any(np.diff(self.frequency_hz) <= 0.0):
-            raise WrongUseError("the lines of a FRF must rise")
+        self._check_numbers()
         for name in (*_ARRAYS, "trusted"):
             value = getattr(self, name)
             if value is not None:
                 copy = np.array(value)
                 copy.setflags(write=False)
                 object.__setattr__(self, name, copy)
+
+    def _check_numbers(self) -> None:
+        f, nf = np.asarray(self.frequency_hz), np.shape(self.frequency_hz)[0]
+        rising = nf > 0 and np.isfinite(f).all() and f[0] > 0.0 and np.all(np.diff(f) > 0.0)
+        if not rising:
+            raise WrongUseError("the lines of a FRF are finite, above zero and rise", f"{nf} lines")
+        if not (np.isfinite(self.response).all() and np.isfinite(self.covariance).all()):
+            raise WrongUseError("the responses and covariances of a FRF are finite numbers")
+        if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0) or self.line_overlap < 1.0:
+            raise WrongUseError("the variances of a FRF are not negative, and its line overlap is 1 at least")
+        if np.asarray(self.trusted).dtype != bool:
+            raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
+        for name in ("trusted", *_ARRAYS[3:]):
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != (nf,):
+                raise WrongUseError(f"{name} of a FRF is one number a line", f"{np.shape(value)} for {nf} lines")
+
+    @property
+    def digest(self) -> str:
+        """A short mark of lines and response, by which a fit knows the FRF that it was made for."""
+        data = np.ascontiguousarray(self.frequency_hz).tobytes() + np.ascontiguousarray(self.response).tobytes()
+        return sha256(data).hexdigest()[:16]
 
     @property
     def siso(self) -> ComplexArray:

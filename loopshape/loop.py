@@ -35,7 +35,8 @@ class Loop:
 
     `integrators` is the number of poles of the plant at s = 0 (None: not known), `unstable_poles` in the right
     half plane; the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
-    says how the plant goes on below the lowest line; only the count of encirclements uses it.
+    says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
+    lines above those that are judged, less sure: they may still show that |L| comes up again.
     """
 
     plant: FRF
@@ -43,6 +44,7 @@ class Loop:
     integrators: int | None = 0
     unstable_poles: int = 0
     model: TransferFunction | None = None
+    beyond: FRF | None = None
 
     @property
     def frequency_hz(self) -> Array:

@@ -73,7 +73,7 @@ class Fit:
     the residual test's word: does what is left look like the noise? Intervals are widened by
     sqrt(chi2_per_dof) where the model misses more than the noise does. They then describe how well the
     numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
-    `parameters`: settings of the rig that held for its recording alone.
+    `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF.
     """
 
     structure: str
@@ -92,6 +92,7 @@ class Fit:
     operating_point: Mapping[str, float] = field(default_factory=dict)
     delay_free: bool = False
     rig_parameters: Mapping[str, float] = field(default_factory=dict)
+    frf_digest: str = ""
 
     @property
     def sufficient(self) -> bool:

@@ -74,6 +74,7 @@ class Plant(Protocol):
 
     name: str
     loops: tuple[str, ...]
+    solvers: tuple[str, ...]
     channels: tuple[Channel, ...]
     parameters: ParameterTable
 

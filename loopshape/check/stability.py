@@ -76,6 +76,9 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
         )
     if abs(L[-1]) >= 1.0:
         return f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
+    again = _comes_up_again(loop)
+    if again:
+        return again
     distance, where = nearest_to_minus_one(f, L)
     if distance < 1e-3:
         return f"L passes -1 within {distance:.1g} at {where:.3g} Hz"
@@ -88,6 +91,19 @@ def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
     if unclear.size:
         return f"-1 lies within the uncertainty of L at {f[unclear[0]]:.3g} Hz: measure longer or excite more"
     return ""
+
+
+def _comes_up_again(loop: Loop) -> str:
+    """Where |L| reaches 1 above the judged lines, as far as less sure lines there show it."""
+    if loop.beyond is None:
+        return ""
+    f = loop.beyond.frequency_hz
+    f = f[f < 0.5 * loop.controller.rate_hz]
+    size = np.abs(loop.controller.response(f) * loop.beyond.siso[: f.size])
+    if not size.size or size.max() < 1.0:
+        return ""
+    k = int(np.argmax(size))
+    return f"|L| reaches {size[k]:.2g} at {f[k]:.3g} Hz, above the band that is known well: excite more there"
 
 
 def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray) -> int | None:

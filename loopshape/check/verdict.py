@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loopshape.check.margins import margins
+from loopshape.check.stability import COARSE_DEG, count_unstable
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
@@ -17,6 +18,8 @@ from loopshape.units import deg
 
 #: a fit that misses its lines by more than this, rms, says nothing of the plant below them
 WITNESS_DB = 6.0
+#: lines above the judged band count as seen where their relative standard deviation is below this
+KNOWN_BEYOND = 0.3
 
 
 def loops_of(
@@ -35,40 +38,85 @@ def loops_of(
                 f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
             )
-        fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x)), None)
+        fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, frf)), None)
         integrators, unstable, note = _open_loop_poles(lines, requirements, fit)
-        found.append(Loop(lines, controller, integrators, unstable, None if fit is None else fit.model))
+        model = None if fit is None else fit.model
+        found.append(Loop(lines, controller, integrators, unstable, model, _beyond(frf, lines)))
         notes += [note] if note else []
     return found, tuple(dict.fromkeys(notes))
 
 
-def _witness(fit: Fit) -> bool:
+def _beyond(frf: FRF, lines: FRF) -> FRF | None:
+    """Lines above the judged ones that are known to 30 %: a check must not overlook what they show."""
+    relative = np.sqrt(frf.variance[:, 0, 0]) / np.abs(frf.siso)
+    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
+    return frf.select(rows) if rows.any() else None
+
+
+def _witness(fit: Fit, frf: FRF) -> bool:
     """Whether a fit may speak for the plant outside the measured band.
 
-    It ended well and follows the lines; if it has unstable poles it leaves nothing but noise too, because a
-    fit that misses something likes to put it into such poles.
+    It was made for this FRF, ended well and follows the lines; if it has unstable poles it leaves nothing but
+    noise too, because a fit that misses something likes to put it into such poles.
     """
-    follows = fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
+    follows = fit.frf_digest in ("", frf.digest) and fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
     return follows and (fit.sufficient or not fit.model.unstable_poles())
 
 
 def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, int, str]:
     """Integrators (None: not known) and unstable poles of the plant, and a note where they were assumed."""
-    declared, unstable = requirements.integrators, requirements.unstable_poles
+    integrators, note = _integrators(frf, requirements, fit)
+    if requirements.unstable_poles is not None:
+        return integrators, requirements.unstable_poles, note
+    held = _held_poles(frf, integrators, fit)
+    if held is not None and held < 0:
+        note = (
+            f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
+            " integrators"
+        )
+        return None, 0, note
+    if held is not None:
+        unstable, witness = held, "because the loop that was recorded was stable"
+    else:
+        unstable, witness = (fit.model.unstable_poles() if fit is not None else 0), "from its fit"
+    if unstable:
+        note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable poles, {witness}"
+    return integrators, unstable, note
+
+
+def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:
+    """Declared, or the fit's, or what phase and slope of the lowest lines agree on, None where they do not."""
+    if requirements.integrators is not None:
+        return requirements.integrators, ""
     if fit is not None:
-        note = ""
-        if unstable is None and (unstable := fit.model.unstable_poles()):
-            note = f"plant taken to have {unstable} unstable poles, from the fit of {fit.recording}"
-        return fit.model.integrators() if declared is None else declared, unstable or 0, note
-    if declared is not None:
-        return declared, unstable or 0, ""
+        return fit.model.integrators(), ""
     by_phase, by_slope = _low_frequency_order(frf)
     integrators = round(by_phase)
     if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
-        note = f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope"
-        return None, unstable or 0, note
+        return (
+            None,
+            f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
+        )
     word = "integrator" if integrators == 1 else "integrators"
-    return integrators, unstable or 0, f"plant taken to have {integrators} {word}, from its lowest lines"
+    return integrators, f"plant taken to have {integrators} {word}, from its lowest lines"
+
+
+def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None) -> int | None:
+    """Unstable poles of the plant by the count of the loop that was recorded, which stood; None where it cannot tell.
+
+    A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
+    plant's unstable poles. Negative where no plant fits the count.
+    """
+    if frf.held_by is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.held_by.rate_hz:
+        return None
+    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model)
+    L = loop.L
+    steps = np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1]))))
+    if abs(L[-1]) >= 1.0 or (steps.size and steps.max() > COARSE_DEG):
+        return None
+    below = frf.held_by.response(loop.below_hz) * loop.P_below
+    missing = count_unstable(L, integrators + frf.held_by.integrators(), 0, below)
+    return None if missing is None else -missing
 
 
 def _low_frequency_order(frf: FRF) -> tuple[float, float]:

@@ -51,11 +51,6 @@ def run() -> None:
     except LoopshapeError as error:
         print(f"loopshape: {error}", file=sys.stderr)
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("loopshape: interrupted; finished recordings are kept, the same command resumes", file=sys.stderr)
-        raise SystemExit(130) from None
-    except BrokenPipeError:
-        raise SystemExit(0) from None
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ def record(study_file: Path, out: Path, output: Output, *, states: bool = False)
     from loopshape import registry
     from loopshape.errors import WrongUseError
     from loopshape.rigs.simulated import header, measure, plan
-    from loopshape.store.run_folder import add_recording, finished, read_run, start_run
+    from loopshape.store.run_folder import add_recording, alone, finished, read_run, start_run
     from loopshape.store.study import read_study
 
     study = read_study(study_file)
@@ -44,8 +44,12 @@ def record(study_file: Path, out: Path, output: Output, *, states: bool = False)
     digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
     start_run(out, header(study, plant, {"study_sha256": digest}))
     done = frozenset(finished(out))
-    with output.progress("measure", len(todo) - len(done)) as step:
-        for recording in measure(study, plant, done=done, states=states):
-            add_recording(out, recording)
-            step(recording.info.name)
+    with alone(out), output.progress("measure", len(todo) - len(done)) as step:
+        try:
+            for recording in measure(study, plant, done=done, states=states):
+                add_recording(out, recording)
+                step(recording.info.name)
+        except KeyboardInterrupt:
+            output.warn([f"interrupted; what {out / 'run.toml'} lists is kept, the same command goes on"])
+            raise typer.Exit(130) from None
     return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(out).recordings if r.info.ended_early]

@@ -89,6 +89,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         line_overlap=t.line_overlap,
         variance_freedom=freedom,
         parameters=dict(recording.info.parameters),
+        held_by=loop.controller if recording.info.closed_loop else None,
         notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),
     )
 

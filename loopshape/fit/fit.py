@@ -64,7 +64,7 @@ def fit(
     starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, 1.0 / np.sqrt(weight_variance))]
     data = Data(G, variance, lines.line_overlap, lines.variance_freedom)
     solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
-    return _fit(structure, solution, lines)
+    return _fit(structure, solution, lines, frf.digest)
 
 
 #: delays in s that a fit with a delay starts from
@@ -88,7 +88,7 @@ def _centred(structure: Rational, f: Array) -> Rational:
     return Rational(structure.numerator, structure.denominator, structure.integrators, structure.delay, w0)
 
 
-def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
+def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
     model = structure.model(s.x)
     jacobian = _slopes(structure, s.x)
     covariance = jacobian @ s.covariance @ jacobian.T
@@ -113,6 +113,7 @@ def _fit(structure: Structure, s: Solution, lines: FRF) -> Fit:
         loop=lines.loop,
         operating_point=dict(lines.operating_point),
         rig_parameters=dict(lines.parameters),
+        frf_digest=digest,
         delay_free="delay_s" in structure.names,
     )
 

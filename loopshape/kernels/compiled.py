@@ -16,11 +16,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def compiled(function: F) -> F:
     """Compile with numba: cached, without the interpreter's lock, IEEE division, contraction allowed."""
-    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-    return cast(F, jit(function))
+    return _compile(function)
 
 
 def compiled_in_line(function: F) -> F:
     """As `compiled`, and put into its callers' code: for what a kernel calls many times a step."""
-    jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-    return cast(F, jit(function))
+    return _compile(function, forceinline=True)
+
+
+def _compile(function: F, **options: bool) -> F:
+    options |= {"nogil": True}
+    common: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+    try:
+        return cast(F, numba.njit(cache=True, **common, **options)(function))
+    except RuntimeError:  # no folder for the cache can be written: compile in each process
+        return cast(F, numba.njit(**common, **options)(function))

@@ -49,6 +49,8 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
     seed and the place in this list, so a resumed or a partial campaign gives the same recordings.
     """
     out: list[Planned] = []
+    if study.solver not in plant.solvers:
+        raise WrongUseError("a solver is not known", f"{study.solver!r}", f"use {' or '.join(plant.solvers)}")
     controllers = _controllers(study, plant)
     for template in study.experiments:
         points = study.operating_points if template.operating_points is None else template.operating_points
@@ -60,10 +62,13 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
         _check_units(study, template, loops)
         changes = {f"pwm_{k}": float(v) for k, v in study.pwm.items()} | dict(study.changes) | dict(template.parameters)
         plant.check_settings(study.rate_hz, changes)
+        if "." in template.name:
+            raise WrongUseError("the name of an experiment holds no dot", repr(template.name), "use - or _")
         for k, point in enumerate(points):
             plant.check_operating_point(point, changes)
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
             out.append(Planned(name, template, dict(point), loops, study.seed * 100_003 + len(out)))
+        experiment(study, plant, out[-1])  # refuses signals that cannot be made, before anything is written
     names = [planned.name for planned in out]
     if len(set(names)) != len(names):
         raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))

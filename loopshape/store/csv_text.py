@@ -71,6 +71,7 @@ def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
             skiprows=lines,
             decimal=shape.decimal,
             skipinitialspace=True,
+            skip_blank_lines=False,
             encoding="utf-8-sig",
             low_memory=False,
             compression="gzip" if path.suffix == ".gz" else None,

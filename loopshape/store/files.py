@@ -120,7 +120,7 @@ def make_folder(path: Path) -> None:
 def plain_name(name: object, what: str) -> str:
     """The name itself if it is a plain file name; refuses separators, `..`, absolute paths, hidden names."""
     plain = isinstance(name, str) and 0 < len(name) <= 200 and name == name.strip() and not name.startswith(".")
-    if not plain or any(c in '/\\:*?"<>|' or not c.isprintable() for c in str(name)):
+    if not plain or any(c in '/\\:*?"<>|$^{}' or not c.isprintable() for c in str(name)):
         raise UnreadableInputError(
             f"{what} must be a plain name inside its folder",
             short(repr(name)),

@@ -62,5 +62,6 @@ def _fit(table: dict[str, Any]) -> Fit:
         loop=str(table["loop"]),
         operating_point={str(k): float(v) for k, v in table["operating_point"].items()},
         delay_free=bool(table["delay_free"]),
+        frf_digest=str(table.get("frf_digest", "")),
         rig_parameters={str(k): float(v) for k, v in table.get("rig_parameters", {}).items()},
     )

@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from loopshape.controller import Controller
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.frf import FRF
 from loopshape.store.files import inside, json_ready, make_folder, reading, write_text_whole, write_whole
-from loopshape.store.words import refuse_doubles
+from loopshape.store.run_folder import excited_names, recording_digests
+from loopshape.store.run_tables import controller_table, read_controller
+from loopshape.store.words import Words, refuse_doubles
 from loopshape.units import Array
 
 FORMAT = "loopshape-frf/1"
@@ -44,13 +47,18 @@ def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
     refuse_doubles(names, FOLDER, "FRFs")
     make_folder(run_folder / FOLDER)
     paths = [inside(run_folder / FOLDER, name, "the name of a FRF's recording and loop") for name in names]
+    sources = recording_digests(run_folder)
     for path, frf in zip(paths, frfs, strict=True):
-        _write(path, frf)
+        _write(path, frf, sources.get(frf.recording, ""))
+    if sources:  # FRFs of recordings that the run no longer has, or estimated before with other loops
+        for path in set((run_folder / FOLDER).glob("*.npz")) - set(paths):
+            path.unlink()
     return tuple(paths)
 
 
-def _write(path: Path, frf: FRF) -> None:
-    header = {"format": FORMAT} | {word: getattr(frf, word) for word in _WORDS}
+def _write(path: Path, frf: FRF, source: str) -> None:
+    held = None if frf.held_by is None else controller_table(frf.held_by) | {"rate_hz": frf.held_by.rate_hz}
+    header = {"format": FORMAT, "source": source, "held_by": held} | {word: getattr(frf, word) for word in _WORDS}
     arrays = {name: getattr(frf, name) for name in (*_ARRAYS, *_PERHAPS) if getattr(frf, name) is not None}
     text = np.array(json.dumps(json_ready(header)))
 
@@ -62,15 +70,34 @@ def _write(path: Path, frf: FRF) -> None:
 
 
 def read_frfs(run_folder: Path) -> tuple[FRF, ...]:
-    """All FRFs of a run, in the order of their files' names; refuses a run that has none, and damaged files."""
+    """All FRFs of a run, in the order of their files' names.
+
+    Refuses a run that has none, damaged files, a FRF whose recording has changed or gone since it was
+    estimated, and a run with an estimation recording that has no FRF yet.
+    """
     folder = run_folder / FOLDER
     paths = sorted(path for path in folder.glob("*.npz") if not path.name.startswith("."))
     if not paths:
         raise UnreadableInputError("a run has no FRF yet", str(folder), "estimate them first: loopshape frf RUN")
-    return tuple(_read(inside(folder, path.name, "a FRF's file")) for path in paths)
+    found = [_read(inside(folder, path.name, "a FRF's file")) for path in paths]
+    if any(source for _, source in found):
+        _check_fresh(run_folder, found)
+    return tuple(frf for frf, _ in found)
 
 
-def _read(path: Path) -> FRF:
+def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]]) -> None:
+    sources = recording_digests(run_folder)
+    stale = [frf.recording for frf, source in found if source and sources.get(frf.recording) != source]
+    missing = sorted(excited_names(run_folder) - {frf.recording for frf, _ in found})
+    if stale or missing:
+        words = [f"changed or gone: {', '.join(stale)}"] if stale else []
+        words += [f"without a FRF: {', '.join(missing)}"] if missing else []
+        raise UnreadableInputError(
+            f"the FRFs of {run_folder} are not those of its recordings", "; ".join(words), "run: loopshape frf RUN"
+        )
+
+
+def _read(path: Path) -> tuple[FRF, str]:
     with reading(path, "FRF"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
         found = header["format"]
@@ -78,7 +105,15 @@ def _read(path: Path) -> FRF:
     if found != FORMAT:
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(found), "estimate it again")
     with reading(path, "FRF", WrongUseError):
-        return FRF(**arrays, **_words(header))
+        return FRF(**arrays, **_words(header), held_by=_held_by(header, str(path))), str(header.get("source", ""))
+
+
+def _held_by(header: dict[str, Any], where: str) -> Controller | None:
+    held = header.get("held_by")
+    if not held:
+        return None
+    table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
+    return read_controller(Words(table, where), float(held["rate_hz"]))
 
 
 def _words(header: dict[str, Any]) -> dict[str, Any]:

@@ -6,9 +6,11 @@ not named yet is written again when the work resumes.
 
 from __future__ import annotations
 
+import os
 import tomllib
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +91,27 @@ def holds(folder: Path, recording: Recording) -> bool:
     return same and all(np.array_equal(there.column(name), values) for name, values in wanted.items())
 
 
+def recording_digests(folder: Path) -> dict[str, str]:
+    """A mark of each recording by name: of its table, of what is said of it, and of its loops; empty without a run."""
+    if not (folder / RUN_TOML).exists():
+        return {}
+    words = _read_words(folder)
+    shared = repr((words.table["rate_hz"], words.table.get("loop")))
+    marks = {}
+    for entry in words.tables("recording"):
+        path = _existing(folder, entry.text("file"))
+        content = sha256(path.read_bytes())
+        content.update((shared + repr(sorted(entry.table.items(), key=str))).encode())
+        marks[path.name.split(".")[0]] = content.hexdigest()[:16]
+    return marks
+
+
+def excited_names(folder: Path) -> set[str]:
+    """Names of the estimation recordings that excite a loop, and did not end early."""
+    infos = (recording.info for recording in read_run(folder).recordings)
+    return {i.name for i in infos if i.excites is not None and i.role == "estimation" and i.ended_early is None}
+
+
 def clear_run(folder: Path) -> None:
     """Take a run out of its folder: its recordings' tables, FRFs, fits and `run.toml`, in that order; no other file."""
     if not (folder / RUN_TOML).exists():
@@ -98,6 +121,24 @@ def clear_run(folder: Path) -> None:
         with suppress(FileNotFoundError):
             path.unlink()
     (folder / RUN_TOML).unlink()
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold a run folder for one writer; refuses a second one. The hold ends with the process, however it ends."""
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise WrongUseError("another process is writing this run", str(folder), "wait for it, or stop it") from None
+    finally:
+        os.close(handle)
 
 
 def start_run(folder: Path, run: Run) -> None:
@@ -124,6 +165,12 @@ def start_run(folder: Path, run: Run) -> None:
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:
     old = read_toml(folder / RUN_TOML)
+    for left in folder.glob(f".*{PART}"):  # of a write that was killed
+        with suppress(OSError):
+            left.unlink()
+    if not old.get("recording"):  # nothing was recorded under the old header
+        write_toml(folder / RUN_TOML, dict(header))
+        return
     differing = sorted(
         key
         for key in (set(old) | set(header)) - {"recording", "notes"}
@@ -135,9 +182,6 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
             f"different {', '.join(differing)}",
             "choose another folder, or delete this one",
         )
-    for left in folder.glob(f".*{PART}"):  # of a write that was killed
-        with suppress(OSError):
-            left.unlink()
     notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
     if notes:
         write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
@@ -223,8 +267,22 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
                 f"{values[0]:g} in all {values.size} rows",
                 "check the sensor and the column, or leave the recording out",
             )
-    found = (_saturation(name, values, info.file) for name, values in signals.items() if name != loop.injected)
-    return [sentence for sentence in found if sentence]
+    found = [_saturation(name, values, info.file) for name, values in signals.items() if name != loop.injected]
+    return [sentence for sentence in [*found, _pulses_saturated(run, recording)] if sentence]
+
+
+def _pulses_saturated(run: Run, recording: Recording) -> str:
+    """A sentence where flow commands `u_..._v` lie beyond what the PWM can give for over 1 % of the time."""
+    commands = [name for name in recording.columns if name.startswith("u_") and name.endswith("_v")]
+    if not run.pwm or not commands:
+        return ""
+    share = max(float(np.mean(np.abs(recording.column(name)) > 1.0)) for name in commands)
+    if share < 0.01:
+        return ""
+    return (
+        f"the PWM of recording {recording.info.file} is saturated for {100.0 * share:.0f} % of the time (|u| > 1):"
+        " the FRF is that of a clipped input; excite less"
+    )
 
 
 def _saturation(name: str, values: Array, file: str) -> str:

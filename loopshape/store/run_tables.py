@@ -52,7 +52,7 @@ def read_loop(words: Words, rate_hz: float) -> LoopSetup:
     words.need("name", "control", "output")
     with said_in(words.where):
         loop = LoopSetup(
-            name=words.text("name"),
+            name=plain_name(words.text("name"), "the name of a loop"),
             reference=words.maybe_text("reference"),
             injected=words.maybe_text("injected"),
             control=words.text("control"),
@@ -91,16 +91,26 @@ def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> Recordin
             f"{words.where}: excites names no loop", repr(excites), f"its loops are {', '.join(names) or 'none'}"
         )
     injection = words.one_of("injection", INJECTIONS)
+    closed_loop = words.truth("closed_loop", injection != "control")
+    if closed_loop == (injection == "control"):
+        raise WrongUseError(
+            f'{words.where}: closed_loop = false goes with injection = "control", and with no other',
+            f"closed_loop = {str(closed_loop).lower()} and injection = {injection!r}",
+            "say what was done",
+        )
+    periodic_from_s = words.maybe_number("periodic_from_s")
+    if periodic_from_s is not None and periodic_from_s < 0.0:
+        raise WrongUseError(f"{words.where}: periodic_from_s must not be negative", f"{periodic_from_s:g}")
     return RecordingInfo(
         file=file,
         kind=words.one_of("kind", KINDS),
         injection=injection,
         role=words.one_of("role", ROLES, "estimation"),
         excites=excites,
-        closed_loop=words.truth("closed_loop", injection != "control"),
+        closed_loop=closed_loop,
         operating_point=words.numbers("operating_point"),
         period_s=words.positive("period_s") if "period_s" in words.table else None,
-        periodic_from_s=words.maybe_number("periodic_from_s"),
+        periodic_from_s=periodic_from_s,
         parameters=words.numbers("parameters"),
         ended_early=words.maybe_text("ended_early"),
     )

@@ -231,3 +231,71 @@ def test_plain_environment_is_enough(tmp_path: Path) -> None:
     rows = json.loads(done.stdout)["equilibria"]
     assert len(rows) == 24
     assert sum(not row["within_supply"] for row in rows) == 4
+
+
+def test_a_stale_frf_is_not_checked(arm: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(arm / "run", tmp_path / "run")
+    head = tmp_path / "run" / "run.toml"
+    head.write_text(head.read_text().replace("p_ab_bar = 0.8", "p_ab_bar = 0.9"))
+    done = loopshape("fit", tmp_path / "run")
+    assert done.returncode == 2
+    assert "changed or gone: angle-02" in done.stderr
+    assert loopshape("frf", tmp_path / "run", "--no-figures", "-q").returncode == 0
+    assert loopshape("fit", tmp_path / "run", "--structure", "third_order", "-q").returncode == 0
+
+
+def test_a_study_that_cannot_be_done_leaves_nothing_behind(tmp_path: Path) -> None:
+    for old, new, said in (
+        ("seed = 3", 'seed = 3\nsolver = "euler"', "solver"),
+        ("seed = 3", "seed = 3\npwm = { frequency_hz = 30.0 }", "PWM period"),
+        ("duration_s = 60.0", "duration_s = 60.0005", "whole number of samples"),
+        ('excites = "theta2"', 'excites = "theta9"', "theta9"),
+        ("amplitude_rad = 0.1", "amplitude_bar = 0.1", "another unit"),
+        ("f_high_hz = 15.0", "f_high_hz = 600.0", "half the rate"),
+    ):
+        (tmp_path / "study.toml").write_text(SMALL_STUDY.replace(old, new, 1))
+        done = loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run")
+        assert done.returncode == 2, (old, done.stdout)
+        assert said in done.stderr
+        assert not (tmp_path / "run").exists()
+
+
+def test_imports_are_repeated_without_harm_and_replaced_on_request(tmp_path: Path) -> None:
+    axis, out = EXAMPLES / "axis", tmp_path / "run"
+    words = ("import", axis / "closed_loop.csv", "--map", axis / "map.toml", "--out", out, "-q")
+    assert loopshape(*words).returncode == 0
+    before = (out / "run.toml").read_bytes()
+    assert loopshape(*words).returncode == 0
+    assert (out / "run.toml").read_bytes() == before
+    other = tmp_path / "map.toml"
+    other.write_text((axis / "map.toml").read_text().replace('unit = "V" }', 'unit = "V", gain = 2.0 }'))
+    changed = ("import", axis / "closed_loop.csv", "--map", other, "--out", out, "-q")
+    refused = loopshape(*changed)
+    assert refused.returncode == 2
+    assert "--replace" in refused.stderr
+    assert loopshape(*changed, "--replace").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('injection = "controller_input"', 'injection = "plant_input"'),
+        ('from = "position_mm", unit = "mm"', 'from = "position_mm", unit = "mm", sign = -1'),
+        ('from = "position_mm", unit = "mm"', 'from = "position_mm", unit = "um"'),
+    ],
+)
+def test_a_wrong_map_is_said_where_the_controller_is_known(old: str, new: str, tmp_path: Path) -> None:
+    axis, wrong = EXAMPLES / "axis", tmp_path / "map.toml"
+    wrong.write_text((axis / "map.toml").read_text().replace(old, new))
+    assert loopshape("import", axis / "closed_loop.csv", "--map", wrong, "--out", tmp_path / "run").returncode == 0
+    done = loopshape("frf", tmp_path / "run", "--no-figures")
+    assert "is not its controller's answer to the error" in done.stderr
+
+
+def test_the_right_map_gives_no_warning(tmp_path: Path) -> None:
+    axis = EXAMPLES / "axis"
+    done = loopshape("import", axis / "closed_loop.csv", "--map", axis / "map.toml", "--out", tmp_path / "run")
+    assert done.returncode == 0
+    assert loopshape("frf", tmp_path / "run", "--no-figures").stderr == ""

@@ -8,7 +8,7 @@ from loopshape.controller import Block, Controller
 from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
 from loopshape.loop import Loop
-from loopshape.requirements import Requirements
+from loopshape.requirements import LIMITS, Requirements
 
 WISHED = Requirements("axis", phase_margin_deg=30.0, integrators=1)
 
@@ -31,6 +31,35 @@ def refusal(call):
     with pytest.raises(WrongUseError) as caught:
         call()
     return str(caught.value)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("inf"), float("nan")])
+@pytest.mark.parametrize("name", ["modulus_margin", "delay_margin_s", "bandwidth_hz", "control_high_frequency_from_hz"])
+def test_a_requirement_that_must_be_above_zero(name, wrong):
+    text = refusal(lambda: Requirements("axis", **{name: wrong}))
+    assert f"{name} of loop 'axis' must be above zero and finite" in text
+    assert f"{wrong!r}" in text
+
+
+@pytest.mark.parametrize("name", ["gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"])
+def test_a_margin_must_not_be_negative(name):
+    assert f"{name} of loop 'axis' must not be negative" in refusal(lambda: Requirements("axis", **{name: -1.0}))
+
+
+@pytest.mark.parametrize("name", [limit.name for limit in LIMITS])
+def test_a_requirement_is_finite(name):
+    for wrong in (float("nan"), float("inf")):
+        text = refusal(lambda wrong=wrong: Requirements("axis", **{name: wrong}))
+        assert f"{name} of loop 'axis' must be" in text
+        assert "finite" in text
+
+
+@pytest.mark.parametrize("name", ["integrators", "unstable_poles"])
+def test_a_number_of_poles_is_a_whole_number_from_zero(name):
+    for wrong in (-1, 0.5, 1.0):
+        text = refusal(lambda wrong=wrong: Requirements("axis", **{name: wrong}))
+        assert f"{name} of loop 'axis' is a whole number from 0" in text
+        assert f"{wrong!r}" in text
 
 
 def test_no_frf_at_all():

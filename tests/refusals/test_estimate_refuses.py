@@ -147,7 +147,15 @@ def test_a_record_that_knows_no_line_well_says_so():
 
 def test_a_run_without_excited_loops_is_refused():
     run = Run(RATE, (LOOP,), (recording(excites=None),))
-    assert "no recording of the run excites a loop" in refusal(BadSignalError, lambda: estimate_run(run))
+    assert "no estimation recording of the run excites a loop" in refusal(BadSignalError, lambda: estimate_run(run))
+
+
+def test_a_validation_recording_is_held_out():
+    held = recording(role="validation", file="held.parquet")
+    assert [frf.recording for frf in estimate_run(Run(RATE, (LOOP,), (held, recording())))] == ["r1"]
+    text = refusal(BadSignalError, lambda: estimate_run(Run(RATE, (LOOP,), (held,))))
+    assert "no estimation recording of the run excites a loop" in text
+    assert 'role = "estimation"' in text
 
 
 def test_a_run_names_its_loops_where_one_is_unknown():
@@ -205,7 +213,7 @@ def test_one_response_of_a_matrix_is_refused():
     [
         ({"response": np.ones((5, 1), dtype=complex)}, "(lines, outputs, inputs)"),
         ({"covariance": np.ones((5, 2, 2), dtype=complex)}, "a covariance is"),
-        ({"frequency_hz": np.array([1.0, 2.0, 2.0, 3.0, 4.0])}, "must rise"),
+        ({"frequency_hz": np.array([1.0, 2.0, 2.0, 3.0, 4.0])}, "above zero and rise"),
     ],
 )
 def test_a_frf_that_does_not_fit_together_is_refused(words, said):

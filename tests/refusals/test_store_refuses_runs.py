@@ -189,7 +189,7 @@ def test_a_foreign_folder_is_not_written_into(tmp_path):
 
 
 def test_another_run_is_not_overwritten(tmp_path):
-    start_run(tmp_path, run())
+    write_run(tmp_path, run(recording()))
     with pytest.raises(WrongUseError, match="already holds another run; received different plant, rate_hz"):
         start_run(tmp_path, run(rate_hz=200.0, plant="arm-1dof"))
 

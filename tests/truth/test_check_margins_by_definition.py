@@ -1,5 +1,7 @@
 """Margins by their definition: change the loop by the margin and it touches -1; by less, and it does not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -140,20 +142,56 @@ def test_delay_margin(case):
 
 def test_modulus_margin_is_the_distance_from_minus_one(case):
     loop, found, open_loop = case
-    at = found.at_hz["modulus_margin"]
+    at, nearest = found.at_hz["modulus_margin"], np.abs(1.0 + loop.L).min()
+    beyond = 1.0 - np.abs(loop.L[-1])  # as near as L may come above the last line
+    if beyond < nearest:
+        assert found.modulus_margin == pytest.approx(beyond, rel=1e-12)
+        assert at == F[-1]
+        return
     assert found.modulus_margin == pytest.approx(distance(open_loop, lambda _, L: L, at), rel=1e-3)
-    assert found.modulus_margin <= np.abs(1.0 + loop.L).min() * (1.0 + 1e-12)
-    assert found.modulus_margin == pytest.approx(np.abs(1.0 + loop.L).min(), rel=1e-2)
+    assert found.modulus_margin <= nearest * (1.0 + 1e-12)
+    assert found.modulus_margin == pytest.approx(nearest, rel=1e-2)
+
+
+def test_where_the_modulus_margin_is_bounded_above_the_last_line():
+    bounded = {name for name in LOOPS if margins(loop_of(name)).at_hz["modulus_margin"] == F[-1]}
+    assert bounded == {"biproper until far above"}
 
 
 def test_peaks_are_those_of_the_responses(case):
     loop, found, _ = case
-    L = loop.L
+    last = np.abs(loop.L[-1])
+    S, T = (np.append(np.abs(x), above / (1.0 - last)) for x, above in ((loop.S, 1.0), (loop.T, last)))
     assert found.sensitivity_peak_db == pytest.approx(-20.0 * np.log10(found.modulus_margin), rel=1e-12)
-    assert from_db(found.sensitivity_peak_db) == pytest.approx(np.abs(1.0 / (1.0 + L)).max(), rel=1e-2)
-    assert from_db(found.complementary_peak_db) == pytest.approx(np.abs(L / (1.0 + L)).max(), rel=1e-9)
-    k = int(np.argmin(np.abs(F - found.at_hz["complementary_peak_db"])))
-    assert np.abs(L / (1.0 + L))[k] == np.abs(L / (1.0 + L)).max()
+    assert from_db(found.sensitivity_peak_db) == pytest.approx(S.max(), rel=1e-2)
+    assert from_db(found.complementary_peak_db) == pytest.approx(T.max(), rel=1e-9)
+    assert found.at_hz["complementary_peak_db"] == np.append(F, F[-1])[np.argmax(T)]
+    CS = np.abs(loop.CS).max(), np.abs(loop.controller.response(loop.above_hz)).max() / (1.0 - last)
+    assert from_db(found.control_peak_db) == pytest.approx(max(CS), rel=1e-9)
+
+
+def test_a_loop_seen_to_a_lower_last_line_never_looks_better(case):
+    # above the line where |L| has come below a half for good, it stays below what it is there: the bounds hold
+    loop, whole, _ = case
+    size = np.abs(loop.L)
+    highest_above = np.maximum.accumulate(size[::-1])[::-1]
+    k = int(np.flatnonzero((size == highest_above) & (size < 0.5))[0])
+    cut = margins(replace(loop, plant=loop.plant.select(np.arange(k + 1))))
+    assert cut.stable == "stable"
+    assert cut.modulus_margin <= whole.modulus_margin * (1.0 + 1e-12)
+    for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s"):
+        assert getattr(cut, name) <= getattr(whole, name) + 1e-9
+    for name in ("sensitivity_peak_db", "complementary_peak_db", "control_peak_db"):
+        assert getattr(cut, name) >= getattr(whole, name) - 1e-3  # above the line |CS| is looked at on a coarser grid
+
+
+def test_without_a_last_line_below_1_there_is_no_room():
+    loop = loop_of("integrator with a resonance")
+    cut = margins(Loop(loop.plant.between(0.02, 2.0), loop.controller, 1))
+    assert cut.stable == "undecided"
+    assert cut.crossings_hz == ()
+    assert (cut.phase_margin_deg, cut.delay_margin_s, cut.gain_margin_db, cut.modulus_margin) == (0.0, 0.0, 0.0, 0.0)
+    assert cut.sensitivity_peak_db == np.inf
 
 
 def test_bandwidth_is_the_first_crossing_and_crossings_have_gain_one(case):
@@ -177,8 +215,9 @@ def test_control_peaks_count_the_controller_above_the_last_line():
     loop = loop_of("double integrator with a lead")
     low = Loop(loop.plant.between(0.02, 40.0), loop.controller, 2)
     found = margins(low, high_frequency_from_hz=200.0)
-    # above 40 Hz |CS| is |C|, which climbs to 30 at half the rate; margins look up to 0.45 of the rate
-    top = np.abs(loop.controller.response([450.0]))[0]
+    # above 40 Hz |L| stays below l = 0.011, so |CS| below |C|/(1 - l); |C| climbs to 30 at half the rate, and
+    # margins look up to 0.45 of the rate
+    top = np.abs(loop.controller.response([450.0]))[0] / (1.0 - np.abs(low.L[-1]))
     assert from_db(found.control_high_frequency_db) == pytest.approx(top, rel=1e-9)
     assert found.at_hz["control_high_frequency_db"] == pytest.approx(450.0)
     assert from_db(found.control_peak_db) >= top * (1.0 - 1e-9)

@@ -8,12 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from loopshape.estimate.frequency_response import estimate_frf
+from loopshape.experiment import LoopSetup
 from loopshape.fit.fit import fit, fit_best, modes, structure_by_name
-from loopshape.fit.least_squares import residual_tests, runs_test
+from loopshape.fit.least_squares import Data, residual_tests, runs_test
 from loopshape.fit.linear_start import levy
 from loopshape.fit.structures import Integrator, Rational, ThirdOrder
 from loopshape.frf import FRF
 from loopshape.model import TransferFunction
+from loopshape.recording import Recording, RecordingInfo
 from loopshape.units import TWO_PI
 
 F = np.geomspace(0.3, 15.0, 80)
@@ -177,13 +180,12 @@ def test_a_resonance_outside_the_lines_is_found_from_its_flank(f_hz):
     assert found["f_hz"].value == pytest.approx(f_hz, abs=4.0 * found["f_hz"].std)
 
 
-@pytest.mark.xfail(strict=True, reason="ThirdOrder.start: Levy's guess from lines of 10 % ends far off in two of three")
 def test_third_order_converges_from_ten_percent_of_noise():
     fits = repeated(ThirdOrder(), ARM, 0.1, 40)
     assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
 
 
-@pytest.mark.xfail(strict=True, reason="levy: its guess from lines of 10 % ends far off in one of three")
+@pytest.mark.xfail(strict=True, reason="levy: its guess from lines of 10 % ends far off in one of six")
 def test_rational_converges_from_ten_percent_of_noise():
     w = TWO_PI * 4.0
     model = TransferFunction(1000.0 * np.array([1.0, 0.04 * w, w * w]), [1.0, 0.03 * W, W * W, 0.0])
@@ -199,10 +201,17 @@ def test_relative_intervals_hold_where_the_noise_is_one_share_of_the_response(sh
     assert np.mean([found.chi2_per_dof for found in fits]) == pytest.approx(1.0, abs=0.03)  # by the FRF's own variance
 
 
-@pytest.mark.xfail(
-    strict=True, reason="solve: relative weights are taken for variances; no sandwich with the FRF's own"
-)
-@pytest.mark.parametrize(("share", "slope"), [(0.004, 0.0), (0.02, 1.0)])
+@pytest.mark.parametrize(
+    ("share", "slope"),
+    [
+        (0.004, 0.0),
+        pytest.param(
+            0.02, 1.0, marks=pytest.mark.xfail(
+                strict=True, reason="solve: chi² under other weights is divided by 2 n - p: intervals too wide by 10 to 27 %"
+            )
+        ),
+    ],
+)  # fmt: skip
 def test_relative_intervals_hold_95_percent_whatever_the_noise(share, slope):
     held = coverage(repeated(ThirdOrder(), ARM, share, weighting="relative", slope=slope), ARM_VALUES)
     assert np.all((held > 0.91) & (held < 0.985)), held
@@ -218,16 +227,41 @@ def test_relative_weighting_is_the_fairer_one_to_a_plant_of_no_low_order():
     assert not by_variance.sufficient
 
 
-@pytest.mark.xfail(
-    strict=True, reason="residual_tests: the variance is taken as known, and a FRF does not say from how many averages"
-)
 def test_the_right_structure_is_accepted_with_a_variance_from_five_periods():
     rng, G = np.random.default_rng(3), ARM.response(F)
     std, accepted = 0.02 * np.abs(G), []
-    for _ in range(100):
-        estimated = std * np.sqrt(rng.gamma(4.0, 0.25, F.size))  # what five periods say of it
-        accepted.append(fit(frf_of(G + circular(rng, std), estimated), ThirdOrder()).sufficient)
-    assert np.mean(accepted) > 0.93
+    for _ in range(300):
+        estimated = std * np.sqrt(rng.gamma(4.0, 0.25, F.size))  # what five periods say of each line alone
+        frf = frf_of(G + circular(rng, std), estimated, variance_freedom=8.0)
+        accepted.append(fit(frf, ThirdOrder()).sufficient)
+    assert np.mean(accepted) > 0.95  # measured: 0.983; taken for known variances, 0.45
+
+
+def measured(periods, rng):
+    """FRF of the arm's third order by the estimator, from a multisine whose lines come back alike, in white noise."""
+    rate_hz, n = 100.0, 800
+    f = np.arange(n // 2 + 1) * rate_hz / n
+    lines = (f >= 0.3) & (f <= 15.0)
+    G, Z = np.zeros(f.size, dtype=complex), np.zeros(f.size, dtype=complex)
+    G[lines] = ARM.response(f[lines])
+    Z[lines] = np.exp(2j * np.pi * rng.random(lines.sum())) / np.abs(G[lines])
+    z, y = np.fft.irfft(Z, n), np.fft.irfft(G * Z, n)
+    columns = {"z_v": np.tile(z, periods)}
+    columns["y_rad"] = np.tile(y, periods) + 0.2 * y.std() * rng.standard_normal(periods * n)
+    info = RecordingInfo(
+        "r1.parquet", "multisine", "control", excites="axis", closed_loop=False, period_s=8.0, periodic_from_s=0.0
+    )  # fmt: skip
+    return estimate_frf(Recording(info, rate_hz, columns), LoopSetup("axis", None, None, "z_v", "y_rad", None))
+
+
+@pytest.mark.parametrize("periods", [2, 3, 5, 10, 20])
+def test_the_right_structure_is_accepted_whatever_the_number_of_periods(periods):
+    # size at 1 %, signs at 1 %: 0.98 of 1000, known to 0.0044. Lines of 2.4 to 7.6 %, pooled to 40 degrees of freedom
+    rng = np.random.default_rng(periods)
+    fits = [fit(measured(periods, rng), ThirdOrder()) for _ in range(1000)]
+    held = coverage(fits, ARM_VALUES)
+    assert np.all((held > 0.92) & (held < 0.97)), held
+    assert 0.97 < np.mean([found.sufficient for found in fits]) < 0.995
 
 
 @pytest.mark.parametrize(
@@ -253,7 +287,6 @@ def test_levy_recovers_exact_rational_data(numerator, denominator, integrators):
     assert found.integrators() == integrators
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="levy: nothing to stack where all poles lie at zero")
 @pytest.mark.parametrize("poles", [1, 2])
 def test_a_rational_whose_poles_all_lie_at_zero(poles):
     found = repeated(Rational(0, poles, poles), TransferFunction([4.0], [1.0] + [0.0] * poles), 0.01, 1)[0]
@@ -350,8 +383,25 @@ def test_runs_test_has_its_size_and_sees_a_trend():
 def test_size_test_knows_too_large_a_residual():
     rng = np.random.default_rng(5)
     unit = rng.standard_normal(400) + 1j * rng.standard_normal(400)
-    assert residual_tests(unit, 3, 1.0)[0] > 0.01
-    assert residual_tests(1.15 * unit, 3, 1.0)[0] < 0.01
+
+    def size(scale, overlap=1.0, freedom=np.inf):
+        return residual_tests(scale * unit, 3, Data(unit, np.ones(400), overlap, freedom))[0]
+
+    assert size(1.0) > 0.01
+    assert size(1.15) < 0.01
     # lines that share their error count as fewer: the same excess says less, a larger one still enough
-    assert residual_tests(1.15 * unit, 3, 1.0)[0] < residual_tests(1.15 * unit, 3, 2.0)[0] < 0.05
-    assert residual_tests(1.25 * unit, 3, 2.0)[0] < 1e-3
+    assert size(1.15) < size(1.15, overlap=2.0) < 0.05
+    assert size(1.25, overlap=2.0) < 1e-3
+    # so do lines whose variance is an estimate, which leaves nu/(nu - 2) on average
+    assert size(1.15) < size(1.15, freedom=40.0) < size(1.15, freedom=12.0)
+    assert size(1.25, freedom=40.0) < 1e-3
+
+
+def test_size_test_allows_for_variances_that_are_estimates():
+    rng, p = np.random.default_rng(6), []
+    for _ in range(1000):
+        left = circular(rng, np.sqrt(2.0) * np.ones(200)) / np.sqrt(rng.gamma(10.0, 0.1, 200))
+        p.append(residual_tests(left, 0, Data(left, np.ones(200), 1.0, 20.0))[0])
+    # 1000 draws know 0.05 to 0.007
+    assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=0.021)
+    assert np.mean(np.array(p) < 0.5) == pytest.approx(0.5, abs=0.05)

@@ -47,6 +47,7 @@ class Arm1:
 
     name = "arm-1dof"
     loops: tuple[str, ...] = ("theta2", "p_ab")
+    solvers: tuple[str, ...] = tuple(SOLVERS)
     parameters = ARM1_PARAMETERS
     channels: tuple[Channel, ...] = (
         Channel("theta2", "rad"),
