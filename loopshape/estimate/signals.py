@@ -124,7 +124,7 @@ def wiring_notes(
         if off > 0.15:
             notes += (
                 f"the logged control of loop {loop.name} is not its controller's answer to the error (off by"
-                f" {100.0 * off:.0f} % where it is worst): check injection, controller and signs in the map or run.toml",
+                f" {100.0 * off:.0f} % where it is worst): check injection, controller, units and signs",
             )
     top = z[3 * z.size // 4 :]
     if injection == "plant_input" and top.size and float(np.median(np.abs(top - 1.0))) < 0.2:

@@ -207,7 +207,7 @@ def test_relative_intervals_hold_where_the_noise_is_one_share_of_the_response(sh
         (0.004, 0.0),
         pytest.param(
             0.02, 1.0, marks=pytest.mark.xfail(
-                strict=True, reason="solve: chi² under other weights is divided by 2 n - p: intervals too wide by 10 to 27 %"
+                strict=True, reason="solve: chi² under other weights is divided by 2 n - p: intervals 10 to 27 % too wide"
             )
         ),
     ],
