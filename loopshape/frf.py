@@ -32,7 +32,8 @@ class FRF:
     `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
     of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
     use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
-    periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance.
+    periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance, which
+    `variance_pooled` neighbouring lines share.
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
     which the loop stood, where it is known. `method` says in one line how it
     was measured; `notes` are warnings.
@@ -56,6 +57,7 @@ class FRF:
     power_per: str = "Hz"
     line_overlap: float = 1.0
     variance_freedom: float = float("inf")
+    variance_pooled: int = 1
     parameters: Mapping[str, float] = field(default_factory=dict)
     held_by: Controller | None = None
     notes: tuple[str, ...] = ()

@@ -83,7 +83,7 @@ class Loop:
 
     @property
     def above_hz(self) -> Array:
-        """Frequencies from the last line to nine tenths of half the rate, where L has died out and CS is C."""
+        """Frequencies from the last line to nine tenths of half the rate, where no line was measured."""
         return above_hz(float(self.frequency_hz[-1]), self.controller.rate_hz)
 
     @property

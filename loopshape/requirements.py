@@ -170,7 +170,7 @@ class Requirements:
                 raise WrongUseError(f"{name} of loop {self.loop!r} must not be negative", f"{value!r}")
         for name in ("integrators", "unstable_poles"):
             value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < 0):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
                 raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from 0", f"{value!r}")
 
     @classmethod

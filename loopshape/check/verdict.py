@@ -80,7 +80,8 @@ def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> t
     else:
         unstable, witness = (fit.model.unstable_poles() if fit is not None else 0), "from its fit"
     if unstable:
-        note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable poles, {witness}"
+        word = "pole" if unstable == 1 else "poles"
+        note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable {word}, {witness}"
     return integrators, unstable, note
 
 

@@ -24,8 +24,9 @@ def against_instrument(t: Transforms) -> ComplexArray:
 POOLED = 40
 
 
-def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArray, float]:
-    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf), and its degrees of freedom.
+def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArray, float, int]:
+    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf), its degrees of freedom, and over how
+    many lines it is pooled.
 
     Where every segment carries the same excitation (noise, periods) the noise is pooled over all, and with
     few periods over neighbouring excited lines too: noise that stands on one line alone is then underrated.
@@ -42,15 +43,17 @@ def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArra
             each = 2.0 * max(k * t.independent - 1.0, 0.5)
             width = int(np.ceil(POOLED / each)) if t.power_per == "line" else 1
             noise[t.excited] = _smooth(noise[t.excited], width // 2)
-            scatter, freedom = noise * nn.sum(0)[:, None, None], each * (2 * (width // 2) + 1)
+            pooled = 2 * (width // 2) + 1
+            scatter, freedom = noise * nn.sum(0)[:, None, None], each * pooled
         else:
             averages = t.independent * nn.sum(0) ** 2 / (nn**2).sum(0)
             scatter = _smooth(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
             median = float(np.median(averages[t.excited])) if t.excited.any() else 1.5
-            freedom = 2.0 * max(median - 1.0, 0.5) * 5.0 / t.line_overlap
+            pooled = 5
+            freedom = 2.0 * max(median - 1.0, 0.5) * pooled / t.line_overlap
         unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
         scale = unbiased / (t.independent * nn.sum(0) ** 2)
-        return np.asarray(scatter * scale[:, None, None]), freedom
+        return np.asarray(scatter * scale[:, None, None]), freedom, pooled
 
 
 def _smooth(power: ComplexArray, half: int) -> ComplexArray:

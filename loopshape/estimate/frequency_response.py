@@ -57,7 +57,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     Y, U = t.signals
     with np.errstate(divide="ignore", invalid="ignore"):
         G = to_instrument[:, 0] / to_instrument[:, 1]
-        error, freedom = error_covariance(t, (Y - G * U)[None])
+        error, freedom, pooled = error_covariance(t, (Y - G * U)[None])
         covariance = error[:, 0, 0] / np.abs(to_instrument[:, 1]) ** 2
     rows = _kept(t.excited) & np.isfinite(G) & np.isfinite(covariance)
     if not rows.any():
@@ -88,6 +88,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         power_per=t.power_per,
         line_overlap=t.line_overlap,
         variance_freedom=freedom,
+        variance_pooled=pooled,
         parameters=dict(recording.info.parameters),
         held_by=loop.controller if recording.info.closed_loop else None,
         notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),

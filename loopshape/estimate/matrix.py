@@ -36,7 +36,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
     if any(not np.array_equal(c.frequency_hz, f) for c in columns):
         raise WrongUseError("the recordings of a plant's matrix have different lines", "", "record them alike")
     rows = np.logical_and.reduce([c.excited for c in columns])
-    P, covariance = _matrix(columns, rows)
+    P, covariance, freedom, pooled = _matrix(columns, rows)
     std = np.sqrt(np.real(np.einsum("fii->fi", covariance))).max(axis=1)
     names = [by_loop[name].info.name for name in order]
     return FRF(
@@ -52,6 +52,8 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
         rate_hz=run.rate_hz,
         parameters=dict(recordings[0].info.parameters),
         line_overlap=columns[0].line_overlap,
+        variance_freedom=freedom,
+        variance_pooled=pooled,
         operating_point=dict(recordings[0].info.operating_point),
     )
 
@@ -63,20 +65,21 @@ def _column(run: Run, recording: Recording, excited: str, settings: Settings) ->
     return transform(recording, [*outputs, *inputs], instrument(recording, run.loop(excited)), settings)
 
 
-def _matrix(columns: Sequence[Transforms], rows: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
-    """Plant matrix (nf, m, m) and covariance of its vec (nf, m², m²) on the chosen lines."""
+def _matrix(columns: Sequence[Transforms], rows: np.ndarray) -> tuple[ComplexArray, ComplexArray, float, int]:
+    """Plant matrix (nf, m, m), covariance of its vec (nf, m², m²) on the chosen lines, its freedom and pooling."""
     m = len(columns)
     responses = np.stack([against_instrument(c)[rows] for c in columns], axis=-1)
     inverse = np.linalg.inv(responses[:, m:])
     P = responses[:, :m] @ inverse
     covariance = np.zeros((P.shape[0], m * m, m * m), dtype=complex)
+    freedom, pooled = np.inf, 1
     for i, c in enumerate(columns):
         Y, U = c.signals[:m, :, rows], c.signals[m:, :, rows]
         residual = Y - np.einsum("fab,bkf->akf", P, U)
-        error, _ = error_covariance(_on(c, rows), residual)
+        error, freedom, pooled = error_covariance(_on(c, rows), residual)
         weight = np.einsum("fj,fk->fjk", inverse[:, i, :], inverse[:, i, :].conj())
         covariance += np.einsum("fjk,fab->fjakb", weight, error).reshape(covariance.shape)
-    return P, covariance
+    return P, covariance, freedom, pooled
 
 
 def _on(t: Transforms, rows: np.ndarray) -> Transforms:

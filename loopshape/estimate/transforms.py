@@ -153,8 +153,7 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
     power = (np.abs(N) ** 2).mean(0)
     fed = power > FLOOR * power[2:].max()
     fed[:2] = fed[-1] = False  # the window smears the mean into the first line
-    # a line at the edge of the excitation is fed by the window's side lobes from one side only, and biased
-    excited = fed & np.roll(fed, 1) & np.roll(fed, -1)
+    excited = _clear_of_edges(fed, power)
     text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Transforms(
         frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
@@ -168,6 +167,23 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
         excited=excited,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
     )
+
+
+def _clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndarray:
+    """Fed lines without the ends of each stretch where the power falls steeply outwards.
+
+    Such lines are fed by the window's side lobes from one side, and what they show belongs to that side.
+    """
+    excited = fed.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], fed.astype(int), [0]])))
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        low, high = start, end - 1
+        while low < high and power[low - 1] < steep * power[low]:
+            low += 1
+        while high > low and power[min(high + 1, power.size - 1)] < steep * power[high]:
+            high -= 1
+        excited[start:low] = excited[high + 1 : end] = False
+    return np.asarray(excited)
 
 
 def _segments(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:

@@ -62,7 +62,7 @@ def fit(
     weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
     low, high = structure.bounds()
     starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, 1.0 / np.sqrt(weight_variance))]
-    data = Data(G, variance, lines.line_overlap, lines.variance_freedom)
+    data = Data(G, variance, lines.line_overlap, lines.variance_freedom, lines.variance_pooled)
     solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
     return _fit(structure, solution, lines, frf.digest)
 
@@ -174,8 +174,10 @@ def modes(found: Fit) -> tuple[Estimate, ...]:
 
     A complex pair counts once, a real root has damping 1 or -1, roots at zero are left out; names are
     zero1_f_hz, zero1_damping, ... by rising frequency. Spreads follow from the coefficients' covariance by
-    linearisation and mislead where two roots all but coincide.
+    linearisation, mislead where two roots all but coincide, and are nan where they do. Refuses other fits.
     """
+    if not found.structure.startswith("rational"):
+        raise WrongUseError("zeros and poles are read off rational fits", repr(found.structure))
     size = found.covariance.shape[0] - found.delay_free
     x = np.array([p.value for p in found.parameters])[:size]
     zeros = found.model.num.size
@@ -184,12 +186,15 @@ def modes(found: Fit) -> tuple[Estimate, ...]:
         den = np.concatenate([[1.0], values[zeros:], np.zeros(found.model.integrators())])
         return np.concatenate([_pairs(values[:zeros]), _pairs(den)])
 
+    values = features(x)
     columns = []
     for k in range(size):
         step = np.zeros(size)
         step[k] = 1e-6 * max(abs(x[k]), 1e-12)
-        columns.append((features(x + step) - features(x - step)) / (2.0 * step[k]))
-    slopes, values = np.array(columns).T, features(x)
+        ahead, behind = features(x + step), features(x - step)
+        same = ahead.size == behind.size == values.size  # else a pair meets on the real axis, and has no slope there
+        columns.append((ahead - behind) / (2.0 * step[k]) if same else np.full(values.size, np.nan))
+    slopes = np.array(columns).T
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, found.covariance[:size, :size], slopes), 0.0))
     count = _pairs(found.model.num).size // 2
     names = [f"zero{k + 1}" for k in range(count)] + [f"pole{k + 1}" for k in range(values.size // 2 - count)]

@@ -29,13 +29,15 @@ class Solution:
 class Data:
     """What is fitted: response (nf,), its variance E|d|² (nf,), and how sure and how independent that variance is.
 
-    `overlap` lines carry one line's worth of independent error; `freedom` are the variance's degrees of freedom.
+    `overlap` lines carry one line's worth of independent error; `freedom` are the variance's degrees of freedom,
+    and `pooled` neighbouring lines share one variance.
     """
 
     response: ComplexArray
     variance: Array
     overlap: float
     freedom: float
+    pooled: int = 1
 
 
 def solve(
@@ -63,29 +65,48 @@ def solve(
 
     found = min((one(start) for start in starts), key=lambda result: result.cost)
     left = (model(found.x) - data.response) / np.sqrt(0.5 * data.variance)
-    freedom = max(2 * left.size - found.x.size, 1)
-    chi2_per_dof = float(np.sum(np.abs(left) ** 2)) / freedom
     J, share = np.asarray(found.jac), np.tile(data.variance / weight_variance, 2)
     inverse = _inverse(J)
+    freedom, stretch = _freedom(J, inverse, share)
+    chi2_per_dof = float(np.sum(np.abs(left) ** 2)) / freedom
     covariance = inverse @ (J.T @ (share[:, None] * J)) @ inverse * max(chi2_per_dof, 1.0) * data.overlap
     outcome = "not_converged" if found.status <= 0 else ("at_bound" if np.any(found.active_mask) else "converged")
-    p_value, runs = residual_tests(left, found.x.size, data)
+    p_value, runs = residual_tests(left, freedom, data, stretch)
     return Solution(found.x, covariance, chi2_per_dof, p_value, runs, outcome)
 
 
-def residual_tests(left: ComplexArray, parameters: int, data: Data) -> tuple[float, float]:
+def _freedom(J: Array, inverse: Array, share: Array) -> tuple[float, float]:
+    """Mean of the sum of squares of what is left, if the model is right, and its variance over twice that mean.
+
+    n - p and 1 where the weights are the data's own variances. Under other weights the fit takes less out
+    of the well-known lines: with R = I - J A^-1 J' the residual in units of its noise is B = V^-1/2 R V^1/2
+    times white noise, and the moments are the traces of B'B.
+    """
+    n, p = J.shape
+    if np.all(share == share[0]):
+        return float(max(n - p, 1)), 1.0
+    root = np.sqrt(share)
+    B = (np.eye(n) - J @ inverse @ J.T) * (root[None, :] / root[:, None])
+    gram = B.T @ B
+    mean = float(np.trace(gram))
+    return mean, float(np.sum(gram * gram)) / mean
+
+
+def residual_tests(left: ComplexArray, freedom: float, data: Data, stretch: float = 1.0) -> tuple[float, float]:
     """p-values that what is left (nf,), of unit variance in each part, is noise: by its size and by its signs.
 
-    Size: chi² over independent lines, allowing for variances that are estimates themselves (then each square
-    is F-distributed, with mean nu/(nu-2) and a wider spread). Signs: a runs test over lines far enough apart
-    not to share error.
+    Size: chi² with `freedom` over independent lines, allowing for variances that are estimates themselves
+    (each square is then F-distributed, with mean nu/(nu-2) and a wider spread, and lines that share a variance
+    vary together). Signs: a runs test over lines far enough apart not to share error.
     """
     nu = max(data.freedom, 6.0)
-    mean, spread = (1.0, 1.0) if np.isinf(nu) else (nu / (nu - 2.0), nu / (nu - 4.0))
-    count = max(2 * left.size - parameters, 1) / (data.overlap * spread)
-    total = float(np.sum(np.abs(left) ** 2)) / (mean * data.overlap * spread)
+    mean, spread = 1.0, stretch
+    if np.isfinite(nu):
+        mean, spread = nu / (nu - 2.0), stretch * (nu / (nu - 4.0) + 2.0 * (data.pooled - 1) / nu)
+    scale = data.overlap * spread
+    total = float(np.sum(np.abs(left) ** 2)) / (mean * scale)
     apart = left[:: 1 if data.overlap == 1.0 else int(np.ceil(data.overlap)) + 1]
-    return float(chi2.sf(total, count)), min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
+    return float(chi2.sf(total, freedom / scale)), min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
 
 
 def _inverse(jacobian: Array) -> Array:

@@ -33,6 +33,7 @@ _WORDS = (
     "power_per",
     "line_overlap",
     "variance_freedom",
+    "variance_pooled",
     "parameters",
     "notes",
 )
@@ -128,6 +129,7 @@ def _words(header: dict[str, Any]) -> dict[str, Any]:
         "power_per": str(header.get("power_per", "Hz")),
         "line_overlap": float(header.get("line_overlap", 1.0)),
         "variance_freedom": float(header.get("variance_freedom", "inf")),
+        "variance_pooled": int(header.get("variance_pooled", 1)),
         "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
         "notes": tuple(map(str, header["notes"])),
     }

@@ -87,7 +87,6 @@ def test_a_frf_without_variance_is_answered_with_a_sentence(weighting):
     assert "0 at 0.5 Hz" in text
 
 
-@pytest.mark.xfail(strict=True, reason="modes: takes any fit's parameters for polynomial coefficients")
 def test_modes_of_a_fit_that_is_not_rational():
     with pytest.raises(LoopshapeError):
         modes(fit(frf_of(), Integrator(True)))

@@ -251,7 +251,7 @@ def test_unstable_poles_come_from_the_requirements_then_a_fit_that_leaves_nothin
     (loop,), notes = loops_of([frf], controller(), plain, (fitted,))
     assert (loop.unstable_poles, loop.model) == (1, UNSTABLE)
     (note,) = notes
-    assert "plant taken to have 1 unstable poles, from" in note
+    assert "plant taken to have 1 unstable pole, from" in note
     assert "fit" in note
     (loop,), notes = loops_of([frf], controller(), plain, (insufficient,))
     assert (loop.unstable_poles, loop.model, notes) == (0, None, ())
