@@ -72,15 +72,26 @@ DELAYS = (0.0, 0.01, 0.03, 0.1)
 
 
 def _starts(structure: Structure, f: Array, G: ComplexArray, weight: Array) -> list[Array]:
-    """Starts of a fit; with a delay in it, from data turned back by several delays, for the phase may wrap."""
+    """Starts of a fit: rational ones also from smoothed lines, for their linear equations suffer from noise; with a
+    delay, from data turned back by several delays, for the phase may wrap."""
+    views = [G]
+    if isinstance(structure, Rational):
+        views += [_smoothed(G, half) for half in (2, 6) if f.size > 8 * half]
     if "delay_s" not in structure.names:
-        return [structure.start(f, G, weight)]
+        return [structure.start(f, view, weight) for view in views]
     starts = []
-    for delay in DELAYS:
-        start = structure.start(f, G * np.exp(1j * angular(f) * delay), weight)
+    for view, delay in [(view, 0.0) for view in views] + [(G, delay) for delay in DELAYS[1:]]:
+        start = structure.start(f, view * np.exp(1j * angular(f) * delay), weight)
         start[-1] = delay + 1e-4
         starts.append(start)
     return starts
+
+
+def _smoothed(G: ComplexArray, half: int) -> ComplexArray:
+    """Moving mean of ln G over neighbouring lines."""
+    ln_G = np.log(np.abs(G)) + 1j * np.unwrap(np.angle(G))
+    padded = np.pad(ln_G, half, mode="edge")
+    return np.asarray(np.exp(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1).mean(-1)))
 
 
 def _centred(structure: Rational, f: Array) -> Rational:
@@ -143,14 +154,22 @@ def fit_best(
     weighting: str = "variance",
     band_hz: tuple[float, float] | None = None,
 ) -> Fit:
-    """The fit with the least Bayesian information criterion (Schwarz 1978) among structures that converge."""
+    """The simplest fit whose Bayesian information criterion (Schwarz 1978) lies within 10 of the least.
 
-    def criterion(found: Fit) -> tuple[bool, float]:
+    Ten is what Kass and Raftery (1995) ask of very strong evidence; less is what chance finds when a richer
+    structure may put a narrow mode anywhere. Fits that did not converge come last.
+    """
+
+    def criterion(found: Fit) -> float:
         count = len(found.parameters)
         total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
-        return found.outcome != "converged", total + count * float(np.log(2 * found.lines / frf.line_overlap))
+        return total + count * float(np.log(2 * found.lines / frf.line_overlap))
 
-    return min((fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures), key=criterion)
+    made = [fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures]
+    good = [found for found in made if found.outcome == "converged"] or made
+    least = min(criterion(found) for found in good)
+    near = [found for found in good if criterion(found) <= least + 10.0]
+    return min(near, key=lambda found: (len(found.parameters), criterion(found)))
 
 
 #: a named structure that follows the lines this well, rms, is not exchanged for a rational one

@@ -185,7 +185,6 @@ def test_third_order_converges_from_ten_percent_of_noise():
     assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
 
 
-@pytest.mark.xfail(strict=True, reason="levy: its guess from lines of 10 % ends far off in one of six")
 def test_rational_converges_from_ten_percent_of_noise():
     w = TWO_PI * 4.0
     model = TransferFunction(1000.0 * np.array([1.0, 0.04 * w, w * w]), [1.0, 0.03 * W, W * W, 0.0])
