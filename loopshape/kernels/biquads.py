@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.kernels.types import Array
 
 
-@compiled
+@compiled_in_line
 def step(sections: Array, state: Array, value: float) -> float:
     """One sample through `sections` (n, 5: b0 b1 b2 a1 a2); `state` (n, 2) is moved on in place."""
     for k in range(sections.shape[0]):

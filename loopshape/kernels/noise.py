@@ -10,20 +10,20 @@ import math
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.kernels.types import Array
 
 MULTIPLIER = 1791398085
 LOW = 0xFFFFFFFF
 
 
-@compiled
+@compiled_in_line
 def advance(state: int) -> int:
     """Next state of the generator."""
     return MULTIPLIER * (state & LOW) + (state >> 32)
 
 
-@compiled
+@compiled_in_line
 def normal_pair(state: int) -> tuple[int, float, float]:
     """State after two draws, and two independent standard normal values."""
     state = advance(state)

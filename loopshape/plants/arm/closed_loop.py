@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from loopshape.kernels import biquads, noise, pwm
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.plants.arm.model import derivatives
 from loopshape.units import Array
 
@@ -122,7 +122,7 @@ def integrate_grid(
         x[4] = w0 + ninth * (2.0 * k1w + 3.0 * k2w + 4.0 * k3w)
 
 
-@compiled
+@compiled_in_line
 def converted(value: float, step: float, low: float, high: float) -> float:
     """Value after a converter of this step (0: none) and span."""
     if step == 0.0:
@@ -130,7 +130,7 @@ def converted(value: float, step: float, low: float, high: float) -> float:
     return min(max(step * round(value / step), low), high)
 
 
-@compiled
+@compiled_in_line
 def sense(
     x: Array, sensors: Array, random_state: int, spare: float, has_spare: bool
 ) -> tuple[float, float, float, int, float, bool]:
@@ -151,7 +151,7 @@ def sense(
     return theta, p_a, converted(p_b, sensors[3], 0.0, sensors[8]), random_state, spare, has_spare
 
 
-@compiled
+@compiled_in_line
 def log(
     out: Array, tick: int, theta: float, p_a: float, p_b: float, z_theta: float, z_p: float, u_a: float, u_b: float,
     x: Array,
@@ -163,7 +163,7 @@ def log(
         out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
 
 
-@compiled
+@compiled_in_line
 def range_left(x: Array, sensors: Array) -> int:
     """Which limit of the model's range the state has passed, or COMPLETE."""
     if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4]):
