@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
+from loopshape.controller import Controller
 from loopshape.estimate.frequency_response import estimate_frf
 from loopshape.fit.fit import fit, structure_by_name
 from loopshape.frf import FRF
 from loopshape.model import Fit
 from loopshape.plants.arm.arm1 import Arm1
+from loopshape.plants.arm.published import angle_controller
 from loopshape.requirements import Requirements, Verdict
 from loopshape.rigs.simulated import header, measure
 from loopshape.store.requirements import read_requirements
@@ -62,17 +63,8 @@ def measured() -> tuple[list[FRF], list[Fit]]:
 
 
 def source_controller(gain: float) -> Controller:
-    """Table 5.1 with the notch at 4.5 Hz, as the source has it for the simulated arm (figure 5.7)."""
-    return Controller(
-        "theta2",
-        (
-            Block("gain", {"gain": gain}),
-            Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}),
-            Block("notch", {"f1_hz": 4.5, "f2_hz": 4.5, "damping1": 0.05, "damping2": 5.0}),
-            Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
-        ),
-        1000.0,
-    )
+    """The source's controller as it has it for the simulated arm."""
+    return angle_controller(gain, notch_hz=4.5)
 
 
 def lowered(frfs: list[FRF], fits: list[Fit], limits: Requirements) -> tuple[Controller, Verdict]:

@@ -10,6 +10,7 @@ from loopshape.check.verdict import check, loops_of
 from loopshape.controller import Block, Controller
 from loopshape.frf import FRF
 from loopshape.model import TransferFunction
+from loopshape.plants.arm.published import angle_controller
 from loopshape.requirements import Requirements
 from loopshape.tune.measures import measure
 from loopshape.tune.problem import problem
@@ -150,16 +151,7 @@ def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     bare = Requirements("theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, integrators=1)
 
     def source(gain: float) -> Controller:
-        return Controller(
-            "theta2",
-            (
-                Block("gain", {"gain": gain}),
-                Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}),
-                Block("notch", {"f1_hz": 4.5, "f2_hz": 4.5, "damping1": 0.05, "damping2": 5.0}),
-                Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
-            ),
-            1000.0,
-        )
+        return angle_controller(gain, notch_hz=4.5)
 
     low, high = 0.5, 55.0
     for _ in range(25):
