@@ -189,7 +189,7 @@ def _responses(loops: Sequence[Loop], name: str) -> list[ComplexArray]:
 def _magnitude_and_phase(top: Axes, side: Axes, loops: Sequence[Loop], key: Key, name: str, unit: str) -> None:
     """One row of the loop page; a controller common to all loops is drawn once, in black."""
     once = name == "C" and len({id(loop.controller) for loop in loops}) == 1
-    chosen = loops[:1] if once else loops
+    chosen = [max(loops, key=lambda loop: float(loop.frequency_hz[-1]))] if once else loops
     for k, (loop, response) in enumerate(zip(chosen, _responses(chosen, name), strict=True)):
         look = {"color": "0.15", "linewidth": 1.2} if once else curve(key.looks[k], k, len(chosen))
         use = np.ones(response.size, dtype=bool) if name == "C" else loop.plant.trusted
