@@ -42,6 +42,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "N": ("n", 1.0),
     "kN": ("n", 1e3),
     "N m": ("nm", 1.0),
+    "Nm": ("nm", 1.0),
     "m": ("m", 1.0),
     "mm": ("m", 1e-3),
     "um": ("m", 1e-6),

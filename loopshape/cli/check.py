@@ -40,17 +40,15 @@ def check_run(
 
     controllers, requirements = read_controllers(controller), read_requirements(require)
     frfs, fits = read_frfs(run), fits_of(run)
-    verdicts, drawn = [], []
-    for wished in requirements:
-        mine = [one for one in frfs if one.loop == wished.loop]
-        own = controller_of(controllers, wished.loop)
-        verdicts.append(check_loop(mine, own, wished, fits))
-        if figures:
-            drawn += draw_loops(run / "figures", mine, own, wished, fits, verdicts[-1])
-    report_verdicts(verdicts, output)
+    pairs = [([one for one in frfs if one.loop == w.loop], controller_of(controllers, w.loop), w) for w in requirements]
+    verdicts = [check_loop(mine, own, wished, fits) for mine, own, wished in pairs]
     if junit is not None:
         write_junit(junit, verdicts)
+    report_verdicts(verdicts, output)
     passed = all(v.passed for v in verdicts)
+    drawn: list[str] = []
+    for (mine, own, wished), verdict in zip(pairs, verdicts, strict=True):
+        drawn += draw_loops(run / "figures", mine, own, wished, fits, verdict) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.say(f"verdict: {'pass' if passed else 'FAIL'}")
     output.json({"passed": passed, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})

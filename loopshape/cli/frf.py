@@ -48,6 +48,8 @@ def estimate_and_report(
 
     run = read_run(folder)
     warnings = check_recordings(run)
+    for note in run.extra.get("notes", ()):
+        output.say(str(note))
     chosen = Settings(**(settings or {}))
     recordings = excited_recordings(run)
     found = []

@@ -25,11 +25,18 @@ def import_file(
 def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False) -> None:
     """Import, check, write and report; what is there already, number for number, is left as it is."""
     from loopshape.errors import WrongUseError
+    from loopshape.estimate.signals import has_instrument
     from loopshape.store.import_file import import_file as read
     from loopshape.store.run_folder import add_recording, check_recordings, clear_run, finished, holds, start_run
 
     run = read(file, map_file)
     warnings = check_recordings(run)
+    for recording in run.recordings:
+        if recording.info.excites is not None and not has_instrument(recording, run.loop(recording.info.excites)):
+            warnings.append(
+                f"recording {recording.info.file} was made in closed loop and no column holds the signal that was"
+                " injected: only the direct estimator, which feedback biases, can use it"
+            )
     if replace:
         clear_run(out)
     todo = [recording for recording in run.recordings if not holds(out, recording)]

@@ -107,7 +107,13 @@ def _kept(excited: np.ndarray) -> np.ndarray:
 
 def _band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
     if trusted.any():
-        return ()
+        known = f[trusted]
+        if known.size > 0.1 * f.size:
+            return ()
+        return (
+            f"only {known.size} of {f.size} excited lines are known well, {known[0]:.3g} to {known[-1]:.3g} Hz:"
+            " excite more, measure longer, or ask for a coarser resolution",
+        )
     return (f"no line between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
 
 

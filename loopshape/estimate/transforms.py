@@ -204,5 +204,5 @@ def _segments(recording: Recording, n: int, settings: Settings) -> tuple[int, in
 
 
 def _default_length(n: int, rate_hz: float) -> int:
-    """A tenth of the record, at most 20 s: enough averages for a variance, lines close enough for resonances."""
-    return min(n // 10, round(20.0 * rate_hz))
+    """A tenth of the record, at most 20 s or 512 samples: averages for a variance, lines for resonances."""
+    return min(n // 10, max(round(20.0 * rate_hz), 512))

@@ -45,9 +45,13 @@ class Source:
             raise WrongUseError(
                 f"{self.path.name} holds nothing of this name",
                 repr(place.name) if place.name is not None else "no from",
-                f"it holds {short(', '.join(self.names), 400)}",
+                f"it holds {short(', '.join(self.names), 400)}" + self._hint(),
             )
         return _pick(_numbers(self.path, place.name, self.load(place.name)), place, self.path.name)
+
+    def _hint(self) -> str:
+        one = self.names[0] if len(self.names) == 1 else ""
+        return "; a single column: say its separator in [csv]" if any(c in one for c in ";\t ") else ""
 
     def _numbered_name(self, place: Place) -> str:
         if place.name is not None or place.row is not None or str(place.column) not in self.names:

@@ -119,6 +119,13 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
+    near = ("sensitivity_peak_db", "modulus_margin", "phase_margin_deg", "gain_margin_db", "delay_margin_s")
+    if all(getattr(requirements, name) is None for name in near):
+        raise WrongUseError(
+            f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",
+            "no limit on a margin or on |S|",
+            f"give one of {', '.join(near)}",
+        )
     variables = tuple(
         Variable(k, name, value.low, value.high, value.start)
         for k, template in enumerate(templates)

@@ -299,3 +299,29 @@ def test_the_right_map_gives_no_warning(tmp_path: Path) -> None:
     done = loopshape("import", axis / "closed_loop.csv", "--map", axis / "map.toml", "--out", tmp_path / "run")
     assert done.returncode == 0
     assert loopshape("frf", tmp_path / "run", "--no-figures").stderr == ""
+
+
+def test_held_out_recordings_are_not_estimated(arm: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(arm / "run", tmp_path / "run")
+    head = tmp_path / "run" / "run.toml"
+    head.write_text(head.read_text().replace('role = "estimation"', 'role = "validation"', 1))
+    found = json.loads(loopshape("frf", tmp_path / "run", "--no-figures", "--json").stdout)
+    assert [one["recording"] for one in found["frfs"]] == ["angle-02"]
+    assert [path.name for path in (tmp_path / "run" / "frf").iterdir()] == ["angle-02.theta2.npz"]
+
+
+def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
+    hot = SMALL_STUDY.replace("amplitude_rad = 0.1", "amplitude_rad = 2.5").replace("f_low_hz = 0.5", "f_low_hz = 8.0")
+    (tmp_path / "study.toml").write_text(hot.replace(", { theta2_deg = 15.0, p_ab_bar = 0.8 }", ""))
+    done = loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run")
+    assert "the PWM of recording angle.parquet is saturated for" in done.stderr
+
+
+def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
+    from loopshape.errors import WrongUseError
+    from loopshape.store.run_folder import alone
+
+    with alone(tmp_path), pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+        pass
