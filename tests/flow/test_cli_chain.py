@@ -309,7 +309,7 @@ def test_held_out_recordings_are_not_estimated(arm: Path, tmp_path: Path) -> Non
     head.write_text(head.read_text().replace('role = "estimation"', 'role = "validation"', 1))
     found = json.loads(loopshape("frf", tmp_path / "run", "--no-figures", "--json").stdout)
     assert [one["recording"] for one in found["frfs"]] == ["angle-02"]
-    assert [path.name for path in (tmp_path / "run" / "frf").iterdir()] == ["angle-02.theta2.npz"]
+    assert [path.name for path in (tmp_path / "run" / "frf").glob("*.npz")] == ["angle-02.theta2.npz"]
 
 
 def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
