@@ -18,6 +18,8 @@ from loopshape.units import deg
 
 #: a fit that misses its lines by more than this, rms, says nothing of the plant below them
 WITNESS_DB = 6.0
+#: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
+CONTRADICTED = 0.75
 #: lines above the judged band count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
 
@@ -87,11 +89,17 @@ def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> t
 
 def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:
     """Declared, or the fit's, or what phase and slope of the lowest lines agree on, None where they do not."""
-    if requirements.integrators is not None:
-        return requirements.integrators, ""
+    declared = requirements.integrators
     if fit is not None:
-        return fit.model.integrators(), ""
+        return fit.model.integrators() if declared is None else declared, ""
     by_phase, by_slope = _low_frequency_order(frf)
+    if declared is not None:
+        if abs(by_slope - declared) < CONTRADICTED:
+            return declared, ""
+        return None, (
+            f"{declared} integrators are declared, and |P| falls as with {by_slope:.1f} over the lowest lines:"
+            " these start above the plant's corners; measure lower, or fit a model that follows them"
+        )
     integrators = round(by_phase)
     if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
         return (
