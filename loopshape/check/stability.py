@@ -14,7 +14,7 @@ import numpy as np
 from loopshape.check.crossings import nearest_to_minus_one
 from loopshape.check.low_end import judged_lines
 from loopshape.loop import Loop
-from loopshape.units import Array, ComplexArray, deg
+from loopshape.units import ComplexArray, deg
 
 #: between lines 1 + L may turn by this much before the sampling is called too coarse to count, in deg
 COARSE_DEG = 135.0
@@ -49,7 +49,12 @@ def closed_loop_stability(loop: Loop) -> Stability:
             " or fit a model that follows the lines",
         )
     integrators = loop.integrators + loop.controller.integrators()
-    reason = _undecidable(loop, L, f)
+    if judged_lines(loop) is None:
+        reason = (
+            f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
+        )
+    else:
+        reason = uncountable(loop)
     if reason:
         return Stability("undecided", None, reason)
     below = loop.controller.response(loop.below_hz) * loop.P_below
@@ -69,11 +74,9 @@ def closed_loop_stability(loop: Loop) -> Stability:
     return Stability("stable", 0, "the encirclements of -1 balance the unstable poles")
 
 
-def _undecidable(loop: Loop, L: ComplexArray, f: Array) -> str:
-    if judged_lines(loop) is None:
-        return (
-            f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
-        )
+def uncountable(loop: Loop) -> str:
+    """Why the lines cannot carry a count of encirclements, empty where they can."""
+    L, f = loop.L, loop.frequency_hz
     if abs(L[-1]) >= 1.0:
         return f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
     again = _comes_up_again(loop)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loopshape.check.margins import margins
-from loopshape.check.stability import COARSE_DEG, count_unstable
+from loopshape.check.stability import count_unstable, uncountable
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
@@ -29,8 +29,9 @@ def loops_of(
 ) -> tuple[list[Loop], tuple[str, ...]]:
     """Loops on the lines that a check looks at, and what it had to assume.
 
-    Integrators of the plant come from the requirements, else from a fit of the same recording, else from
-    the phase of the lowest lines, and then a note says so.
+    Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
+    and slope of the lowest lines; unstable poles from the requirements, else from the loop that was recorded and
+    stood, else from the fit. What had to be assumed is noted.
     """
     found, notes = [], []
     for frf in frfs:
@@ -41,9 +42,9 @@ def loops_of(
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
             )
         fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, frf)), None)
-        integrators, unstable, note = _open_loop_poles(lines, requirements, fit)
-        model = None if fit is None else fit.model
-        found.append(Loop(lines, controller, integrators, unstable, model, _beyond(frf, lines)))
+        beyond, model = _beyond(frf, lines), None if fit is None else fit.model
+        integrators, unstable, note = _open_loop_poles(lines, requirements, fit, beyond)
+        found.append(Loop(lines, controller, integrators, unstable, model, beyond))
         notes += [note] if note else []
     return found, tuple(dict.fromkeys(notes))
 
@@ -65,12 +66,14 @@ def _witness(fit: Fit, frf: FRF) -> bool:
     return follows and (fit.sufficient or not fit.model.unstable_poles())
 
 
-def _open_loop_poles(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, int, str]:
+def _open_loop_poles(
+    frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None
+) -> tuple[int | None, int, str]:
     """Integrators (None: not known) and unstable poles of the plant, and a note where they were assumed."""
     integrators, note = _integrators(frf, requirements, fit)
     if requirements.unstable_poles is not None:
         return integrators, requirements.unstable_poles, note
-    held = _held_poles(frf, integrators, fit)
+    held = _held_poles(frf, integrators, fit, beyond)
     if held is not None and held < 0:
         note = (
             f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
@@ -110,7 +113,7 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
     return integrators, f"plant taken to have {integrators} {word}, from its lowest lines"
 
 
-def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None) -> int | None:
+def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None) -> int | None:
     """Unstable poles of the plant by the count of the loop that was recorded, which stood; None where it cannot tell.
 
     A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
@@ -118,13 +121,11 @@ def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None) -> int | Non
     """
     if frf.held_by is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.held_by.rate_hz:
         return None
-    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model)
-    L = loop.L
-    steps = np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1]))))
-    if abs(L[-1]) >= 1.0 or (steps.size and steps.max() > COARSE_DEG):
+    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond)
+    if uncountable(loop):
         return None
     below = frf.held_by.response(loop.below_hz) * loop.P_below
-    missing = count_unstable(L, integrators + frf.held_by.integrators(), 0, below)
+    missing = count_unstable(loop.L, integrators + frf.held_by.integrators(), 0, below)
     return None if missing is None else -missing
 
 

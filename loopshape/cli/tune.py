@@ -63,6 +63,8 @@ def _report(tuning: Any, output: Output, points: int) -> None:
     output.table(title, ["block", "parameters"], rows)
     binding = [[b.quantity, b.recording, b.at_hz] for b in tuning.binding]
     output.table("What binds", ["requirement", "recording", "at [Hz]"], binding)
+    if not tuning.converged:
+        output.warn([f"the search of loop {tuning.controller.loop} ran out of steps: a little more may be had"])
     for line in tuning.bounds_reached:
         output.say(f"at a bound: {line}")
     report_verdicts([tuning.verdict], output, margins=False)
@@ -72,6 +74,7 @@ def _json(tuning: Any) -> dict[str, Any]:
     return {
         "loop": tuning.controller.loop,
         "feasible": tuning.feasible,
+        "converged": tuning.converged,
         "bandwidth_hz": tuning.bandwidth_hz,
         "blocks": [block.to_table() for block in tuning.controller.blocks],
         "binding": [{"quantity": b.quantity, "recording": b.recording, "at_hz": b.at_hz} for b in tuning.binding],

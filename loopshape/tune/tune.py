@@ -33,7 +33,7 @@ class Tuning:
     """A tuned controller with its verdict, what binds, and how the search went.
 
     `feasible` is False where no start came to meet every requirement; the controller is then the one that
-    misses least, and `binding` names what it misses.
+    misses least, and `binding` names what it misses. `converged` is False where the search ran out of steps.
     """
 
     controller: Controller
@@ -43,6 +43,7 @@ class Tuning:
     feasible: bool
     starts: int
     steps: int
+    converged: bool
     bounds_reached: tuple[str, ...]
 
 
@@ -81,6 +82,7 @@ def tune(
         feasible=verdict.passed,
         starts=len(candidates),
         steps=steps + more,
+        converged=best.converged,
         bounds_reached=_bounds_reached(p, best.x),
     )
 

@@ -5,24 +5,15 @@ import pytest
 from scipy.linalg import expm
 
 from loopshape.check.margins import margins
-from loopshape.controller import Block, Controller
 from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.plants.arm.linear import linearise
 from loopshape.plants.arm.operating_points import EQUILIBRIA
+from loopshape.plants.arm.published import angle_controller
 
 F = np.geomspace(0.01, 100.0, 3000)
 #: table 5.1; unstable on the printed model (ARM.md, section 10)
-SOURCE = Controller(
-    "theta2",
-    (
-        Block("gain", {"gain": 55.0}),
-        Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}),
-        Block("notch", {"f1_hz": 6.1, "f2_hz": 6.1, "damping1": 0.05, "damping2": 5.0}),
-        Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
-    ),
-    1000.0,
-)
+SOURCE = angle_controller()
 #: where the source's controller is stable on the printed model all the same: stiff arm, low gain
 SOURCE_STABLE = {(0.0, 1.4), (-15.0, 1.6), (0.0, 1.6), (15.0, 1.6), (0.0, 1.8)}
 

@@ -9,24 +9,15 @@ import pytest
 
 from loopshape.check.margins import margins
 from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
 from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import TransferFunction
+from loopshape.plants.arm.published import angle_controller
 from loopshape.requirements import Requirements
 from loopshape.units import TWO_PI
 
 RATE = 1000.0
-TABLE_5_1 = Controller(
-    "theta2",
-    (
-        Block("gain", {"gain": 55.0}),
-        Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}),
-        Block("notch", {"f1_hz": 6.1, "f2_hz": 6.1, "damping1": 0.05, "damping2": 5.0}),
-        Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
-    ),
-    RATE,
-)
+TABLE_5_1 = angle_controller()
 
 
 def arm_frf(delay_s=0.0):

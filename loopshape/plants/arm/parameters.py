@@ -89,14 +89,7 @@ ARM1_PARAMETERS = ParameterTable(
     )
 )
 
-#: the kernel's constants, SI, in order; `constants` computes them from the parameter vector
-CONSTANTS = (
-    "RT", "beta_in", "beta_s", "beta_out", "p_in", "p_atm2", "V_c",
-    "X", "Ya", "Yb", "r_a", "r_b", "fitting", "inertia", "gravity_torque",
-    "four_L2", "n_pi", "d1_sq3", "d1_x4", "two_L", "s1", "s2",
-    "bk0", "bk1", "bk2", "k0", "k1", "k2", "d0", "d1", "factor_a", "factor_b",
-    "absolute_pa", "exponent",
-)  # fmt: skip
+#: places of the kernel's constants, SI, in the vector that `constants` computes from the parameters
 RT, BETA_IN, BETA_S, BETA_OUT, P_IN, P_ATM2, V_C = range(7)
 X, YA, YB, R_A, R_B, FITTING, INERTIA, GRAVITY = range(7, 15)
 FOUR_L2, N_PI, D1_SQ3, D1_X4, TWO_L, S1, S2 = range(15, 22)

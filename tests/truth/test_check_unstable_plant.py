@@ -1,0 +1,93 @@
+"""A plant's unstable poles are counted from the loop under which it was recorded, which stood."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from loopshape.check.verdict import check, loops_of
+from loopshape.controller import Block, Controller
+from loopshape.frf import FRF
+from loopshape.model import TransferFunction
+from loopshape.requirements import Requirements
+from loopshape.units import TWO_PI
+
+RATE = 20_000.0
+W = TWO_PI * 10.0
+NUM, DEN = np.array([W * W]), np.polymul([1.0, 0.0], [1.0, -0.1 * W, W * W])  # 1/s times a growing mode at 10 Hz
+LEAD = {"f1_hz": 8.0, "f2_hz": 100.0}
+HOLDING = Controller("l", (Block("gain", {"gain": 80.0}), Block("lead_lag", LEAD), Block("lead_lag", LEAD)), RATE)
+WEAK = Controller("l", (Block("gain", {"gain": 3.0}),), RATE)
+WISH = Requirements("l", phase_margin_deg=20.0)
+
+
+def recorded(held_by, std=1e-4, last_hz=400.0):
+    f = np.geomspace(0.3, last_hz, 1500)
+    G = TransferFunction(NUM, DEN).response(f)[:, None, None]
+    return FRF(
+        f, G, (std * np.abs(G)) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_m",), "made up",
+        recording="r", loop="l", rate_hz=RATE, held_by=held_by,
+    )  # fmt: skip
+
+
+def closed_loop_poles(controller):
+    num, den = NUM, DEN
+    for block in controller.blocks:
+        b, a = block.section()
+        num, den = np.polymul(num, np.trim_zeros(b[::-1], "f")), np.polymul(den, np.trim_zeros(a[::-1], "f"))
+    return np.roots(np.polyadd(num, den))
+
+
+def test_the_case_is_what_it_says():
+    assert np.all(closed_loop_poles(HOLDING).real < 0.0)
+    assert np.sum(closed_loop_poles(WEAK).real > 0.0) == 2
+
+
+def test_both_poles_are_counted_and_the_weak_controller_fails():
+    (loop,), notes = loops_of([recorded(HOLDING)], WEAK, WISH)
+    assert loop.unstable_poles == 2
+    assert "2 unstable poles, because the loop that was recorded was stable" in notes[0]
+    verdict = check([recorded(HOLDING)], WEAK, WISH)
+    assert verdict.margins["r"].stable == "unstable"
+    assert not verdict.passed
+
+
+def test_the_holding_controller_itself_is_stable():
+    assert check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
+
+
+def test_a_record_with_the_wrong_sign_contradicts_itself():
+    # a stable plant whose recorded loop cannot have stood by this FRF: the gain is turned
+    f = np.geomspace(0.3, 400.0, 1500)
+    G = -TransferFunction([20.0], [0.02, 1.0, 0.0]).response(f)[:, None, None]
+    frf = replace(recorded(WEAK), response=G, covariance=(1e-4 * np.abs(G)) ** 2 + 0j)
+    verdict = check([frf], WEAK, replace(WISH, integrators=1))
+    assert verdict.margins["r"].stable != "stable"
+
+
+@pytest.mark.parametrize("held_by", [None, WEAK])
+def test_nothing_is_counted_where_the_lines_cannot_carry_it(held_by):
+    # no controller known, or noise that covers -1: then no unstable pole is made up
+    frf = recorded(held_by, std=3.0) if held_by is not None else recorded(None)
+    (loop,), _ = loops_of([frf], WEAK, replace(WISH, integrators=1))
+    assert loop.unstable_poles == 0
+
+
+def test_a_resonance_above_the_trusted_band_is_not_overlooked():
+    # L crosses 0 dB near 1 Hz, falls, and comes up to 3 at 35 Hz, where the lines are known to 10 % and not trusted
+    w = TWO_PI * 35.0
+    G = TransferFunction([6.0 * w * w], [1.0, 0.02 * w, w * w, 0.0])
+    f = np.geomspace(0.1, 60.0, 1500)
+    response = G.response(f)[:, None, None]
+    share = np.where(f < 15.0, 1e-3, 0.1)[:, None, None]
+    frf = replace(
+        recorded(None),
+        frequency_hz=f,
+        response=response,
+        covariance=(share * np.abs(response)) ** 2 + 0j,
+        trusted=f < 15.0,
+    )
+    unit = Controller("l", (Block("gain", {"gain": 1.0}),), RATE)
+    margins = check([frf], unit, replace(WISH, integrators=1)).margins["r"]
+    assert margins.stable == "undecided"
+    assert "above the band that is known well" in margins.stability_reason
