@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from loopshape.channel import Channel
 from loopshape.controller import Controller
-from loopshape.effect import Effect
+from loopshape.effect import Effect, EffectForm, Spread
 from loopshape.errors import WrongUseError
 from loopshape.units import Array
 
 if TYPE_CHECKING:
     from loopshape.experiment import Experiment
     from loopshape.recording import Recording
+    from loopshape.run import Run
 
 
 @dataclass(frozen=True)
@@ -99,3 +100,30 @@ class Plant(Protocol):
         states: bool = False,
     ) -> list[Recording]:
         """One recording an experiment, in order, in parallel; `states` adds true states as columns."""
+
+
+class Followable(Plant, Protocol):
+    """A plant whose recordings a gap diagnosis can follow: it has effects, an ordinary spread, and submodels."""
+
+    effects: tuple[EffectForm, ...]
+    spread: tuple[Spread, ...]
+
+    def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> Prepared:
+        """A recording ready to be followed, cut to `longest_s` after its lead if that is given."""
+
+    def residuals(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus modelled by channel, equally spaced means, from parameters moved as given."""
+
+    def floors(self, prepared: Any) -> dict[str, float]:
+        """Rms that measurement noise alone leaves in each channel's residuals."""
+
+    def validation(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, float]:
+        """Rms of simulated against measured outputs over its noise floor, by path such as u -> p."""
+
+
+class Prepared(Protocol):
+    """What a plant makes of a recording before it follows it."""
+
+    @property
+    def name(self) -> str:
+        """The recording's."""

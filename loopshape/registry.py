@@ -9,7 +9,7 @@ from loopshape.errors import WrongUseError
 if TYPE_CHECKING:
     from loopshape.rigs.simulated import Rig
 
-PLANTS = ("arm-1dof",)
+PLANTS = ("arm-1dof", "servo-axis")
 
 
 def plant(name: str) -> Rig:
@@ -18,4 +18,8 @@ def plant(name: str) -> Rig:
         from loopshape.plants.arm.arm1 import Arm1
 
         return Arm1()
+    if name == "servo-axis":
+        from loopshape.plants.servo_axis.axis import ServoAxis
+
+        return ServoAxis()
     raise WrongUseError("a plant is not known", f"{name!r}", f"use one of {', '.join(PLANTS)}")

@@ -14,9 +14,12 @@ from loopshape.errors import WrongUseError
 from loopshape.experiment import Experiment, LoopSetup
 from loopshape.kernels.noise import start_state
 from loopshape.plants.arm import closed_loop as kernel
+from loopshape.plants.arm import following, memory
+from loopshape.plants.arm.effects import FORMS, SPREAD
 from loopshape.plants.arm.equilibrium import pressures, rest
 from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
 from loopshape.recording import Recording, RecordingInfo
+from loopshape.run import Run
 from loopshape.units import Array, rad
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
@@ -49,6 +52,8 @@ class Arm1:
     loops: tuple[str, ...] = ("theta2", "p_ab")
     solvers: tuple[str, ...] = tuple(SOLVERS)
     parameters = ARM1_PARAMETERS
+    effects = FORMS
+    spread = SPREAD
     channels: tuple[Channel, ...] = (
         Channel("theta2", "rad"),
         Channel("p_a", "bar"),
@@ -76,6 +81,18 @@ class Arm1:
             LoopSetup("theta2", "r_theta2_rad", n_theta, "z_theta2_v", "theta2_rad", known["theta2"]),
             LoopSetup("p_ab", "r_p_ab_bar", n_p, "z_p_v", "p_a_bar + p_b_bar", known["p_ab"]),
         )
+
+    def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
+        """The recording's commands and what was measured, for `residuals`."""
+        return following.followed(recording, run, longest_s)
+
+    def residuals(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus modelled: `p_a`, `p_b` in mbar (u -> p), `theta2` in deg (p -> theta)."""
+        return following.residuals(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
+
+    def floors(self, prepared: following.Followed) -> dict[str, float]:
+        """Rms that sensors and converters leave in `residuals`, in its units."""
+        return following.floors(prepared)
 
     def setpoint(self, operating_point: Mapping[str, float]) -> tuple[float, float]:
         """The references (rad, bar) at an operating point."""
@@ -143,6 +160,8 @@ class Arm1:
         c, sensors = constants(vector), sensor_constants(vector)
         period_ticks = _period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
+        m = np.empty(memory.SIZE)
+        memory.start(c, x, m)
         controllers = [_biquads(loop, e) for loop in e.loops]
         state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
         references = np.ascontiguousarray(e.references * np.array([1.0, 1e5]))
@@ -150,7 +169,7 @@ class Arm1:
         injected.setflags(write=False)  # one kind of array, one compiled kernel
         out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
         ended, n = kernel.run(
-            c, sensors, x, controllers[0], controllers[1], state, references, injected,
+            c, sensors, x, m, controllers[0], controllers[1], state, references, injected,
             _INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, period_ticks,
             self._value(vector, "pwm_dead_zone"), solver, steps, start_state(e.seed), out,
         )  # fmt: skip

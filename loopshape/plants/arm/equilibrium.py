@@ -59,7 +59,7 @@ def angle_map(c: Array, p_a_bar: Array, p_b_bar: Array) -> Array:
 
 
 def rest(c: Array, theta2_deg: float, p_ab_bar: float, p_c_pa: float) -> Array:
-    """State (5,), SI, of the arm at rest; refuses an operating point without an equilibrium."""
+    """State (7,), SI, of the arm at rest; refuses an operating point without an equilibrium."""
     p_a, p_b = pressures(c, theta2_deg, p_ab_bar)
     if not np.isfinite(p_a):
         raise WrongUseError(
@@ -67,4 +67,5 @@ def rest(c: Array, theta2_deg: float, p_ab_bar: float, p_c_pa: float) -> Array:
             f"theta2 {theta2_deg:g} deg, p_AB {p_ab_bar:g} bar",
             "loopshape equilibria draws where it has",
         )
-    return np.array([p_c_pa, 1e5 * p_a, 1e5 * p_b, float(rad(theta2_deg)), 0.0])
+    angle = float(rad(theta2_deg))
+    return np.array([p_c_pa, 1e5 * p_a, 1e5 * p_b, angle, 0.0, angle, 0.0])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.plant import Parameter, ParameterTable
+from loopshape.plants.arm.effect_parameters import EFFECT_ROWS, effect_constants
 from loopshape.units import Array, rad
 
 
@@ -39,6 +40,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("temperature_k", 293.0, "K", 200.0, 400.0, "table 3.3"),
         ("gas_absolute_share", 0.0, "1", 0.0, 1.0, "neutral 0: gauge pressure as printed in 3.20; effect gas_law"),
         ("polytropic_exponent", 1.0, "1", 1.0, 1.67, "neutral 1: isothermal; effect gas_law"),
+        ("compression_exponent", 1.0, "1", 1.0, 1.67, "neutral 1: as above, in the p dV/dt term alone; effect gas_law"),
     )
     + _rows(
         "muscle",
@@ -86,7 +88,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("range_angle_deg", 45.0, "deg", 1.0, 90.0, "where the model holds; a simulation stops there"),
         ("range_low_bar", 0.15, "bar", 0.0, 10.0, "where the model holds; a simulation stops there"),
         ("range_high_bar", 1.2, "bar", 0.0, 100.0, "where the model holds; a simulation stops there"),
-    )
+    )    + EFFECT_ROWS
 )
 
 #: places of the kernel's constants, SI, in the vector that `constants` computes from the parameters
@@ -98,7 +100,7 @@ ABSOLUTE, EXPONENT = 32, 33
 
 
 def constants(vector: Array) -> Array:
-    """The kernel's constants (34,), SI, from a parameter vector of `ARM1_PARAMETERS`."""
+    """The kernel's constants (88,), SI, from a parameter vector of `ARM1_PARAMETERS`."""
     p = dict(zip(ARM1_PARAMETERS.names, vector.tolist(), strict=True))
     gas = 1.0 / (2.0 * p["gas_constant_j_kgk"] * p["temperature_k"])
     beta = {
@@ -110,20 +112,26 @@ def constants(vector: Array) -> Array:
     mm = {k[:-3]: 1e-3 * v for k, v in p.items() if k.endswith("_mm")}
     stiffness = [1e5 * p[k] for k in ("stiffness_k0", "stiffness_k1", "stiffness_k2")]
     offsets = [p["stiffness_b_bar"] * c for c in (p["stiffness_c0"], p["stiffness_c1"], 1.0)]
-    inertia = p["m2_kg"] * mm["l12"] ** 2 + p["jzz2_kgm2"]
+    inertia = p["m2_kg"] * mm["l12"] ** 2 + p["jzz2_kgm2"] + p["payload_kg"] * p["payload_radius_m"] ** 2
+    gravity = p["gravity_m_s2"] * (p["m2_kg"] * mm["l12"] + p["payload_kg"] * p["payload_radius_m"])
+    factors = [
+        p[f"stiffness_factor_{k}"] * ((1.0 + p["stiffness_error"]) * (1.0 + sign * p["stiffness_mismatch"]))
+        for k, sign in (("a", 0.5), ("b", -0.5))
+    ]
     return np.array(
         [p["gas_constant_j_kgk"] * p["temperature_k"], *betas]
-        + [1e5 * p["supply_bar"], 2e5 * p["atmosphere_bar"], p["capacity_m3"]]
+        + [1e5 * (p["supply_bar"] - p["supply_drop_bar"]), 2e5 * p["atmosphere_bar"], p["capacity_m3"]]
         + [mm["l11x"] - mm["lab"], mm["l11y"] - mm["l1a"], mm["l11y"] + mm["l1b"]]
         + [mm["l12"] - mm["l2a"], mm["l12"] - mm["l2b"], mm["fitting"]]
-        + [inertia, p["m2_kg"] * p["gravity_m_s2"] * mm["l12"]]
+        + [(1.0 - p["flexible_share"]) * inertia, (1.0 - p["flexible_share"] * p["flexible_gravity"]) * gravity]
         + [4.0 * mm["braid_length"] ** 2, p["braid_turns"] * np.pi]
         + [3.0 * mm["end_diameter"] ** 2, 4.0 * mm["end_diameter"]]
         + [2.0 * mm["braid_length"], p["nominal_length_s1_m"], p["nominal_length_s2_bar"]]
         + [b * k for b, k in zip(offsets, stiffness, strict=True)]
         + stiffness
-        + [p["damping_ns_m"], p["damping_per_bar_ns_m"], p["stiffness_factor_a"], p["stiffness_factor_b"]]
+        + [p["damping_ns_m"], p["damping_per_bar_ns_m"], *factors]
         + [1e5 * p["atmosphere_bar"] * p["gas_absolute_share"], p["polytropic_exponent"]]
+        + effect_constants(p, inertia, gravity)
     )
 
 

@@ -1,0 +1,31 @@
+"""The examiner: arms with sealed effects, by models of its own. It knows run folders and no plant."""
+
+from loopshape.examiner.exam import make_run
+from loopshape.examiner.labels import (
+    BLOCKS,
+    EFFECTS,
+    KINDS,
+    OUTSIDE,
+    RANGES,
+    UNITS,
+    canonical,
+    draw_case,
+    draw_magnitude,
+    seal,
+    verdict,
+)
+
+__all__ = [
+    "BLOCKS",
+    "EFFECTS",
+    "KINDS",
+    "OUTSIDE",
+    "RANGES",
+    "UNITS",
+    "canonical",
+    "draw_case",
+    "draw_magnitude",
+    "make_run",
+    "seal",
+    "verdict",
+]

@@ -1,0 +1,121 @@
+"""Which effect: every form of every effect fitted, first coarsely, then the best of them with all their slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.gap import fitting
+from loopshape.gap.evidence import Evidence
+from loopshape.gap.fitting import Fitted
+from loopshape.gap.hypothesis import Hypothesis
+
+Progress = Callable[[str, float], None]
+
+
+def healthy(evidence: Evidence) -> Fitted:
+    """The nominal model with the ordinary spread fitted."""
+    none = Hypothesis(evidence.plant)
+    phi = np.zeros(len(evidence.plant.spread))
+    start = fitting.at(evidence, none, phi, np.zeros((evidence.cells[-1].stop, phi.size)))
+    return fitting.improve(evidence, start, 4, all_slopes=True)
+
+
+def screened(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, rounds: int = 2) -> list[Fitted]:
+    """Each hypothesis that may matter, fitted from its best start with the slopes of the spread taken from `base`.
+
+    What a start, scaled at best, leaves is a first guess; the best of them are fitted.
+    """
+    guesses = sorted(started(evidence, hypotheses, base), key=lambda f: f.cost)
+    chosen = worth_fitting(guesses, base)
+    evidence.residuals([f.hypothesis.moves(f.phi) for f in chosen])  # in parallel, and remembered
+    true = [fitting.at(evidence, f.hypothesis, f.phi, f.slopes) for f in chosen]
+    return [fitting.improve(evidence, f, rounds, all_slopes=False) for f in true]
+
+
+def worth_fitting(guesses: Sequence[Fitted], base: Fitted) -> list[Fitted]:
+    """The guesses, best first, that gain a quarter of what the best gains, and at least a few."""
+    gains = [base.cost - g.cost for g in guesses]
+    enough = sum(gain > 0.25 * gains[0] for gain in gains)
+    return list(guesses[: min(max(enough, 8), 20)])
+
+
+def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted) -> list[Fitted]:
+    """Each hypothesis at its best start, the magnitude scaled and the spread answering, both by straight lines."""
+    n_spread = len(evidence.plant.spread)
+    every = [(h, h.starts(base.phi)) for h in hypotheses]
+    residuals = iter(evidence.residuals([h.moves(phi) for h, starts in every for phi in starts]))
+    out = []
+    for hypothesis, starts in every:
+        tried = []
+        for phi in starts:
+            residual = np.nan_to_num(next(residuals), nan=1e9, posinf=1e9, neginf=-1e9)
+            slopes = np.zeros((residual.size, phi.size))
+            slopes[:, : base.hypothesis.n_free] = base.slopes[:, : base.hypothesis.n_free]
+            slopes[:, -n_spread:] = base.slopes[:, -n_spread:]
+            fitted = Fitted(hypothesis, phi, residual, evidence.mean_squares(residual), slopes)
+            tried += [_answered(evidence, fitted, n_spread), _scaled(evidence, fitted, base)]
+        out.append(min(tried, key=lambda f: f.cost))
+    return out
+
+
+def _scaled(evidence: Evidence, fitted: Fitted, base: Fitted) -> Fitted:
+    """The newest magnitude scaled as if its effect went in proportion, and the spread moved, once."""
+    hypothesis = fitted.hypothesis
+    place = sum(len(f.free) for f in hypothesis.forms[:-1])
+    start = fitted.phi[place]
+    if start == 0.0 or not np.all(np.isfinite(fitted.residual)):
+        return fitted
+    slopes = fitted.slopes.copy()
+    slopes[:, place] = (fitted.residual - base.residual) / start
+    free = np.zeros(fitted.phi.size, dtype=bool)
+    free[[place, *range(hypothesis.n_free, fitted.phi.size)]] = True
+    line = replace(fitted, slopes=slopes)
+    step = fitting.box_step(line, fitting.weights(evidence, np.minimum(fitted.mean_squares, base.mean_squares)), free)
+    moved = fitted.residual + slopes @ step
+    return replace(fitted, phi=fitted.phi + step, residual=moved, mean_squares=evidence.mean_squares(moved))
+
+
+def _answered(evidence: Evidence, fitted: Fitted, n_spread: int) -> Fitted:
+    """The spread moved once, its effect taken from the slopes."""
+    residual = np.nan_to_num(fitted.residual, nan=1e9, posinf=1e9, neginf=-1e9)
+    fitted = replace(fitted, residual=residual, mean_squares=evidence.mean_squares(residual))
+    free = np.zeros(fitted.phi.size, dtype=bool)
+    free[fitted.phi.size - n_spread :] = True
+    step = fitting.box_step(fitted, fitting.weights(evidence, fitted.mean_squares), free)
+    moved = residual + fitted.slopes @ step
+    return replace(fitted, phi=fitted.phi + step, residual=moved, mean_squares=evidence.mean_squares(moved))
+
+
+def refined(evidence: Evidence, fitted: Sequence[Fitted], rounds: int = 3) -> list[Fitted]:
+    """Each with all slopes anew."""
+    return [fitting.improve(evidence, f, rounds, all_slopes=True) for f in fitted]
+
+
+def best_forms(fitted: Sequence[Fitted]) -> list[Fitted]:
+    """The best form of each effect (or pair), best first."""
+    best: dict[str, Fitted] = {}
+    for f in sorted(fitted, key=lambda f: f.cost):
+        best.setdefault(f.hypothesis.name, f)
+    return list(best.values())
+
+
+def left_out_cost(evidence: Evidence, fitted: Fitted) -> float:
+    """Cost when each recording is predicted from the others: numbers moved to fit those, by the slopes."""
+    w = fitting.weights(evidence, fitted.mean_squares)
+    free = np.any(fitted.slopes != 0.0, axis=0)
+    recordings = list(dict.fromkeys(c.recording for c in evidence.cells))
+    left = np.array(fitted.mean_squares)
+    for name in recordings:
+        mask = np.ones(w.size)
+        own = [k for k, c in enumerate(evidence.cells) if c.recording == name]
+        for k in own:
+            mask[evidence.cells[k].part] = 0.0
+        step = fitting.box_step(fitted, w * mask, free)
+        for k in own:
+            cell = evidence.cells[k]
+            moved = fitted.residual[cell.part] + fitted.slopes[cell.part] @ step
+            left[k] = np.mean((moved / cell.floor) ** 2)
+    return fitting.cost(left)

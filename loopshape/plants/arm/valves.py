@@ -1,0 +1,93 @@
+"""When the valves are open in a PWM period, with delays of opening and closing and pulses that reach into the next."""
+
+from __future__ import annotations
+
+from loopshape.kernels import pwm
+from loopshape.kernels.compiled import compiled, compiled_in_line
+from loopshape.plants.arm import effect_parameters as e
+from loopshape.units import Array
+
+#: a schedule (16,): sign, opening and closing times of the present pulse and of the one before, of A and then of B,
+#: in s from the period's start; then how many edges follow
+SIGN, OPEN, CLOSE, LAST_SIGN, LAST_OPEN, LAST_CLOSE, EACH = 0, 1, 2, 3, 4, 5, 6
+
+
+@compiled_in_line
+def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_zone: float) -> None:
+    """Move a muscle's schedule on by a period whose command is u."""
+    s[first + LAST_SIGN] = s[first + SIGN]
+    s[first + LAST_OPEN] = s[first + OPEN] - period_s
+    s[first + LAST_CLOSE] = s[first + CLOSE] - period_s
+    length = pwm.pulse_s(u, period_s, dead_zone)
+    s[first + SIGN] = 0.0 if length == 0.0 else (1.0 if u > 0.0 else -1.0)
+    s[first + OPEN] = c[e.OPENING]
+    s[first + CLOSE] = length + c[e.CLOSING]
+    whole = s[first + LAST_CLOSE] > c[e.CLOSING] - 1e-9 and s[first + LAST_SIGN] == s[first + SIGN]
+    if whole:  # a valve that was open to the period's end and goes on does not move
+        s[first + LAST_CLOSE] = s[first + OPEN]
+
+
+@compiled
+def plan_period(
+    c: Array, s: Array, edges: Array, u_a: float, u_b: float, period_s: float, dead_zone: float
+) -> int:
+    """Move the schedule on and list in order the times at which an area changes or bends; gives their number."""
+    next_pulse(c, s, 0, u_a, period_s, dead_zone)
+    next_pulse(c, s, EACH, u_b, period_s, dead_zone)
+    half = 0.5 * c[e.RAMP]
+    n = 0
+    for first in (0, EACH):
+        for at in (first, first + LAST_SIGN):
+            if s[at] != 0.0:
+                for k in (1, 2):
+                    n = put(edges, n, s[at + k] - half, period_s)
+                    if half > 0.0:
+                        n = put(edges, n, s[at + k] + half, period_s)
+    return n
+
+
+@compiled_in_line
+def put(edges: Array, n: int, time_s: float, period_s: float) -> int:
+    """Insert a time in order, if it lies inside the period."""
+    if not 0.0 < time_s < period_s:
+        return n
+    k = n
+    while k > 0 and edges[k - 1] > time_s:
+        edges[k] = edges[k - 1]
+        k -= 1
+    edges[k] = time_s
+    return n + 1
+
+
+@compiled_in_line
+def pulse_area(opens: float, closes: float, ramp: float, now: float) -> float:
+    """Open area of one pulse at `now`; ramps are centred on its edges."""
+    if ramp == 0.0:
+        return 1.0 if opens <= now < closes else 0.0
+    up = min(max((now - opens) / ramp + 0.5, 0.0), 1.0)
+    return max(up - min(max((now - closes) / ramp + 0.5, 0.0), 1.0), 0.0)
+
+
+@compiled_in_line
+def area(c: Array, s: Array, first: int, side: float, now: float) -> float:
+    """Open area 0..1 of a muscle's in (side 1) or out (side -1) valve at `now` s of the period."""
+    total = 0.0
+    if s[first + SIGN] == side:
+        total += pulse_area(s[first + OPEN], s[first + CLOSE], c[e.RAMP], now)
+    if s[first + LAST_SIGN] == side:
+        total += pulse_area(s[first + LAST_OPEN], s[first + LAST_CLOSE], c[e.RAMP], now)
+    return min(total, 1.0)
+
+
+@compiled_in_line
+def areas(c: Array, s: Array, now: float) -> tuple[float, float, float, float]:
+    """Open areas of in A, in B, out A, out B at `now` s of the period."""
+    if c[e.LATE] == 0.0:
+        a, b = now < s[CLOSE], now < s[EACH + CLOSE]
+        return (
+            1.0 if a and s[SIGN] > 0.0 else 0.0,
+            1.0 if b and s[EACH + SIGN] > 0.0 else 0.0,
+            1.0 if a and s[SIGN] < 0.0 else 0.0,
+            1.0 if b and s[EACH + SIGN] < 0.0 else 0.0,
+        )
+    return area(c, s, 0, 1.0, now), area(c, s, EACH, 1.0, now), area(c, s, 0, -1.0, now), area(c, s, EACH, -1.0, now)
