@@ -117,8 +117,8 @@ class Followable(Plant, Protocol):
     def floors(self, prepared: Any) -> dict[str, float]:
         """Rms that measurement noise alone leaves in each channel's residuals."""
 
-    def validation(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, float]:
-        """Rms of simulated against measured outputs over its noise floor, by path such as u -> p."""
+    def paths(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus simulated outputs over their floor, measured inputs in, by path such as u -> p."""
 
 
 class Prepared(Protocol):

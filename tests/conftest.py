@@ -67,8 +67,8 @@ def arm_experiment(arm):
 
 @pytest.fixture(scope="session")
 def arm_open_loop():
-    """The bare kernel, driven by z (n, 2) in V from a state (5,), SI, without noise: log (n, 12) and last state."""
-    from loopshape.plants.arm import closed_loop
+    """The bare kernel, driven by z (n, 2) in V from a state (7,), SI, without noise: log (n, 12) and last state."""
+    from loopshape.plants.arm import closed_loop, memory
 
     sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9])  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
@@ -77,8 +77,10 @@ def arm_open_loop():
         z = np.ascontiguousarray(z, dtype=float)
         z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
         state, out = np.array(start, dtype=float), np.empty((len(z), len(closed_loop.LOGGED)))
+        m = np.empty(memory.SIZE)
+        memory.start(c, state, m)
         ended, n = closed_loop.run(
-            c, sensors, state, no_controller, no_controller, np.zeros((2, 1, 2)), np.zeros((len(z), 2)), z,
+            c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), np.zeros((len(z), 2)), z,
             closed_loop.CONTROL, False, tick_s, period_ticks, dead_zone, solver, steps, 1, out,
         )  # fmt: skip
         assert (ended, n) == (closed_loop.COMPLETE, len(z))

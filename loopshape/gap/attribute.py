@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,7 @@ from loopshape.gap import fitting
 from loopshape.gap.evidence import Evidence
 from loopshape.gap.fitting import Fitted
 from loopshape.gap.hypothesis import Hypothesis
-
-Progress = Callable[[str, float], None]
+from loopshape.units import Array
 
 
 def healthy(evidence: Evidence) -> Fitted:
@@ -102,20 +101,37 @@ def best_forms(fitted: Sequence[Fitted]) -> list[Fitted]:
     return list(best.values())
 
 
-def left_out_cost(evidence: Evidence, fitted: Fitted) -> float:
-    """Cost when each recording is predicted from the others: numbers moved to fit those, by the slopes."""
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What leaving each recording out of a fit gives: cost of predicting it, and the numbers phi (recordings, p)."""
+
+    cost: float
+    phi: Array
+
+
+def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
+    """Each recording predicted from the others: numbers moved to fit those, by the slopes."""
     w = fitting.weights(evidence, fitted.mean_squares)
     free = np.any(fitted.slopes != 0.0, axis=0)
-    recordings = list(dict.fromkeys(c.recording for c in evidence.cells))
     left = np.array(fitted.mean_squares)
-    for name in recordings:
+    moved = []
+    for name in evidence.recordings:
         mask = np.ones(w.size)
         own = [k for k, c in enumerate(evidence.cells) if c.recording == name]
         for k in own:
             mask[evidence.cells[k].part] = 0.0
-        step = fitting.box_step(fitted, w * mask, free)
+        step = fitting.box_step(fitted, w * mask, free) if mask.any() else np.zeros(free.size)
         for k in own:
             cell = evidence.cells[k]
-            moved = fitted.residual[cell.part] + fitted.slopes[cell.part] @ step
-            left[k] = np.mean((moved / cell.floor) ** 2)
-    return fitting.cost(left)
+            predicted = fitted.residual[cell.part] + fitted.slopes[cell.part] @ step
+            left[k] = np.mean((predicted / cell.floor) ** 2)
+        moved.append(fitted.phi + step)
+    return LeftOut(fitting.cost(left), np.array(moved))
+
+
+def spread_of_magnitude(fitted: Fitted, left: LeftOut, place: int) -> float:
+    """Standard deviation of a form's magnitude by the jackknife over recordings (Efron 1982)."""
+    at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
+    values = fitted.hypothesis.forms[place].scale * left.phi[:, at]
+    n = len(values)
+    return float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))

@@ -64,6 +64,16 @@ class Evidence:
         evidence.cells = _cells(prepared, plant, [plant.residuals(p, {}) for p in prepared])
         return evidence
 
+    @property
+    def recordings(self) -> list[str]:
+        """Names of its recordings, in order."""
+        return list(dict.fromkeys(c.recording for c in self.cells))
+
+    @property
+    def quiet(self) -> float:
+        """What sum log(1 + ms) over the cells is where only noise is left."""
+        return len(self.cells) * float(np.log(2.0))
+
     def residuals(self, many: Sequence[Moves]) -> list[Array]:
         """Residual vectors (n,) for each set of moved parameters, all recordings and sets in parallel."""
         keys = [tuple(sorted(moves.items())) for moves in many]

@@ -44,8 +44,8 @@ def test_gas_is_neither_made_nor_lost(p_c, p_a, p_b, angle, valves):
     """At rest the three volumes' contents change by what enters from the supply and leaves to the room."""
     d_p_c, d_p_a, d_p_b, _ = derivatives(C, p_c, p_a, p_b, angle, 0.0, *valves)
     v_a, v_b = (volume(h) for h in lengths(angle))
-    q_in = flow(C[k.BETA_IN], C[k.P_IN], p_c, C[k.P_ATM2])
-    q_out = sum(o * flow(C[k.BETA_OUT], p, 0.0, C[k.P_ATM2]) for o, p in zip(valves[2:], (p_a, p_b), strict=True))
+    q_in = flow(C, C[k.BETA_IN], C[k.P_IN], p_c)
+    q_out = sum(o * flow(C, C[k.BETA_OUT], p, 0.0) for o, p in zip(valves[2:], (p_a, p_b), strict=True))
     stored = C[k.V_C] * d_p_c + v_a * d_p_a + v_b * d_p_b
     assert stored == pytest.approx(C[k.RT] * (q_in - q_out), rel=1e-9, abs=1e-9 * C[k.RT] * 1e-3)
 
@@ -53,9 +53,9 @@ def test_gas_is_neither_made_nor_lost(p_c, p_a, p_b, angle, valves):
 @settings(max_examples=300)
 @given(p_c=PRESSURES, p_a=PRESSURES, p_b=PRESSURES)
 def test_the_splitter_passes_on_what_its_throttle_lets_through(p_c, p_a, p_b):
-    q_a, q_b = supply_flows(C, p_c, p_a, p_b, True, True)
+    q_a, q_b = supply_flows(C, p_c, p_a, p_b, 1.0, 1.0)
     farther = p_a if abs(p_c - p_a) > abs(p_c - p_b) else p_b
-    whole = abs(flow(C[k.BETA_S], p_c, farther, C[k.P_ATM2]))
+    whole = abs(flow(C, C[k.BETA_S], p_c, farther))
     assert abs(q_a) + abs(q_b) == pytest.approx(whole, rel=1e-12)
     for q, p in ((q_a, p_a), (q_b, p_b)):  # each flows down its own difference
         assert math.copysign(1.0, q) == math.copysign(1.0, p_c - p) or q == 0.0
@@ -66,23 +66,21 @@ def test_the_splitter_passes_on_what_its_throttle_lets_through(p_c, p_a, p_b):
 def test_both_valves_open_below_the_supply_is_3_33(p_c, p_a, p_b):
     """(3.28-3.33), where both muscles lie below p_c: p_s = min(p_A, p_B) and shares by the differences."""
     p_a, p_b, p_c = *sorted((p_a, p_b)), max(p_a, p_b, p_c) + 1.0
-    q_s = flow(C[k.BETA_S], p_c, min(p_a, p_b), C[k.P_ATM2])
+    q_s = flow(C, C[k.BETA_S], p_c, min(p_a, p_b))
     share = (p_c - p_a) / ((p_c - p_a) + (p_c - p_b))
-    np.testing.assert_allclose(
-        supply_flows(C, p_c, p_a, p_b, True, True), [share * q_s, (1.0 - share) * q_s], rtol=1e-9
-    )
+    np.testing.assert_allclose(supply_flows(C, p_c, p_a, p_b, 1.0, 1.0), [share * q_s, (1.0 - share) * q_s], rtol=1e-9)
 
 
 @settings(max_examples=100)
 @given(p=PRESSURES, beta=st.sampled_from([k.BETA_IN, k.BETA_S, k.BETA_OUT]))
 def test_nothing_flows_without_a_difference(p, beta):
-    assert flow(C[beta], p, p, C[k.P_ATM2]) == 0.0
+    assert flow(C, C[beta], p, p) == 0.0
 
 
 @settings(max_examples=100)
 @given(p1=PRESSURES, p2=PRESSURES)
 def test_flow_turns_with_the_difference(p1, p2):
-    assert flow(C[k.BETA_S], p1, p2, C[k.P_ATM2]) == -flow(C[k.BETA_S], p2, p1, C[k.P_ATM2])
+    assert flow(C, C[k.BETA_S], p1, p2) == -flow(C, C[k.BETA_S], p2, p1)
 
 
 @settings(max_examples=100)
@@ -90,10 +88,10 @@ def test_flow_turns_with_the_difference(p1, p2):
 def test_the_splitter_s_zero_denominators_are_guarded(p, gap):
     """Both muscles at p_c, or p_c exactly between them, where (3.33) divides by zero."""
     gap = (p + gap) - p  # exactly representable on both sides
-    q_a, q_b = supply_flows(C, p, p - gap, p + gap, True, True)
+    q_a, q_b = supply_flows(C, p, p - gap, p + gap, 1.0, 1.0)
     assert math.isfinite(q_a)
     assert math.isfinite(q_b)
-    bound = flow(C[k.BETA_S], p + gap, p, C[k.P_ATM2])
+    bound = flow(C, C[k.BETA_S], p + gap, p)
     assert 0.0 <= q_a <= 1.000001 * bound
     assert -1.000001 * bound <= q_b <= 0.0
     if gap == 0.0:
@@ -111,7 +109,7 @@ def test_an_open_out_valve_overrules_the_in_valve(p_c, p_a, p_b, angle, velocity
 @given(p=PRESSURES, angle=ANGLES)
 def test_a_muscle_s_volume_and_its_slope_belong_together(p, angle):
     h = lengths(angle)[0]
-    _, v, slope = muscle(C, p, h, 0.0, 1.0)
+    _, v, slope = muscle(C, p, h, 0.0, 1.0, C[k.TWO_L], 0.0)
     assert v == pytest.approx(volume(h), rel=1e-12)
     assert slope == pytest.approx((volume(h + 1e-5) - volume(h - 1e-5)) / 2e-5, rel=1e-6, abs=1e-8)
 
@@ -154,7 +152,7 @@ def test_energy_of_the_undamped_shut_arm_is_constant(swinging):
 
     def stored(i, h):
         def pull(x):
-            return muscle(c, content[i] / volume(x) ** n - p_0, x, 0.0, 1.0)[0]
+            return muscle(c, content[i] / volume(x) ** n - p_0, x, 0.0, 1.0, c[k.TWO_L], 0.0)[0]
 
         return quad(pull, start[i], h, epsabs=1e-12, epsrel=1e-12)[0]
 

@@ -109,8 +109,8 @@ def test_nominal_length_and_damping_of_a_muscle(arm_constants):
     """ARM.md section 4: h0 = 2 L - s1 p/(s2 + p) and d = 40 + 1.94 p, at 0.9 bar."""
     c = arm_constants()
     h0 = 2.0 * 0.1274 - 0.117 * 0.9 / (0.232 + 0.9)
-    assert muscle(c, 0.9e5, h0, 0.0, 1.0)[0] == pytest.approx(0.0, abs=1e-9)
-    assert muscle(c, 0.9e5, h0, 0.1, 1.0)[0] == pytest.approx(0.1 * (40.0 + 1.94 * 0.9), rel=1e-9)
+    assert muscle(c, 0.9e5, h0, 0.0, 1.0, c[k.TWO_L], 0.0)[0] == pytest.approx(0.0, abs=1e-9)
+    assert muscle(c, 0.9e5, h0, 0.1, 1.0, c[k.TWO_L], 0.0)[0] == pytest.approx(0.1 * (40.0 + 1.94 * 0.9), rel=1e-9)
 
 
 def test_stiffness_of_table_4_1(arm_constants):
@@ -119,7 +119,7 @@ def test_stiffness_of_table_4_1(arm_constants):
     b, k0, k1, k2, c0, c1 = -3.97, -0.442, 5.06, -12.80, 0.82, 0.85
     stiffness = 1e5 * (b * (c0 * k0 + c1 * k1 * h + k2 * h**2) + p * (k0 + k1 * h + k2 * h**2))
     c, h0 = arm_constants(), 2.0 * 0.1274 - 0.117 * p / (0.232 + p)
-    assert muscle(c, 1e5 * p, h, 0.0, 1.0)[0] == pytest.approx(stiffness * (h - h0), rel=1e-9)
+    assert muscle(c, 1e5 * p, h, 0.0, 1.0, c[k.TWO_L], 0.0)[0] == pytest.approx(stiffness * (h - h0), rel=1e-9)
 
 
 def test_24_equilibria_of_section_4_3():

@@ -84,11 +84,16 @@ class Arm1:
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
         """The recording's commands and what was measured, for `residuals`."""
-        return following.followed(recording, run, longest_s)
+        f = following.followed(recording, run, longest_s)
+        return following.with_capacity_slopes(f, self.parameters.vector(f.parameters))
 
     def residuals(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled: `p_a`, `p_b` in mbar (u -> p), `theta2` in deg (p -> theta)."""
         return following.residuals(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
+
+    def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus simulated over its floor by path: u -> p_a, u -> p_b, p -> theta2, u -> theta2."""
+        return following.paths(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
     def floors(self, prepared: following.Followed) -> dict[str, float]:
         """Rms that sensors and converters leave in `residuals`, in its units."""

@@ -8,7 +8,7 @@ delays and everything else act as in the closed loop; what was recorded is never
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,9 +22,11 @@ from loopshape.units import Array, deg
 LEAD_S = 1.0  # all states follow for half of it, then the submodel settles; not compared
 STRIDE_S = 0.004  # a step between valve edges; halving it moves residuals by a hundredth
 P_BLOCK, ANGLE_BLOCK = 1, 2  # rows of STRIDE_S whose mean is one compared value
+P_FLOOR, MUSCLES_FLOOR, WHOLE_FLOOR = 1.0, 1.9, 3.0  # of healthy arms over white noise, on validation recordings
 _ANGLE_TURN = 40.0  # rad/s: the angle's observer
 _SLOW, _FAST = 1.5, 60.0  # 1/s: pressures drawn back, pressures followed
-_CAPACITY_S = 2.0  # the capacity's pressure, not measured, comes from so much of the recording
+# the capacity's pressure, not measured: where it begins, how long it leads, how it is probed, how far it may be off
+_CAPACITY, _CAPACITY_S, _PROBE_PA, _MOST_MBAR = 0.97, 2.0, 1e3, 80.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,7 @@ class Followed:
     period_ticks: int
     dead_zone: float
     parameters: Mapping[str, float] = field(default_factory=dict)
+    capacity: Array | None = None
 
     @property
     def row_s(self) -> float:
@@ -80,11 +83,11 @@ def thinned(raw: Array, stride: int) -> Array:
     return np.ascontiguousarray(np.asarray(smooth)[:: stride][: len(raw) // stride])
 
 
-def answers(f: Followed, vector: Array, mode: str) -> Array:
+def answers(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Array:
     """What the sensors would give (rows, 3), rad, Pa, Pa, from a parameter vector, in one of the three ways."""
     c = p.constants(vector)
     c[e.COULOMB_SPEED] = max(c[e.COULOMB_SPEED], 0.5 * f.row_s * c[e.COULOMB] / c[p.INERTIA])  # or the step is unstable
-    x, m = _start(f, c)
+    x, m = _start(f, c, more_pa)
     out = np.empty_like(f.measured)
     lead = round(0.5 * LEAD_S / f.row_s)
     _follow(f, c, x, m, out, lead, mode)
@@ -106,16 +109,31 @@ def gains(mode: str, row_s: float) -> Array:
     return np.array(table[mode])
 
 
-def _start(f: Followed, c: Array) -> tuple[Array, Array]:
-    """State and memory at the first sample, with the capacity as two seconds of this recording leave it."""
+def _start(f: Followed, c: Array, more_pa: float) -> tuple[Array, Array]:
+    """State and memory at the first sample; the capacity is a guess, `more_pa` above what a short lead gives it."""
     angle, p_a, p_b = f.measured[:3].mean(axis=0)
-    x = np.array([0.97 * c[p.P_IN], p_a, p_b, angle, 0.0, angle, 0.0])
+    x = np.array([_CAPACITY * c[p.P_IN], p_a, p_b, angle, 0.0, angle, 0.0])
     m = np.empty(memory.SIZE)
     memory.start(c, x, m)
     y, w = x.copy(), m.copy()
     _follow(f, c, y, w, np.empty((min(round(_CAPACITY_S / f.row_s), len(f.measured)), 3)), 0, "both")
-    x[0] = y[0]
+    x[0] = y[0] + more_pa
     return x, m
+
+
+def with_capacity_slopes(f: Followed, vector: Array) -> Followed:
+    """The same with what a higher capacity at the start would change in the pressures (rows, 2), mbar per mbar."""
+    low, high = (_off(f, vector, "valves", more) for more in (-_PROBE_PA, _PROBE_PA))
+    return replace(f, capacity=np.ascontiguousarray((high - low)[:, 1:] / (2e-2 * _PROBE_PA)))
+
+
+def _settled(f: Followed, pressures: Array) -> Array:
+    """Pressure errors (rows, 2) less what the capacity's pressure at the start, which nobody measured, explains."""
+    if f.capacity is None:
+        return pressures
+    most = float(np.sum(f.capacity**2)) + 1e-12
+    share = -float(np.sum(f.capacity * pressures)) / most
+    return np.asarray(pressures + np.clip(share, -_MOST_MBAR, _MOST_MBAR) * f.capacity)
 
 
 def blocks(values: Array, length: int) -> Array:
@@ -126,14 +144,18 @@ def blocks(values: Array, length: int) -> Array:
 
 def residuals(f: Followed, vector: Array) -> dict[str, Array]:
     """Measured minus modelled after the lead: `p_a`, `p_b` in mbar (u -> p), `theta2` in deg (p -> theta)."""
-    lead = round(LEAD_S / f.row_s)
-    pressure = f.measured - answers(f, vector, "valves")
-    angle = f.measured[:, 0] - answers(f, vector, "muscles")[:, 0]
+    valves, muscles = _settled(f, _off(f, vector, "valves")[:, 1:]), _off(f, vector, "muscles")
     return {
-        "p_a": 1e-2 * blocks(pressure[lead:, 1], P_BLOCK),
-        "p_b": 1e-2 * blocks(pressure[lead:, 2], P_BLOCK),
-        "theta2": np.asarray(deg(blocks(angle[lead:], ANGLE_BLOCK))),
+        "p_a": blocks(valves[:, 0], P_BLOCK),
+        "p_b": blocks(valves[:, 1], P_BLOCK),
+        "theta2": blocks(muscles[:, 0], ANGLE_BLOCK),
     }
+
+
+def _off(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Array:
+    """Measured minus modelled after the lead (rows, 3) in deg, mbar, mbar."""
+    off = (f.measured - answers(f, vector, mode, more_pa))[round(LEAD_S / f.row_s) :]
+    return np.asarray(off * np.array([float(deg(1.0)), 1e-2, 1e-2]))
 
 
 def floors(f: Followed) -> dict[str, float]:
@@ -141,9 +163,32 @@ def floors(f: Followed) -> dict[str, float]:
 
     The factors over white noise were measured on healthy arms of the exam's generator.
     """
-    p_noise = 1e-2 * f.noise[1:] / np.sqrt(f.stride * P_BLOCK)
-    angle = float(deg(f.noise[0])) / np.sqrt(f.stride * ANGLE_BLOCK)
-    return {"p_a": 1.3 * float(p_noise[0]), "p_b": 1.3 * float(p_noise[1]), "theta2": 2.2 * angle}
+    angle, p_a, p_b = _white(f)
+    return {"p_a": p_a, "p_b": p_b, "theta2": 2.2 * angle / np.sqrt(ANGLE_BLOCK)}
+
+
+def _white(f: Followed) -> tuple[float, float, float]:
+    """Rms that white noise of the sensors leaves in the rows, deg and mbar."""
+    angle, p_a, p_b = f.noise / np.sqrt(f.stride)
+    return float(deg(angle)), 1e-2 * float(p_a), 1e-2 * float(p_b)
+
+
+def paths(f: Followed, vector: Array) -> dict[str, Array]:
+    """Measured minus simulated outputs over their floor after the lead, every ROWS rows: the gap's three paths.
+
+    Measured inputs go in: commands (u -> p, with the angle followed; u -> theta), or pressures (p -> theta). Floors
+    are what healthy arms with their spread fitted leave, as for `floors`; rms 1 is no gap.
+    """
+    valves = _settled(f, _off(f, vector, "valves")[:, 1:])
+    muscles, whole = _off(f, vector, "muscles"), _off(f, vector, "whole")
+    angle, p_a, p_b = _white(f)
+    own = {
+        "u -> p_a": valves[:, 0] / (P_FLOOR * p_a),
+        "u -> p_b": valves[:, 1] / (P_FLOOR * p_b),
+        "p -> theta2": muscles[:, 0] / (MUSCLES_FLOOR * angle),
+        "u -> theta2": whole[:, 0] / (WHOLE_FLOOR * angle),
+    }
+    return {name: values[:: ANGLE_BLOCK] for name, values in own.items()}
 
 
 def noise_rms(values: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +29,7 @@ _INJECTIONS = {
     "control": kernel.CONTROL,
 }
 _ENDED = {kernel.LEFT_RANGE: "the axis left its travel", kernel.NOT_FINITE: "the state is no longer a number"}
-_STEPS = 4  # of integration in a tick
+ENOUGH, PIECE_S = 4, 3.0  # recordings to leave one out of; length of a piece of fewer
 
 
 class ServoAxis:
@@ -69,6 +70,18 @@ class ServoAxis:
         quiet = [following.quieter(f, with_nominal(first).vector()) for f in ready]
         found = nominal.estimated(quiet, known)
         return ServoAxis(with_nominal(found), forms(nominal.scales(quiet)), nominal.spread(known, found))
+
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[ServoAxis, Run, list[str]]:
+        """The run's own axis, the run, and the recordings named, cut into pieces where these are fewer than `ENOUGH`.
+
+        A diagnosis leaves recordings out to see what predicts them; of one recording there is nothing to leave out.
+        """
+        own = self.of_run(run)
+        if len(names) >= ENOUGH:
+            return own, run, list(names)
+        cut = [piece for name in names for piece in following.pieces(run.recording(name), PIECE_S)]
+        kept = [r for r in run.recordings if r.info.name not in names and r.info.file not in names]
+        return own, replace(run, recordings=(*cut, *kept)), [piece.info.name for piece in cut]
 
     def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
         """A controller that holds the nominal axis with a crossover at about a fiftieth of the rate, 20 Hz at most."""
@@ -145,7 +158,7 @@ class ServoAxis:
         out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
         ended, n = kernel.run(
             constants(vector), sensor, x, m, sections, np.zeros((len(sections), 2)), reference, injected,
-            _INJECTIONS[e.injection], 1.0 / e.rate_hz, _STEPS, start_state(e.seed), np.empty(e.samples), out,
+            _INJECTIONS[e.injection], 1.0 / e.rate_hz, motion.STEPS, start_state(e.seed), np.empty(e.samples), out,
         )  # fmt: skip
         return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
 
@@ -167,21 +180,19 @@ class ServoAxis:
         lacking = self.residuals(prepared, moves)["force"]
         return float(np.linalg.norm(lacking) / np.linalg.norm(acting))
 
-    def validation(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, float]:
-        """Rms over noise: `position -> force` (the inverse model) and `force -> position` (drawn back slowly)."""
+    def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus modelled over its floor: `position -> force` as `residuals`, `force -> position` drawn slowly.
+
+        Floors are the sensor's noise: an axis of which mass and friction were fitted leaves little more.
+        """
         vector = self.parameters.vector(moves)
         force = following.lacking_n(prepared, vector) / following.noise_n(prepared, self.parameters.vector())
-        position = following.drift_m(prepared, vector) / prepared.noise_m
-        return {"position -> force": _rms(force), "force -> position": _rms(position)}
+        return {"position -> force": force, "force -> position": following.drift_m(prepared, vector) / prepared.noise_m}
 
 
 def _loop(run: Run) -> LoopSetup | None:
     """The loop whose control is the force, if the run has one."""
     return next((loop for loop in run.loops if loop.control == "force_n"), None)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:

@@ -2,7 +2,8 @@
 
 Magnitudes do not depend on the form: Coulomb level (the mean of both directions) of the frictions, constant force,
 N/m3, whole play, largest force, free-free frequency, low-frequency delay. Bounds and starts go with the scales of the
-recordings, since an axis may carry grams or tonnes.
+recordings, since an axis may carry grams or tonnes. What makes a friction asymmetric, or Stribeck's, is bounded away
+from zero: at zero it would be Coulomb friction by another name.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ _BLOCKS = {
     "transmission": ("backlash", "flexibility"),
     "controller": ("loop_delay",),
 }
+_JANOT = "Janot, Gautier and Brunot 2019"
 BLOCKS: Mapping[str, str] = {effect: block for block, effects in _BLOCKS.items() for effect in effects}
 
 
@@ -52,17 +54,21 @@ def _frictions(s: Scales) -> tuple[EffectForm, ...]:
     speed = _free("coulomb_m_s", 1e-4 * s.speed_m_s, 0.2 * s.speed_m_s, 0.01 * s.speed_m_s)
     dahl = _free("presliding_n", 0.0, s.peak_n, 0.1 * s.force_n, 0.4 * s.force_n)
     travel = _free("presliding_m", 1e-6 * s.travel_m, 2e-2 * s.travel_m, 1e-4 * s.travel_m)
-    levels = _free("coulomb_asymmetry", -1.0, 1.0, -0.2, 0.2)
-    sides = _free("viscous_asymmetry", -1.0, 1.0, -0.2, 0.2)
-    share = _free("stribeck_share", 0.0, 4.0, 0.5)
-    stribeck = _free("stribeck_m_s", 1e-3 * s.speed_m_s, 0.5 * s.speed_m_s, 0.05 * s.speed_m_s)
+    either = _free("coulomb_asymmetry", -1.0, 1.0, -0.1, 0.1)
+    up, down = (0.05, 1.0, 0.2), (-1.0, -0.05, -0.2)
+    share = _free("stribeck_share", 0.1, 4.0, 0.5)
+    stribeck = _free("stribeck_m_s", 5e-3 * s.speed_m_s, 0.5 * s.speed_m_s, 0.05 * s.speed_m_s)
     return (
         _form("coulomb_friction", "tanh Coulomb", "N", level, speed, source="Coulomb"),
         _form("coulomb_friction", "presliding", "N", dahl, travel, source="Dahl 1968"),
-        _form("asymmetric_friction", "a level for each direction", "N", level, speed, levels,
-              source="Janot, Gautier and Brunot 2019"),
-        _form("asymmetric_friction", "level and viscous for each direction", "N", level, speed, levels, sides,
-              source="Janot, Gautier and Brunot 2019"),
+        _form("asymmetric_friction", "level higher upwards", "N", level, speed, _free("coulomb_asymmetry", *up),
+              source=_JANOT),
+        _form("asymmetric_friction", "level higher downwards", "N", level, speed, _free("coulomb_asymmetry", *down),
+              source=_JANOT),
+        _form("asymmetric_friction", "more viscous upwards", "N", level, speed, _free("viscous_asymmetry", *up), either,
+              source=_JANOT),
+        _form("asymmetric_friction", "more viscous downwards", "N", level, speed, _free("viscous_asymmetry", *down),
+              either, source=_JANOT),
         _form("stribeck_friction", "Gaussian", "N", level, speed, share, stribeck,
               source="Stribeck 1902, Armstrong-Helouvry 1991"),
         _form("stribeck_friction", "exponential", "N", level, speed, share, stribeck,
@@ -76,8 +82,8 @@ def _forces(s: Scales) -> tuple[EffectForm, ...]:
     centre = _free("cubic_centre_m", s.low_m, s.high_m, *(s.low_m + share * s.travel_m for share in (0.3, 0.7)))
     about_zero = s.force_n / reach**3
     about_middle = s.force_n / (0.5 * s.travel_m) ** 3
-    limit = _free("force_limit_n", 0.1 * s.peak_n, 1.05 * s.peak_n, *(share * s.peak_n for share in (0.2, 0.35, 0.6, 0.85)))
-    soft = _free("force_limit_n", 0.3 * s.peak_n, 10.0 * s.peak_n, 0.5 * s.peak_n, s.peak_n, 3.0 * s.peak_n)
+    limit = _free("force_limit_n", 0.01 * s.peak_n, 1.05 * s.peak_n, *(0.9 * 0.65**k * s.peak_n for k in range(9)))
+    soft = _free("force_limit_n", 0.01 * s.peak_n, 10.0 * s.peak_n, *(3.0 * 0.5**k * s.peak_n for k in range(8)))
     return (
         _form("force_offset", "constant", "N", offset, source="weight, drive's zero"),
         _form("hardening_stiffness", "cubic about zero", "N/m3",

@@ -22,7 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 from loopshape.errors import BadSignalError
 from loopshape.experiment import LoopSetup
 from loopshape.plants.servo_axis import closed_loop, motion
-from loopshape.plants.servo_axis.parameters import AXIS_PARAMETERS, MASS, constants
+from loopshape.plants.servo_axis.parameters import AXIS_PARAMETERS, MASS, SHARE, constants
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.units import TWO_PI, Array
 
@@ -130,7 +130,8 @@ def missed(f: Followed, c: Array, observer_hz: float) -> Array:
     motion.start(x, m, float(position), float(slope), float(f.force_n[0]))
     out = np.empty_like(f.position_m)
     gains = observer_gains(observer_hz, 1.0 / f.rate_hz)
-    closed_loop.follow(c, x, m, f.force_n, f.position_m, *gains, 1.0 / f.rate_hz, 1, out)
+    steps = motion.STEPS if c[SHARE] > 0.0 else 1  # one mass is exact enough in one step a tick
+    closed_loop.follow(c, x, m, f.force_n, f.position_m, *gains, 1.0 / f.rate_hz, steps, out)
     return out
 
 

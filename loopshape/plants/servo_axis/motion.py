@@ -16,6 +16,7 @@ from loopshape.units import Array
 DRIVE, DRIVE_V, LOAD, LOAD_V, STATES = 0, 1, 2, 3, 4
 #: places in the memory (4,): Dahl's element, the play's last position and its element, the lagged force
 ELEMENT, PLAYED, PLAY, LAGGED, MEMORY = 0, 1, 2, 3, 4
+STEPS = 4  # of integration in a tick
 
 
 @compiled_in_line

@@ -1,7 +1,8 @@
 """The nominal axis of a run: what its run.toml says, and by least squares what it leaves out; and the run's scales.
 
 Positions go through a Butterworth low-pass of order 4, forwards and backwards, and are differentiated centrally; both
-sides of mass q'' + viscous q' + stiffness q = F then go through the same low-pass.
+sides of mass q'' + viscous q' + stiffness q = F then go through the same low-pass. A force that a controller holds over
+its ticks acts, about the time of a position, as the mean of two ticks.
 """
 
 from __future__ import annotations
@@ -90,13 +91,23 @@ def estimated(recordings: Sequence[Followed], known: Mapping[str, float]) -> dic
 
 
 def regressors(f: Followed) -> dict[str, Array]:
-    """Force and what each nominal parameter is multiplied with, by the parameter's name, (n,) each."""
-    sections = f.sections
+    """Force and what each nominal parameter is multiplied with, by the parameter's name, low-passed and thinned."""
+    force = f.force_n.copy()
+    force[1:] = 0.5 * (f.force_n[1:] + f.force_n[:-1])
+    return {name: passed(f, values) for name, values in ({"force_n": force} | differentiated(f)).items()}
+
+
+def differentiated(f: Followed) -> dict[str, Array]:
+    """Position in m, speed and acceleration (n,), by the name of the parameter that they are multiplied with."""
     q = sosfiltfilt(butter(4, f.observer_hz, fs=f.rate_hz, output="sos"), f.position_m)
     v = np.gradient(q) * f.rate_hz
-    signals = {"force_n": f.force_n, "mass_kg": np.gradient(v) * f.rate_hz, "viscous_ns_m": v, "stiffness_n_m": q}
-    rows = slice(round(LEAD_S * f.rate_hz), f.force_n.size - round(TAIL_S * f.rate_hz), f.keep)
-    return {name: np.asarray(sosfiltfilt(sections, s)[rows]) for name, s in signals.items()}
+    return {"mass_kg": np.gradient(v) * f.rate_hz, "viscous_ns_m": v, "stiffness_n_m": q}
+
+
+def passed(f: Followed, values: Array) -> Array:
+    """Values (n,) behind the recording's low-pass, lead and tail cut, thinned as the residuals are."""
+    rows = slice(round(LEAD_S * f.rate_hz), values.size - round(TAIL_S * f.rate_hz), f.keep)
+    return np.asarray(sosfiltfilt(f.sections, values)[rows])
 
 
 def scales(recordings: Sequence[Followed]) -> Scales:

@@ -1,0 +1,112 @@
+"""From what each hypothesis leaves to probabilities: none, every effect, pairs, and unknown.
+
+A hypothesis' energy is what it leaves when each recording is predicted from the others, over a temperature (all
+forms are wrong, so differences of fit count less than noise alone would say), plus what it costs to bring in one
+or two effects, plus how unusual its magnitude is. `unknown` is a form-free explanation that would leave a share of
+the healthy model's gap. Temperature, costs and share were fitted on development arms (`experiments/exam`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.effect import EffectForm
+from loopshape.gap.attribute import LeftOut, left_out, spread_of_magnitude
+from loopshape.gap.evidence import Evidence
+from loopshape.gap.fitting import Fitted
+from loopshape.gap.hypothesis import Hypothesis
+
+SHARPNESS = 0.4  # one over the temperature
+ONE_EFFECT, TWO_EFFECTS = 1.0, 3.5
+UNKNOWN, UNKNOWN_LEAVES = 2.5, 0.3
+_UNUSUAL, _SLACK = 6.0, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fitted hypothesis with its score: cost left out, standard deviations of its magnitudes, its energy."""
+
+    fitted: Fitted
+    left: LeftOut
+    deviations: tuple[float, ...]
+    energy: float
+
+    @property
+    def name(self) -> str:
+        """Effects joined by +, or none."""
+        return self.fitted.hypothesis.name
+
+
+def unusual(form: EffectForm, magnitude: float) -> float:
+    """Energy of a magnitude outside the usual range: square of the logarithm by how much, beyond a slack."""
+    low, high = form.usual
+    size = max(abs(magnitude), 1e-12)
+    off = max(np.log(max(low, 1e-12) / size), np.log(size / high), 0.0)
+    return float(_UNUSUAL * max(off - _SLACK, 0.0) ** 2)
+
+
+def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
+    """A fitted hypothesis with its energy."""
+    left = left_out(evidence, fitted)
+    forms = fitted.hypothesis.forms
+    deviations = tuple(spread_of_magnitude(fitted, left, k) for k in range(len(forms)))
+    cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
+    odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
+    return Candidate(fitted, left, deviations, SHARPNESS * (left.cost - evidence.quiet) + cost + odd)
+
+
+def unknown_energy(evidence: Evidence, none: Candidate) -> float:
+    """Energy of an explanation that the catalogue does not hold."""
+    return UNKNOWN + SHARPNESS * UNKNOWN_LEAVES * max(none.left.cost - evidence.quiet, 0.0)
+
+
+def best_by_name(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
+    """The candidate of least energy for each name, best first."""
+    best: dict[str, Candidate] = {}
+    for c in sorted(candidates, key=lambda c: c.energy):
+        best.setdefault(c.name, c)
+    return best
+
+
+def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
+    """Boltzmann's weights, most probable first."""
+    names = sorted(energies, key=lambda n: energies[n])
+    values = np.array([energies[n] for n in names])
+    weights = np.exp(-(values - values.min()))
+    return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
+
+
+def pair_bases(evidence: Evidence, none: Candidate, singles: Mapping[str, Candidate], most: int) -> list[Candidate]:
+    """Single effects on which a second may build: the best few, if the best leaves a gap that is worth it."""
+    found = [c for name, c in singles.items() if name != "none"]
+    if not found:
+        return []
+    excess = min(c.fitted.cost for c in found) - evidence.quiet
+    if excess < _PAIR_WORTH:
+        return []
+    half = 0.5 * (none.fitted.cost - min(c.fitted.cost for c in found))
+    return [c for c in found if none.fitted.cost - c.fitted.cost >= half][:most]
+
+
+_PAIR_WORTH = 5.0
+
+
+def pairs_on(base: Candidate, catalogue: Sequence[EffectForm]) -> list[Hypothesis]:
+    """The base with every other effect, in each effect's first two forms."""
+    seen: dict[str, int] = {}
+    out = []
+    forms = base.fitted.hypothesis.forms
+    for f in catalogue:
+        seen[f.effect] = seen.get(f.effect, 0) + 1
+        if seen[f.effect] <= 2 and f.effect not in {g.effect for g in forms} and not _clash(forms, f):
+            out.append(Hypothesis(base.fitted.hypothesis.plant, (*forms, f)))
+    return out
+
+
+def _clash(forms: Sequence[EffectForm], other: EffectForm) -> bool:
+    """Whether two forms move one parameter: then they cannot be told apart."""
+    mine = {name for f in forms for name in f.moves([0.0] * len(f.free))}
+    return bool(mine & set(other.moves([0.0] * len(other.free))))
