@@ -65,7 +65,6 @@ class Trace:
 
     recording: str
     channel: str
-    unit: str
     t_s: Array
     measured: Array
     nominal: Array

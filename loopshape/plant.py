@@ -107,12 +107,23 @@ class Followable(Plant, Protocol):
 
     effects: tuple[EffectForm, ...]
     spread: tuple[Spread, ...]
+    trace_channel: str
+    needs: tuple[str, ...]
+
+    def stays_in_range(self, recording: Recording, run: Run) -> bool:
+        """Whether what was measured lies where the model holds."""
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> Prepared:
         """A recording ready to be followed, cut to `longest_s` after its lead if that is given."""
 
     def residuals(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled by channel, equally spaced means, from parameters moved as given."""
+
+    def residual_rate_hz(self, channel: str) -> float:
+        """How many values a second `residuals` gives of a channel."""
+
+    def traces(self, prepared: Any, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
+        """Time step in s, measured and simulated `trace_channel`, in the unit that its name says, for the eye."""
 
     def floors(self, prepared: Any) -> dict[str, float]:
         """Rms that measurement noise alone leaves in each channel's residuals."""

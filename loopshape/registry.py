@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from loopshape.errors import WrongUseError
 
 if TYPE_CHECKING:
+    from loopshape.plant import Followable
     from loopshape.rigs.simulated import Rig
 
 PLANTS = ("arm-1dof", "servo-axis")
@@ -23,3 +24,11 @@ def plant(name: str) -> Rig:
 
         return ServoAxis()
     raise WrongUseError("a plant is not known", f"{name!r}", f"use one of {', '.join(PLANTS)}")
+
+
+def diagnosable(name: str) -> Followable:
+    """A plant whose gap can be diagnosed, by name; refuses an unknown one."""
+    found: Any = plant(name)
+    if not hasattr(found, "effects"):
+        raise WrongUseError("this plant has no catalogue of effects", f"{name!r}", "compare two runs instead")
+    return cast("Followable", found)

@@ -1,4 +1,4 @@
-"""EMPS against a frictionless axis: which effect is missing, what error is left, and whether pulses show a flexibility."""
+"""EMPS against a frictionless axis: which effect is missing, what error is left, and what its pulses excite."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.optimize import least_squares
 
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, styled
+from loopshape.draw.curves import frequency_axis
+from loopshape.draw.style import COLOURS, head, new_figure, png, styled
 from loopshape.effect import EffectForm
 from loopshape.gap import attribute
 from loopshape.gap.evidence import Evidence
@@ -33,7 +34,7 @@ DATA = Path(os.environ.get("LOOPSHAPE_DATA", ROOT / ".." / "shared" / "data")) /
 FIRST_PULSE, PULSE_EVERY, PULSES = 344, 500, 49  # rows at which the added steps turn
 WIDE = {"observer_hz": 200.0, "pass_hz": 200.0}
 FLEXIBLE_HZ = (8.0, 12.0, 18.0, 25.0, 35.0, 50.0, 70.0, 100.0, 140.0)
-SHARE_SHOWN, HZ_SHOWN = 0.05, 35.0
+SHARE_SHOWN, HZ_SHOWN, DELAY_SHOWN_MS = 0.05, 35.0, 0.3
 SOURCE = "EMPS: A. Janot, M. Gautier and M. Brunot 2019, nonlinear benchmark"
 
 
@@ -53,11 +54,11 @@ def main() -> None:
     fits = hypotheses(axis, evidence, none, rival)
     errors = [error_row(evidence, name, fitted, ready) for name, fitted in fits.items()]
     write("errors.csv", [ERROR_COLUMNS, *errors])
-    best = axis_moves(fits["asymmetric"])
+    moves = axis_moves(fits["asymmetric"])
     wide = {name: replace(f, **WIDE) for name, f in ready.items()}
-    write("flexibility.csv", flexibility_table(axis, wide, best))
+    write("pulses.csv", additions_table(axis, wide, moves))
     draw_residuals(axis, ready, fits)
-    draw_pulses(axis, wide, best)
+    draw_pulses(axis, wide, moves)
 
 
 def read() -> Run:
@@ -167,32 +168,35 @@ def sampled_regressors(name: str, moves: dict[str, float], f: Followed) -> tuple
     return np.stack(columns, axis=1), nominal.passed(f, f.force_n)
 
 
-def flexibility_table(axis: ServoAxis, wide: dict[str, Followed], moves: dict[str, float]) -> list[list]:
-    """Share of the mass beyond a coupling of each frequency that each recording wants, and what that gains."""
-    rows: list[list] = [["recording", "free_free_hz", "share", "residual_rms_n", "gain_percent"]]
+def additions_table(axis: ServoAxis, wide: dict[str, Followed], moves: dict[str, float]) -> list[list]:
+    """How much of a flexibility of each frequency, and of a delay, each recording wants, and what that gains."""
+    rows: list[list] = [["recording", "added", "free_free_hz", "value", "unit", "residual_rms_n", "gain_percent"]]
     for name, f in wide.items():
-        before = best_share(axis, f, moves, None)
-        rows.append([name, "", "", round(before[1], 4), ""])
-        for hz in FLEXIBLE_HZ:
-            share, rms = best_share(axis, f, moves, hz)
-            rows.append([name, hz, round(share, 4), round(rms, 4), round(100.0 * (1.0 - rms / before[1]), 2)])
+        _, before = best(axis, f, moves, {}, "", 0.0)
+        rows.append([name, "nothing", "", "", "", round(before, 4), 0.0])
+        trials = [("share beyond", hz, "flexible_share", 0.9, "1") for hz in FLEXIBLE_HZ]
+        for word, hz, parameter, high, unit in [*trials, ("delay", None, "loop_delay_ms", 5.0, "ms")]:
+            fixed = {} if hz is None else {"flexible_hz": hz, "flexible_damping": 0.03}
+            value, rms = best(axis, f, moves, fixed, parameter, high)
+            gain = round(100.0 * (1.0 - rms / before), 2)
+            rows.append([name, word, hz or "", round(value, 4), unit, round(rms, 4), gain])
     return rows
 
 
-def best_share(axis: ServoAxis, f: Followed, moves: dict[str, float], hz: float | None) -> tuple[float, float]:
-    """Share beyond, and rms of the force residual in N, with mass, viscous and Coulomb friction fitted again."""
+def best(
+    axis: ServoAxis, f: Followed, moves: dict[str, float], fixed: dict[str, float], added: str, high: float
+) -> tuple[float, float]:
+    """The parameter added, and rms of the force residual in N, with mass, viscous and Coulomb friction fitted again."""
     names = ("mass_kg", "viscous_ns_m", "coulomb_n")
 
     def residual(x: Array) -> Array:
-        own = moves | {n: moves[n] * float(value) for n, value in zip(names, x, strict=False)}
-        if hz is not None:
-            own |= {"flexible_hz": hz, "flexible_damping": 0.03, "flexible_share": float(x[3])}
-        return axis.residuals(f, own)["force"]
+        own = moves | fixed | {n: moves[n] * float(value) for n, value in zip(names, x, strict=False)}
+        return axis.residuals(f, own | ({added: high * float(x[3])} if added else {}))["force"]
 
-    start = np.array([1.0, 1.0, 1.0] + ([0.1] if hz is not None else []))
-    high = np.array([1.5, 3.0, 3.0] + ([0.9] if hz is not None else []))
-    found = least_squares(residual, start, bounds=(np.zeros(start.size), high), diff_step=1e-3)
-    return float(found.x[3]) if hz is not None else 0.0, float(np.sqrt(np.mean(found.fun**2)))
+    start = np.array([1.0, 1.0, 1.0] + ([0.1] if added else []))
+    top = np.array([1.5, 3.0, 3.0] + ([1.0] if added else []))
+    found = least_squares(residual, start, bounds=(np.zeros(start.size), top), diff_step=1e-3)
+    return (high * float(found.x[3]) if added else 0.0), float(np.sqrt(np.mean(found.fun**2)))
 
 
 def write(name: str, rows: list[list]) -> None:
@@ -222,22 +226,27 @@ def draw_residuals(axis: ServoAxis, ready: dict[str, Followed], fits: dict[str, 
 
 @styled()
 def draw_pulses(axis: ServoAxis, wide: dict[str, Followed], moves: dict[str, float]) -> None:
-    """The lacking force after the steps of 178 N, over time and over frequency, beside that of a flexibility."""
+    """The lacking force after the steps of 178 N, over time and over frequency, beside what two effects would leave."""
     f = wide["emps_pulses"]
     share = {"flexible_share": SHARE_SHOWN, "flexible_hz": HZ_SHOWN, "flexible_damping": 0.03}
-    found = {"measured": axis.residuals(f, moves)["force"]}
-    found[f"if {100 * SHARE_SHOWN:.0f} % lay beyond {HZ_SHOWN:.0f} Hz"] = (
-        found["measured"] - axis.residuals(f, moves | share)["force"]
-    )
-    acting = following.acting_n(f)
-    figure = new_figure(1, 2, (7.0, 3.1))
+    measured = axis.residuals(f, moves)["force"]
+    found = {
+        "measured": measured,
+        f"if {100 * SHARE_SHOWN:.0f} % lay beyond {HZ_SHOWN:.0f} Hz": measured
+        - axis.residuals(f, moves | share)["force"],
+        f"if the force came {DELAY_SHOWN_MS:g} ms late": measured
+        - axis.residuals(f, moves | {"loop_delay_ms": DELAY_SHOWN_MS})["force"],
+    }
+    acting = aligned(following.acting_n(f), f)
+    figure = new_figure(1, 2, (7.0, 3.2))
     rate = f.rate_hz / f.keep
     for k, (label, lacking) in enumerate(found.items()):
-        look = {"color": COLOURS[k], "linewidth": 1.0, "label": label}
+        look = {"color": COLOURS[k], "linewidth": (1.6, 0.9, 0.9)[k], "linestyle": ("-", "-", "--")[k], "label": label}
         after_steps(figure.axes[0], aligned(lacking, f), rate, look)
-        unexplained(figure.axes[1], aligned(lacking, f), aligned(acting, f), rate, look)
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    head(figure, "Force that the model lacks after a step of 178 N: no flexibility rings", f"mean of 47 steps; {SOURCE}")
+        unexplained(figure.axes[1], aligned(lacking, f), acting, rate, look)
+    frequency_axis(figure.axes[1], 4.0, 150.0)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    head(figure, "Force that the model lacks after a step of 178 N", f"mean of {len(acting)} steps; {SOURCE}")
     write_bytes_whole(FIGURES / "pulses.png", png(figure))
 
 
@@ -268,8 +277,6 @@ def unexplained(ax: Axes, lacking: Array, acting: Array, rate_hz: float, look: d
     hz = np.fft.rfftfreq(taper.size, 1.0 / rate_hz)
     kept = (hz >= 4.0) & (hz <= 150.0)
     ax.loglog(hz[kept], 100.0 * gain[kept], **look)
-    ax.axhline(100.0 * SHARE_SHOWN, color=QUIET, linewidth=0.6, linestyle="--")
-    ax.set_xlabel("frequency [Hz]")
     ax.set_ylabel("lacking / acting force [%]")
 
 

@@ -12,22 +12,23 @@ from loopshape.cli.equilibria import equilibria
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
+from loopshape.cli.gap import gap
 from loopshape.cli.import_file import import_file
 from loopshape.cli.measure import measure
 from loopshape.cli.simulate import simulate
 from loopshape.cli.tune import tune
 from loopshape.errors import LoopshapeError
 
-HELP = """From closed-loop recordings of a motion system to a tuned, checked controller.
+HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
-measure or import a run -> frf -> fit -> tune -> check. Exit codes: 0 pass, 1 a requirement is missed, 2 wrong
-use or unreadable input.
+measure or import a run -> frf -> fit -> tune -> check; run -> gap. Exit codes: 0 pass, 1 a requirement is missed,
+2 wrong use or unreadable input.
 """
 
 app = typer.Typer(
     help=HELP, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
 )
-for command in (measure, simulate, frf, fit, tune, check, figures, equilibria, demo):
+for command in (measure, simulate, frf, fit, tune, check, gap, figures, equilibria, demo):
     app.command()(command)
 app.command("import")(import_file)
 

@@ -79,19 +79,19 @@ def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
     return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
 
 
-def pair_bases(evidence: Evidence, none: Candidate, singles: Mapping[str, Candidate], most: int) -> list[Candidate]:
-    """Single effects on which a second may build: the best few, if the best leaves a gap that is worth it."""
+def pair_bases(none: Candidate, singles: Mapping[str, Candidate], quiet: float, most: int) -> list[Candidate]:
+    """Single effects on which a second may build: the best few, if the best helps and leaves a gap worth it."""
     found = [c for name, c in singles.items() if name != "none"]
     if not found:
         return []
-    excess = min(c.fitted.cost for c in found) - evidence.quiet
-    if excess < _PAIR_WORTH:
+    best = min(c.fitted.cost for c in found)
+    gain, whole = none.fitted.cost - best, none.fitted.cost - quiet
+    if best - quiet < _PAIR_WORTH or gain < _PAIR_GAIN * whole:
         return []
-    half = 0.5 * (none.fitted.cost - min(c.fitted.cost for c in found))
-    return [c for c in found if none.fitted.cost - c.fitted.cost >= half][:most]
+    return [c for c in found if none.fitted.cost - c.fitted.cost >= 0.5 * gain][:most]
 
 
-_PAIR_WORTH = 5.0
+_PAIR_WORTH, _PAIR_GAIN = 5.0, 0.1
 
 
 def pairs_on(base: Candidate, catalogue: Sequence[EffectForm]) -> list[Hypothesis]:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from loopshape.errors import BadSignalError
-from loopshape.gap import attribute, decide
+from loopshape.gap import attribute, decide, locate, shrink
 from loopshape.gap.decide import Candidate
-from loopshape.gap.evidence import Evidence
+from loopshape.gap.evidence import Evidence, Moves
 from loopshape.gap.hypothesis import candidates
+from loopshape.gap.replay import tables as _tables
+from loopshape.gap.software import software_check
+from loopshape.gap.suitable import suitable
+from loopshape.gap_report import GapReport, Ranked, Shrink, Trace, Where
 from loopshape.plant import Followable
+from loopshape.recording import Recording
 from loopshape.run import Run
 
 Say = Callable[[str], None]
@@ -48,7 +55,9 @@ class Attribution:
         return self.scored[named[0]] if named else None
 
 
-def attribute_effect(plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say) -> Attribution:
+def attribute_effect(
+    plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say
+) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
     if not evidence.cells:
@@ -63,7 +72,7 @@ def attribute_effect(plant: Followable, run: Run, names: Sequence[str], *, threa
     fine = attribute.refined(evidence, _both_forms(best[:REFINED], coarse))
     singles = decide.best_by_name([decide.candidate(evidence, f) for f in [*fine, *best[REFINED:]]])
     everything = list(singles.values())
-    for base in decide.pair_bases(evidence, none, singles, PAIR_BASES):
+    for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
         say(f"pairs with {base.name}")
         found = attribute.screened(evidence, decide.pairs_on(base, plant.effects), base.fitted, rounds=1)
         refined = attribute.refined(evidence, attribute.best_forms(found)[:PAIRS_REFINED], rounds=2)
@@ -90,3 +99,125 @@ def _both_forms(best: Sequence[attribute.Fitted], coarse: Sequence[attribute.Fit
 _NEAR = 6.0
 
 
+def diagnose(
+    plant: Followable,
+    run: Run,
+    name: str,
+    *,
+    threads: int | None = None,
+    table: bool = True,
+    say: Say = lambda step: None,
+) -> GapReport:
+    """The whole diagnosis of a run. What its recordings cannot tell stands in the report's notes.
+
+    Raises BadSignalError where no recording can be followed at all. The answer misleads where a gap comes from
+    something outside the catalogue that looks like a member of it: see `ambiguity` and `unknown`.
+    """
+    notes, usable = suitable(plant, run)
+    estimation = [r for r in usable if r.info.role == "estimation"]
+    validation = [r for r in usable if r.info.role == "validation"]
+    say("software")
+    software = software_check(run)
+    a = attribute_effect(plant, run, [r.info.name for r in estimation], threads=threads, say=say)
+    say("held-out recordings")
+    chosen, rival = a.leading.fitted, a.rival
+    many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
+    healed = a.verdict not in ("none", "unknown")
+    every = shrink.levels(plant, run, usable, many)
+    gap = None
+    if validation:
+        held = [shrink.chosen(level, "validation") for level in every]
+        after = held[1] if healed else held[0]
+        files = [r.info.file for r in validation]
+        gap = shrink.summary(held[0], after, (rival.name, held[2]) if rival and healed else None, files)
+    tables = _tables(plant, run, usable, many, say) if table else (None, None)
+    ranking = ranked(plant, a)
+    place = locate.where(plant, run, a.evidence, a.none, a.probabilities)
+    return GapReport(
+        run=name,
+        plant=plant.name,
+        verdict=a.verdict,
+        ranking=ranking,
+        ambiguity=ambiguity(a.probabilities),
+        where=place,
+        gap=gap,
+        submodels=shrink.submodels(every[0], every[1] if healed else None, every[2] if rival and healed else None),
+        software=software,
+        table=tables[0],
+        table_after=tables[1] if healed else None,
+        traces=_traces(plant, run, validation or estimation, many),
+        sentence=sentence(name, a, ranking, place, gap),
+        moves=many[1] if healed else many[0],
+        notes=notes,
+    )
+
+
+def ranked(plant: Followable, a: Attribution) -> list[Ranked]:
+    """All names with probabilities; magnitudes with 95 % intervals where a fit stands behind."""
+    out = []
+    for name, probability in a.probabilities.items():
+        found = a.scored.get(name)
+        forms = found.fitted.hypothesis.forms if found else ()
+        if found is None or not forms:
+            out.append(Ranked(name, probability))
+            continue
+        parts = {
+            f.effect: (m, (m - 1.96 * d, m + 1.96 * d), f.unit)
+            for f, m, d in zip(forms, found.fitted.magnitudes, found.deviations, strict=True)
+        }
+        if len(forms) == 1:
+            m, interval, unit = parts[name]
+            out.append(Ranked(name, probability, m, interval, unit, forms[0].form))
+        else:
+            out.append(Ranked(name, probability, form=found.fitted.hypothesis.form, parts=parts))
+    return out
+
+
+def ambiguity(probabilities: Mapping[str, float]) -> list[str]:
+    """The most probable names that together hold nine tenths."""
+    out, total = [], 0.0
+    for name, p in probabilities.items():
+        out.append(name)
+        total += p
+        if total >= AMBIGUITY:
+            break
+    return out
+
+
+AMBIGUITY = 0.9
+
+
+def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where, gap: Shrink | None) -> str:
+    """The diagnosis in one sentence."""
+    first = ranking[0]
+    if a.verdict == "none":
+        return f"{name}: no gap beyond noise and the ordinary spread (probability {first.probability:.0%})."
+    if a.verdict == "unknown":
+        near = a.leading.name.replace("_", " ")
+        return (
+            f"{name}: a gap that no known effect explains (probability {first.probability:.0%}), plainest in "
+            f"{place.channel} at {place.band_hz[0]:.2g}-{place.band_hz[1]:.2g} Hz; the nearest is {near}."
+        )
+    sizes = [(first.effect, (first.magnitude, first.interval, first.unit))] if not first.parts else first.parts.items()
+    what = " with ".join(f"{effect.replace('_', ' ')} {m:.3g} {_unit(unit)}".strip() for effect, (m, _, unit) in sizes)
+    text = f"{name}: {what} (probability {first.probability:.0%}) in {place.block}"
+    if gap is None or gap.shrink is None:
+        return f"{text}; no held-out gap to shrink."
+    return (
+        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} floors ({gap.shrink:.0%})."
+    )
+
+
+def _unit(unit: str | None) -> str:
+    return "" if unit in (None, "1") else str(unit)
+
+
+def _traces(plant: Followable, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Trace]:
+    """For each recording measured, nominal and with the effect."""
+    out = []
+    for r in recordings:
+        prepared = plant.prepare(r, run, None)
+        step, measured, nominal = plant.traces(prepared, many[0])
+        _, _, healed = plant.traces(prepared, many[1])
+        out.append(Trace(r.info.name, plant.trace_channel, np.asarray(step * np.arange(len(measured)), dtype=float), measured, nominal, healed))
+    return out

@@ -20,7 +20,7 @@ from loopshape.plants.arm.equilibrium import pressures, rest
 from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.run import Run
-from loopshape.units import Array, rad
+from loopshape.units import Array, deg, rad
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
 _INJECTIONS = {
@@ -54,6 +54,8 @@ class Arm1:
     parameters = ARM1_PARAMETERS
     effects = FORMS
     spread = SPREAD
+    trace_channel = "theta2 [deg]"
+    needs: tuple[str, ...] = ("theta2_rad", "p_a_bar", "p_b_bar", "u_a_v", "u_b_v")
     channels: tuple[Channel, ...] = (
         Channel("theta2", "rad"),
         Channel("p_a", "bar"),
@@ -82,6 +84,15 @@ class Arm1:
             LoopSetup("p_ab", "r_p_ab_bar", n_p, "z_p_v", "p_a_bar + p_b_bar", known["p_ab"]),
         )
 
+    def stays_in_range(self, recording: Recording, run: Run) -> bool:
+        """Whether the measured angle and pressures lie where the model holds, with a little room for noise."""
+        table = self.parameters.vector()
+        angle = float(np.abs(deg(recording.column("theta2_rad"))).max())
+        low = min(float(recording.column(c).min()) for c in ("p_a_bar", "p_b_bar"))
+        high = max(float(recording.column(c).max()) for c in ("p_a_bar", "p_b_bar"))
+        widest, bottom, top = (self._value(table, f"range_{k}") for k in ("angle_deg", "low_bar", "high_bar"))
+        return angle < 1.1 * widest and low > 0.5 * bottom and high < 1.1 * top
+
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
         """The recording's commands and what was measured, for `residuals`."""
         f = following.followed(recording, run, longest_s)
@@ -90,6 +101,15 @@ class Arm1:
     def residuals(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled: `p_a`, `p_b` in mbar (u -> p), `theta2` in deg (p -> theta)."""
         return following.residuals(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
+
+    def residual_rate_hz(self, channel: str) -> float:
+        """How many values a second `residuals` gives of a channel."""
+        rows = following.ANGLE_BLOCK if channel == "theta2" else following.P_BLOCK
+        return 1.0 / (following.STRIDE_S * rows)
+
+    def traces(self, prepared: following.Followed, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
+        """Time step in s, measured and simulated theta2 in deg (u -> theta2), for the eye."""
+        return following.trace(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated over its floor by path: u -> p_a, u -> p_b, p -> theta2, u -> theta2."""

@@ -31,9 +31,7 @@ LOWEST_PA, WIDEST = 5e2, 1.2  # a followed state stays inside: a wrong hypothesi
 
 
 @compiled
-def step_rk4(
-    c: Array, held: Array, x: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> None:
+def step_rk4(c: Array, held: Array, x: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float) -> None:
     """One classical Runge-Kutta step of length h s with the valves as given; `x` (7,) moves in place."""
     c0, a0, b0, q0, w0, s0, v0 = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
     k1c, k1a, k1b, k1w, k1v = moving(c, held, c0, a0, b0, q0, w0, s0, v0, in_a, in_b, out_a, out_b)
@@ -128,12 +126,32 @@ def integrate_grid(
         s = 0.5 * h
         w2 = w0 + s * k1w
         k2c, k2a, k2b, k2w = grid_derivatives(
-            c, held, c0 + s * k1c, a0 + s * k1a, b0 + s * k1b, q0 + s * w0, w2, (now + s) / period_s, u_a, u_b, dead_zone
+            c,
+            held,
+            c0 + s * k1c,
+            a0 + s * k1a,
+            b0 + s * k1b,
+            q0 + s * w0,
+            w2,
+            (now + s) / period_s,
+            u_a,
+            u_b,
+            dead_zone,
         )
         s = 0.75 * h
         w3 = w0 + s * k2w
         k3c, k3a, k3b, k3w = grid_derivatives(
-            c, held, c0 + s * k2c, a0 + s * k2a, b0 + s * k2b, q0 + s * w2, w3, (now + s) / period_s, u_a, u_b, dead_zone
+            c,
+            held,
+            c0 + s * k2c,
+            a0 + s * k2a,
+            b0 + s * k2b,
+            q0 + s * w2,
+            w3,
+            (now + s) / period_s,
+            u_a,
+            u_b,
+            dead_zone,
         )
         ninth = h / 9.0
         x[0] = c0 + ninth * (2.0 * k1c + 3.0 * k2c + 4.0 * k3c)
@@ -203,9 +221,11 @@ def late(commands: Array, column: int, tick: int, delay_ticks: float) -> float:
     at = max(tick - delay_ticks, 0.0)
     row = int(at)
     share = at - row
-    return commands[row, column] if share == 0.0 else (1.0 - share) * commands[row, column] + share * commands[
-        row + 1, column
-    ]
+    return (
+        commands[row, column]
+        if share == 0.0
+        else (1.0 - share) * commands[row, column] + share * commands[row + 1, column]
+    )
 
 
 @compiled

@@ -36,7 +36,14 @@ EFFECT_ROWS = (
         ("supply_droop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: drop at one open in-valve; effect supply_droop"),
         ("supply_droop_time_s", 0.05, "s", 0.001, 10.0, "shapes supply_droop_bar: the regulator's time constant"),
         ("critical_ratio", 0.0, "1", 0.0, 0.95, "neutral 0: (3.16); else ISO 6358-1's ellipse; effect choked_flow"),
-        ("choked_conductance", 1.0, "1", 0.3, 3.0, "shapes critical_ratio: conductance over the one equal at small drops"),
+        (
+            "choked_conductance",
+            1.0,
+            "1",
+            0.3,
+            3.0,
+            "shapes critical_ratio: conductance over the one equal at small drops",
+        ),
     )
     + _rows(
         "line",
@@ -56,9 +63,30 @@ EFFECT_ROWS = (
         ("nominal_length_b_mm", 0.0, "mm", -30.0, 30.0, "neutral 0: B's h0 is longer; effect nominal_length_offset"),
         ("creep_share", 0.0, "1", 0.0, 0.9, "neutral 0: relaxing share of the stiffness; effect muscle_creep"),
         ("creep_time_s", 1.0, "s", 0.01, 1000.0, "shapes creep_share: time constant of its middle branch"),
-        ("creep_decades", 0.0, "1", 0.0, 2.0, "shapes creep_share: decades between its three branches, 0 is one branch"),
-        ("creep_slow_nominal", 0.0, "1", 0.0, 1.0, "shapes creep_share: 1 where the nominal stiffness is the relaxed one"),
-        ("braid_force_n", 0.0, "N", 0.0, 200.0, "neutral 0: friction of one muscle at 0.5 bar; effect braid_hysteresis"),
+        (
+            "creep_decades",
+            0.0,
+            "1",
+            0.0,
+            2.0,
+            "shapes creep_share: decades between its three branches, 0 is one branch",
+        ),
+        (
+            "creep_slow_nominal",
+            0.0,
+            "1",
+            0.0,
+            1.0,
+            "shapes creep_share: 1 where the nominal stiffness is the relaxed one",
+        ),
+        (
+            "braid_force_n",
+            0.0,
+            "N",
+            0.0,
+            200.0,
+            "neutral 0: friction of one muscle at 0.5 bar; effect braid_hysteresis",
+        ),
         ("braid_slip_mm", 0.5, "mm", 0.02, 20.0, "shapes braid_force_n: length of yielding"),
         ("braid_elements", 0.0, "1", 0.0, 1.0, "shapes braid_force_n: 0 Bouc-Wen, 1 slip elements"),
         ("braid_pressure_share", 1.0, "1", 0.0, 1.0, "shapes braid_force_n: share that goes with pressure"),
@@ -84,7 +112,14 @@ EFFECT_ROWS = (
         ("flexible_share", 0.0, "1", 0.0, 0.9, "neutral 0: share of the inertia beyond; effect coupling_flexibility"),
         ("flexible_hz", 15.0, "Hz", 2.0, 60.0, "shapes flexible_share: free-free frequency"),
         ("flexible_damping", 0.02, "1", 0.0, 0.5, "shapes flexible_share: relative damping, free-free"),
-        ("flexible_gravity", 1.0, "1", 0.0, 1.0, "shapes flexible_share: share of that inertia's part of gravity beyond"),
+        (
+            "flexible_gravity",
+            1.0,
+            "1",
+            0.0,
+            1.0,
+            "shapes flexible_share: share of that inertia's part of gravity beyond",
+        ),
         ("base_tilt_deg", 0.0, "deg", -45.0, 45.0, "neutral 0: gravity acts as at theta2 + tilt; effect base_tilt"),
     )
     + _rows(
@@ -189,4 +224,3 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
 def _torques(p: Mapping[str, float]) -> bool:
     names = ("braid_force_n", "presliding_nm", "coulomb_nm", "hose_stiffness_nm_rad", "hose_cubic_nm_rad3")
     return any(p[n] > 0.0 for n in (*names, "flexible_share")) or p["base_tilt_deg"] != 0.0
-

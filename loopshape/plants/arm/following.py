@@ -80,7 +80,7 @@ def thinned(raw: Array, stride: int) -> Array:
     weight = np.bartlett(2 * stride + 1)[1:-1] / stride
     padded = np.concatenate([raw[:1].repeat(stride - 1, 0), raw, raw[-1:].repeat(stride - 1, 0)])
     smooth = sum(w * padded[k : k + len(raw)] for k, w in enumerate(weight))
-    return np.ascontiguousarray(np.asarray(smooth)[:: stride][: len(raw) // stride])
+    return np.ascontiguousarray(np.asarray(smooth)[::stride][: len(raw) // stride])
 
 
 def answers(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Array:
@@ -188,7 +188,13 @@ def paths(f: Followed, vector: Array) -> dict[str, Array]:
         "p -> theta2": muscles[:, 0] / (MUSCLES_FLOOR * angle),
         "u -> theta2": whole[:, 0] / (WHOLE_FLOOR * angle),
     }
-    return {name: values[:: ANGLE_BLOCK] for name, values in own.items()}
+    return {name: values[::ANGLE_BLOCK] for name, values in own.items()}
+
+
+def trace(f: Followed, vector: Array) -> tuple[float, Array, Array]:
+    """Step between rows in s, measured and simulated angle (rows,) in deg, the arm driven by its commands alone."""
+    simulated = answers(f, vector, "whole")[:, 0]
+    return f.row_s, np.asarray(deg(f.measured[:, 0])), np.asarray(deg(simulated))
 
 
 def noise_rms(values: Array) -> float:

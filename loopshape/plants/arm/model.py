@@ -16,7 +16,6 @@ from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm import parameters as k
 from loopshape.units import Array
 
-
 #: what `memory` holds over a step: torque, its slope over the angle from there, creep (m), flows into A and B, from the
 #: supply, drop of the supply (Pa), Coulomb torque
 TORQUE, SLOPE, FROM, CREEP_A, CREEP_B, LINE_A, LINE_B, DRAIN, DROP, COULOMB = range(10)
@@ -92,7 +91,9 @@ def valve_flows(
 
 
 @compiled
-def line_and_leaks(c: Array, held: Array, p_a: float, p_b: float, q_a: float, q_b: float, drain: float) -> tuple[float, float, float]:
+def line_and_leaks(
+    c: Array, held: Array, p_a: float, p_b: float, q_a: float, q_b: float, drain: float
+) -> tuple[float, float, float]:
     """Flows into A and B and from the supply, where lines hold air back or muscles leak."""
     if c[e.LINE] > 0.0:
         q_a, q_b, drain = held[LINE_A], held[LINE_B], held[DRAIN]
@@ -203,7 +204,7 @@ def derivatives(
     out_a: bool,
     out_b: bool,
 ) -> tuple[float, float, float, float]:
-    """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2, with nothing remembered and a stiff coupling."""
+    """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2; nothing remembered, a stiff coupling."""
     held = np.zeros(HELD)
     held[COULOMB] = c[e.COULOMB]
     d_c, d_a, d_b, turn, _ = moving(

@@ -88,7 +88,8 @@ ARM1_PARAMETERS = ParameterTable(
         ("range_angle_deg", 45.0, "deg", 1.0, 90.0, "where the model holds; a simulation stops there"),
         ("range_low_bar", 0.15, "bar", 0.0, 10.0, "where the model holds; a simulation stops there"),
         ("range_high_bar", 1.2, "bar", 0.0, 100.0, "where the model holds; a simulation stops there"),
-    )    + EFFECT_ROWS
+    )
+    + EFFECT_ROWS
 )
 
 #: places of the kernel's constants, SI, in the vector that `constants` computes from the parameters

@@ -28,9 +28,7 @@ def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_z
 
 
 @compiled
-def plan_period(
-    c: Array, s: Array, edges: Array, u_a: float, u_b: float, period_s: float, dead_zone: float
-) -> int:
+def plan_period(c: Array, s: Array, edges: Array, u_a: float, u_b: float, period_s: float, dead_zone: float) -> int:
     """Move the schedule on and list in order the times at which an area changes or bends; gives their number."""
     next_pulse(c, s, 0, u_a, period_s, dead_zone)
     next_pulse(c, s, EACH, u_b, period_s, dead_zone)

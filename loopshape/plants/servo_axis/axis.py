@@ -111,9 +111,7 @@ class ServoAxis:
     ) -> None:
         """Refuse a point with other keys than position_m, or outside the travel."""
         if set(operating_point) != {"position_m"}:
-            raise WrongUseError(
-                "an operating point of the servo axis names position_m", f"{dict(operating_point)!r}"
-            )
+            raise WrongUseError("an operating point of the servo axis names position_m", f"{dict(operating_point)!r}")
         reach = self._value(self.parameters.vector(changes), "range_m")
         if not abs(operating_point["position_m"]) < reach:
             raise WrongUseError(
@@ -171,8 +169,8 @@ class ServoAxis:
         return {"force": following.lacking_n(prepared, self.parameters.vector(moves))}
 
     def floors(self, prepared: following.Followed) -> dict[str, float]:
-        """Rms in N that the position sensor's noise leaves in `residuals`; a force sensor's own is not known."""
-        return {"force": following.noise_n(prepared, self.parameters.vector())}
+        """Rms in N that sensor noise and ordinary ripple leave in `residuals`; a force sensor's own is not known."""
+        return {"force": following.floor_n(prepared, self.parameters.vector())}
 
     def relative_error(self, prepared: following.Followed, moves: Mapping[str, float]) -> float:
         """Rms of the force residual over that of the measured force behind the same filters."""
@@ -183,11 +181,17 @@ class ServoAxis:
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled over its floor: `position -> force` as `residuals`, `force -> position` drawn slowly.
 
-        Floors are the sensor's noise: an axis of which mass and friction were fitted leaves little more.
+        The floor of the position is where the force's floor, were it a slow force, would drive the mass within the
+        time that the model is left alone, or the sensor's noise if that is more.
         """
         vector = self.parameters.vector(moves)
-        force = following.lacking_n(prepared, vector) / following.noise_n(prepared, self.parameters.vector())
-        return {"position -> force": force, "force -> position": following.drift_m(prepared, vector) / prepared.noise_m}
+        nominal_vector = self.parameters.vector()
+        force_n = following.floor_n(prepared, nominal_vector)
+        position_m = following.drift_floor_m(prepared, nominal_vector, force_n)
+        return {
+            "position -> force": following.lacking_n(prepared, vector) / force_n,
+            "force -> position": following.drift_m(prepared, vector) / position_m,
+        }
 
 
 def _loop(run: Run) -> LoopSetup | None:

@@ -36,7 +36,7 @@ def _form(
     scale: float = 1.0,
     source: str = "",
 ) -> EffectForm:
-    usual = tuple(sorted((free[0].low * scale, free[0].high * scale)))
+    usual = (free[0].low * scale, free[0].high * scale)
     return EffectForm(effect, form, BLOCKS.get(effect, "guide"), unit, free, fixed or {}, {}, scale, usual, source)
 
 
@@ -127,4 +127,4 @@ def quadratic_drag(s: Scales = USUAL) -> EffectForm:
     """A rival that is no effect of this plant: drag with the square of the speed, of either sign."""
     usual = s.force_n / s.speed_m_s**2
     return _form("quadratic_drag", "square of the speed", "N s2/m2",
-                 _free("drag_ns2_m2", -5.0 * usual, 5.0 * usual, -usual, usual), source="a wrong hypothesis")  # fmt: skip
+                 _free("drag_ns2_m2", -5.0 * usual, 5.0 * usual, -usual, usual))  # fmt: skip

@@ -13,8 +13,8 @@ the model: what is left of it is position seen from force.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -28,6 +28,7 @@ from loopshape.units import TWO_PI, Array
 
 LEAD_S, TAIL_S = 0.3, 0.1  # not compared: states settle, the low-pass meets the end
 OBSERVER_HZ, PASS_HZ, SLOW_HZ = 100.0, 40.0, 0.3
+RIPPLE = 0.01  # of the force: cogging and reluctance, a drive's gain; sensors of real axes are far finer than that
 _OF_RATE = 0.1  # the observer's largest share of the rate
 _NOISY = 0.1  # of the force's rms
 _LOWEST_PASS = 0.05  # of PASS_HZ
@@ -106,7 +107,7 @@ def pieces(recording: Recording, length_s: float) -> list[Recording]:
     count = max(1, round((n - lead - tail) / rate / length_s))
     edges = np.linspace(lead, n - tail, count + 1).astype(int)
     out = []
-    for k, (start, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (start, stop) in enumerate(pairwise(edges.tolist())):
         rows = slice(start - lead, stop + tail)
         info: RecordingInfo = replace(recording.info, file=f"{recording.info.name}-{k + 1:02d}.parquet", period_s=None)
         out.append(replace(recording, info=info, columns={name: v[rows] for name, v in recording.columns.items()}))
@@ -150,10 +151,8 @@ def acting_n(f: Followed) -> Array:
 
 def _passed(f: Followed, values: Array) -> Array:
     """Low-passed without a shift, ends cut, every `keep`-th sample."""
-    if not np.isfinite(values).all():
-        values = np.full_like(values, np.nan)  # a wrong hypothesis may run away; it is no crash
-    else:
-        values = sosfiltfilt(f.sections, values)
+    runs_away = not np.isfinite(values).all()  # a wrong hypothesis may; that is no crash
+    values = np.full_like(values, np.nan) if runs_away else sosfiltfilt(f.sections, values)
     lead, tail = round(LEAD_S * f.rate_hz), round(TAIL_S * f.rate_hz)
     return np.asarray(values[lead : values.size - tail : f.keep])
 
@@ -171,10 +170,22 @@ def noise_n(f: Followed, vector: Array) -> float:
     return f.noise_m * float(np.sqrt(np.sum(answer**2)))
 
 
+def floor_n(f: Followed, vector: Array) -> float:
+    """Rms in N that is no gap: the sensor's noise, and a drive's ordinary ripple of `RIPPLE` of the force."""
+    return float(np.hypot(noise_n(f, vector), RIPPLE * np.sqrt(np.mean(acting_n(f) ** 2))))
+
+
 def drift_m(f: Followed, vector: Array) -> Array:
     """Measured minus modelled position in m, the model drawn back by `SLOW_HZ` alone, thinned."""
     values = missed(f, constants(vector), SLOW_HZ)
     return np.asarray(values[round(LEAD_S * f.rate_hz) :: f.keep])
+
+
+def drift_floor_m(f: Followed, vector: Array, force_n: float) -> float:
+    """Rms in m that a slow force of rms `force_n` leaves of `drift_m`, or the sensor's noise if that is more."""
+    c = constants(vector)
+    _, gain = observer_gains(SLOW_HZ, 1.0 / f.rate_hz)
+    return max(f.noise_m, force_n / (c[MASS] * gain * f.rate_hz))
 
 
 def noise_rms(values: Array) -> float:

@@ -131,7 +131,9 @@ def spread(known: Mapping[str, float], nominal: Mapping[str, float]) -> tuple[Sp
     half = {name: _GIVEN[name] if name in known else _ESTIMATED.get(name, 0.0) for name in NOMINAL}
     words = {"mass_kg": "mass", "viscous_ns_m": "viscous", "stiffness_n_m": "stiffness"}
     return tuple(
-        Spread(words[name], (name,), half[name]) for name in NOMINAL if half[name] > 0.0 and nominal.get(name, 0.0) > 0.0
+        Spread(words[name], (name,), half[name])
+        for name in NOMINAL
+        if half[name] > 0.0 and nominal.get(name, 0.0) > 0.0
     )
 
 

@@ -42,7 +42,14 @@ AXIS_PARAMETERS = ParameterTable(
         ("stribeck_power", 2.0, "1", 0.5, 4.0, "shapes stribeck_share: exp(-|v/v_s|^power)"),
         ("presliding_n", 0.0, "N", 0.0, 1e9, "neutral 0: Dahl friction; effect coulomb_friction"),
         ("presliding_m", 1e-5, "m", 1e-12, 1e3, "shapes presliding_n: travel of yielding"),
-        ("drag_ns2_m2", 0.0, "N s2/m2", -1e12, 1e12, "neutral 0: drag with the square of the speed; a rival, no effect"),
+        (
+            "drag_ns2_m2",
+            0.0,
+            "N s2/m2",
+            -1e12,
+            1e12,
+            "neutral 0: drag with the square of the speed; a rival, no effect",
+        ),
     )
     + _rows(
         "spring",
