@@ -41,8 +41,9 @@ class ExperimentTemplate:
 class Study:
     """A whole study. `controllers` by loop name; a loop that it leaves out keeps the plant's default.
 
-    `changes` moves parameters of the plant; `pwm` may hold frequency_hz and dead_zone; `solver` is the
-    plant's word for how it integrates.
+    `changes` moves parameters of the plant, as settings that whoever reads the recordings knows; `effects` are
+    magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz and
+    dead_zone; `solver` is the plant's word for how it integrates.
     """
 
     rig: str
@@ -53,6 +54,7 @@ class Study:
     seed: int = 0
     solver: str = "edges"
     changes: Mapping[str, float] = field(default_factory=dict)
+    effects: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)

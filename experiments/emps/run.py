@@ -46,7 +46,7 @@ def main() -> None:
     run = read()
     axis, cut, names = ServoAxis().readied(run, ["emps"])  # the one estimation recording becomes eight
     ready = {r.info.name: axis.prepare(r, run, None) for r in run.recordings}
-    evidence = Evidence.of(axis, cut, names, threads=1)
+    evidence = Evidence.of(axis, cut, names, periodic_s=np.inf, threads=1)
     none = attribute.healthy(evidence)
     rival = quadratic_drag(nominal.scales([ready["emps"]]))
     ranking = ranked(evidence, [*candidates(axis), Hypothesis(axis, (rival,))], none)
@@ -71,7 +71,8 @@ def read() -> Run:
 
 def ranked(evidence: Evidence, hypotheses: list[Hypothesis], base: Fitted) -> list[Fitted]:
     """The best form of each effect, the lowest cost of a piece predicted from the others first."""
-    fitted = attribute.refined(evidence, attribute.screened(evidence, hypotheses, base, rounds=4), rounds=8)
+    coarse = attribute.screened(evidence, hypotheses, base, rounds=4)
+    fitted = [attribute.again(evidence, f, rounds=8) for f in coarse]
     return sorted(attribute.best_forms(fitted), key=lambda f: attribute.left_out(evidence, f).cost)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -26,12 +27,19 @@ def measure(
     estimate_and_report(out, output, extra={"ended_early": ended})
 
 
-def record(study_file: Path, out: Path, output: Output, *, states: bool = False) -> list[str]:
-    """Record what is missing of a study into a run folder; gives what ended early, a sentence each."""
+def record(
+    study_file: Path, out: Path, output: Output, *, states: bool = False, effects: Sequence[str] = ()
+) -> list[str]:
+    """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
+
+    `effects`, words NAME or NAME=MAGNITUDE, stand in for the study's own where they name the same.
+    """
     import hashlib
+    from dataclasses import replace
 
     from loopshape import registry
     from loopshape.errors import WrongUseError
+    from loopshape.rigs.effects import asked, merged
     from loopshape.rigs.simulated import header, measure, plan
     from loopshape.store.run_folder import add_recording, alone, finished, read_run, start_run
     from loopshape.store.study import read_study
@@ -40,6 +48,7 @@ def record(study_file: Path, out: Path, output: Output, *, states: bool = False)
     if study.rig != "simulated":
         raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated"')
     plant = registry.plant(study.plant)
+    study = replace(study, effects=merged(study.effects, asked(plant, effects)))
     todo = plan(study, plant)
     digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
     start_run(out, header(study, plant, {"study_sha256": digest}))

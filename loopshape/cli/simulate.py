@@ -14,6 +14,14 @@ from loopshape.cli.output import AsJson, Output, Quiet, point
 def simulate(
     study: StudyFile,
     out: Annotated[Path | None, typer.Option(help="The run folder to write; default: the study's name.")] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=MAGNITUDE]",
+            help="What the nominal model leaves out; again for more. NAME alone is a usual magnitude, NAME:2 form 2;"
+            " loopshape effects lists them.",
+        ),
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -24,7 +32,7 @@ def simulate(
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")
-    ended = record(study, folder, output, states=True)
+    ended = record(study, folder, output, states=True, effects=effect or ())
     run = read_run(folder)
     rows, figures = [], []
     for recording in run.recordings:

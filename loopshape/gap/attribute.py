@@ -22,12 +22,14 @@ def healthy(evidence: Evidence) -> Fitted:
     return fitting.improve(evidence, start, 4, all_slopes=True)
 
 
-def screened(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, rounds: int = 2) -> list[Fitted]:
+def screened(
+    evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, rounds: int = 2, brief: bool = False
+) -> list[Fitted]:
     """Each hypothesis that may matter, fitted from its best start with the slopes of the spread taken from `base`.
 
-    What a start, scaled at best, leaves is a first guess; the best of them are fitted.
+    What a start, scaled at best, leaves is a first guess; the best of them are fitted. `brief` tries one start each.
     """
-    guesses = sorted(started(evidence, hypotheses, base), key=lambda f: f.cost)
+    guesses = sorted(started(evidence, hypotheses, base, brief), key=lambda f: f.cost)
     chosen = worth_fitting(guesses, base)
     evidence.residuals([f.hypothesis.moves(f.phi) for f in chosen])  # in parallel, and remembered
     true = [fitting.at(evidence, f.hypothesis, f.phi, f.slopes) for f in chosen]
@@ -41,10 +43,10 @@ def worth_fitting(guesses: Sequence[Fitted], base: Fitted) -> list[Fitted]:
     return list(guesses[: min(max(enough, 8), 20)])
 
 
-def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted) -> list[Fitted]:
+def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, brief: bool = False) -> list[Fitted]:
     """Each hypothesis at its best start, the magnitude scaled and the spread answering, both by straight lines."""
     n_spread = len(evidence.plant.spread)
-    every = [(h, h.starts(base.phi)) for h in hypotheses]
+    every = [(h, h.starts(base.phi)[: 1 if brief else None]) for h in hypotheses]
     residuals = iter(evidence.residuals([h.moves(phi) for h, starts in every for phi in starts]))
     out = []
     for hypothesis, starts in every:
@@ -88,9 +90,10 @@ def _answered(evidence: Evidence, fitted: Fitted, n_spread: int) -> Fitted:
     return replace(fitted, phi=fitted.phi + step, residual=moved, mean_squares=evidence.mean_squares(moved))
 
 
-def refined(evidence: Evidence, fitted: Sequence[Fitted], rounds: int = 3) -> list[Fitted]:
-    """Each with all slopes anew."""
-    return [fitting.improve(evidence, f, rounds, all_slopes=True) for f in fitted]
+def again(evidence: Evidence, fitted: Fitted, rounds: int) -> Fitted:
+    """The same hypothesis from its numbers on other evidence, with all slopes anew."""
+    start = fitting.at(evidence, fitted.hypothesis, fitted.phi, np.zeros((evidence.cells[-1].stop, fitted.phi.size)))
+    return fitting.improve(evidence, start, rounds, all_slopes=True)
 
 
 def best_forms(fitted: Sequence[Fitted]) -> list[Fitted]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.errors import BadSignalError
 from loopshape.gap import attribute, decide, locate, shrink
 from loopshape.gap.decide import Candidate
 from loopshape.gap.evidence import Evidence, Moves
@@ -22,6 +21,7 @@ from loopshape.run import Run
 
 Say = Callable[[str], None]
 PERIODIC_S = 10.0  # of a recording that repeats itself so much tells all
+BRIEF_S = 12.0  # of every recording, for a first look at all forms
 REFINED = 4  # single effects whose slopes are all taken anew
 PAIR_BASES, PAIRS_REFINED = 3, 3
 
@@ -60,22 +60,23 @@ def attribute_effect(
 ) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
-    if not evidence.cells:
-        raise BadSignalError("no recording is long enough to be followed", ", ".join(names), "record more than 2 s")
+    brief = Evidence.of(plant, run, names, PERIODIC_S, threads, brief_s=BRIEF_S)
     say("healthy arm")
-    healthy = attribute.healthy(evidence)
+    rough = attribute.healthy(brief)
+    healthy = attribute.again(evidence, rough, rounds=2)
     none = decide.candidate(evidence, healthy)
     say("single effects")
-    coarse = attribute.screened(evidence, candidates(plant), healthy)
+    coarse = attribute.screened(brief, candidates(plant), rough)
     best = attribute.best_forms(coarse)
     say("best effects")
-    fine = attribute.refined(evidence, _both_forms(best[:REFINED], coarse))
-    singles = decide.best_by_name([decide.candidate(evidence, f) for f in [*fine, *best[REFINED:]]])
+    fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(best[:REFINED], coarse)]
+    singles = decide.best_by_name([decide.candidate(evidence, f) for f in fine])
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
         say(f"pairs with {base.name}")
-        found = attribute.screened(evidence, decide.pairs_on(base, plant.effects), base.fitted, rounds=1)
-        refined = attribute.refined(evidence, attribute.best_forms(found)[:PAIRS_REFINED], rounds=2)
+        ground = attribute.again(brief, base.fitted, rounds=1)
+        found = attribute.screened(brief, decide.pairs_on(base, plant.effects), ground, rounds=1, brief=True)
+        refined = [attribute.again(evidence, f, rounds=2) for f in attribute.best_forms(found)[:PAIRS_REFINED]]
         everything += [decide.candidate(evidence, f) for f in refined]
     scored = decide.best_by_name([none, *everything])
     energies = {name: c.energy for name, c in scored.items()} | {"unknown": decide.unknown_energy(evidence, none)}
@@ -219,5 +220,14 @@ def _traces(plant: Followable, run: Run, recordings: Sequence[Recording], many: 
         prepared = plant.prepare(r, run, None)
         step, measured, nominal = plant.traces(prepared, many[0])
         _, _, healed = plant.traces(prepared, many[1])
-        out.append(Trace(r.info.name, plant.trace_channel, np.asarray(step * np.arange(len(measured)), dtype=float), measured, nominal, healed))
+        out.append(
+            Trace(
+                r.info.name,
+                plant.trace_channel,
+                np.asarray(step * np.arange(len(measured)), dtype=float),
+                measured,
+                nominal,
+                healed,
+            )
+        )
     return out

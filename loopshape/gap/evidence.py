@@ -54,12 +54,14 @@ class Evidence:
         plant: Followable,
         run: Run,
         names: Sequence[str],
-        longest_s: float | None = None,
+        periodic_s: float,
         threads: int | None = None,
+        brief_s: float = float("inf"),
     ) -> Evidence:
-        """Evidence of the recordings named, each shortened to `longest_s` where it repeats itself."""
+        """Evidence of the recordings named: `periodic_s` of those that repeat themselves, `brief_s` of the others."""
         chosen = [run.recording(n) for n in names]
-        prepared = [plant.prepare(r, run, longest_s if r.info.period_s is not None else None) for r in chosen]
+        longest = [min(brief_s, periodic_s if r.info.period_s is not None else float("inf")) for r in chosen]
+        prepared = [plant.prepare(r, run, s if np.isfinite(s) else None) for r, s in zip(chosen, longest, strict=True)]
         evidence = cls(plant, prepared, threads or os.cpu_count() or 1)
         evidence.cells = _cells(prepared, plant, [plant.residuals(p, {}) for p in prepared])
         return evidence

@@ -16,6 +16,7 @@ from loopshape.excitation import samples
 from loopshape.experiment import Experiment, LoopSetup
 from loopshape.plant import Plant
 from loopshape.recording import Recording
+from loopshape.rigs.effects import moves
 from loopshape.run import Run
 from loopshape.study import ExperimentTemplate, Study
 from loopshape.units import SUFFIXES, Array
@@ -52,6 +53,7 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
     if study.solver not in plant.solvers:
         raise WrongUseError("a solver is not known", f"{study.solver!r}", f"use {' or '.join(plant.solvers)}")
     controllers = _controllers(study, plant)
+    _check_solver(study, plant)
     for template in study.experiments:
         points = study.operating_points if template.operating_points is None else template.operating_points
         if not points:
@@ -61,6 +63,7 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
         loops = plant.loop_setups(controllers, template.injection)
         _check_units(study, template, loops)
         changes = {f"pwm_{k}": float(v) for k, v in study.pwm.items()} | dict(study.changes) | dict(template.parameters)
+        changes |= moves(plant, study.effects, tuple(changes))
         plant.check_settings(study.rate_hz, changes)
         if "." in template.name:
             raise WrongUseError("the name of an experiment holds no dot", repr(template.name), "use - or _")
@@ -73,6 +76,15 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
     if len(set(names)) != len(names):
         raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
     return out
+
+
+def _check_solver(study: Study, plant: Rig) -> None:
+    if study.effects and study.solver != plant.solvers[0]:
+        raise WrongUseError(
+            f"the solver {study.solver!r} does not know every effect",
+            ", ".join(study.effects),
+            f'use solver = "{plant.solvers[0]}"',
+        )
 
 
 def _check_units(study: Study, template: ExperimentTemplate, loops: Sequence[LoopSetup]) -> None:
@@ -187,6 +199,8 @@ def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) 
         if f"pwm_{key}" in plant.parameters.names
     }
     settings: dict[str, object] = {"parameters": dict(study.changes)} if study.changes else {}
+    if study.effects:  # for people: no diagnosis may read it
+        settings["effects"] = dict(study.effects)
     return Run(study.rate_hz, first.loops, (), plant.name, pwm, settings | dict(extra or {}))
 
 
@@ -204,6 +218,7 @@ def measure(
     """
     todo = [planned for planned in plan(study, plant) if planned.name not in done]
     workers = threads or os.cpu_count() or 1
+    changes = dict(study.changes) | moves(plant, study.effects)
     for k in range(0, len(todo), workers):
         few = [experiment(study, plant, planned) for planned in todo[k : k + workers]]
-        yield from plant.simulate(few, solver=study.solver, changes=study.changes, threads=workers, states=states)
+        yield from plant.simulate(few, solver=study.solver, changes=changes, threads=workers, states=states)

@@ -9,6 +9,7 @@
     operating_points = [{ theta2_deg = 0.0, p_ab_bar = 1.0 }]
 
     [parameters]                               # of the plant, where they are not its own
+    [effects]                                  # of the plant's catalogue, by magnitude: joint_friction = 0.12
     [pwm]                                      # frequency_hz, dead_zone
     [[loop]]                                   # name and controller; other loops keep the plant's
     [[experiment]]
@@ -39,8 +40,8 @@ from loopshape.study import ExperimentTemplate, Setpoint, Study
 
 FORMAT = "loopshape-study/1"
 _KEYS = (
-    "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "pwm", "loop",
-    "experiment",
+    "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "effects", "pwm",
+    "loop", "experiment",
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
@@ -74,6 +75,7 @@ def read_study(path: Path) -> Study:
         seed=seed,
         solver=words.text("solver", "edges"),
         changes=words.numbers("parameters"),
+        effects=words.numbers("effects"),
         pwm=_pwm(words),
         controllers=_controllers(words),
         extra={"units": {template.name: units for template, units in read}},

@@ -31,7 +31,7 @@ def run():
 @pytest.fixture(scope="module")
 def evidence(run):
     axis, cut, names = ServoAxis().readied(run, ["emps"])
-    return Evidence.of(axis, cut, names, threads=1)
+    return Evidence.of(axis, cut, names, periodic_s=float("inf"), threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def none(evidence):
 
 def fit(evidence, base, *forms):
     (start,) = attribute.screened(evidence, [Hypothesis(evidence.plant, forms)], base)
-    return attribute.refined(evidence, [start], rounds=6)[0]
+    return attribute.again(evidence, start, rounds=6)
 
 
 def form(axis, effect, words):

@@ -34,7 +34,8 @@ EFFECT_ROWS = (
         "supply",
         ("supply_drop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: the supply stands lower; effect supply_droop"),
         ("supply_droop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: drop at one open in-valve; effect supply_droop"),
-        ("supply_droop_time_s", 0.05, "s", 0.001, 10.0, "shapes supply_droop_bar: the regulator's time constant"),
+        ("splitter_droop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: drop behind the capacity at one open in-valve"),
+        ("supply_droop_time_s", 0.05, "s", 0.001, 10.0, "shapes both droops: time constant"),
         ("critical_ratio", 0.0, "1", 0.0, 0.95, "neutral 0: (3.16); else ISO 6358-1's ellipse; effect choked_flow"),
         (
             "choked_conductance",
@@ -48,6 +49,7 @@ EFFECT_ROWS = (
     + _rows(
         "line",
         ("hose_length_m", 0.0, "m", 0.0, 30.0, "neutral 0: volume and laminar restriction of a 2.5 mm bore; hose_lag"),
+        ("hose_turbulence", 0.0, "1", 0.0, 10.0, "shapes hose_length_m: loss over the laminar one at 0.1 g/s"),
         ("hose_lag_ms", 0.0, "ms", 0.0, 200.0, "neutral 0: first-order lag of the flow; effect hose_lag"),
         ("leak_a_mm", 0.0, "mm", 0.0, 3.0, "neutral 0: orifice's diameter at A; effect leak"),
         ("leak_b_mm", 0.0, "mm", 0.0, 3.0, "neutral 0: orifice's diameter at B; effect leak"),
@@ -138,15 +140,15 @@ EFFECT_ROWS = (
     FLEX_K, FLEX_D, FLEX_INERTIA, FLEX_GRAVITY, LINE, MEMORY, CREEP, CREEP_1, CREEP_2, CREEP_3,
     BRAID, BRAID_SLIP, BRAID_ELEMENTS, BRAID_SHARE, DAHL, DAHL_ANGLE, LOAD_SHARE, LINE_R, LINE_V, LINE_LAG,
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
-    AIR, TORQUES, LATE, DAHL_ELEMENTS,
-) = range(34, 88)  # fmt: skip
+    AIR, TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT,
+) = range(34, 90)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 87 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 89 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
@@ -160,7 +162,8 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
     hose_r = 128.0 * _AIR_PA_S * p["hose_length_m"] / (np.pi * _BORE_M**4) * gas  # over the density: times p
     line = p["hose_length_m"] > 0.0 or p["hose_lag_ms"] > 0.0
     braid, dahl = p["braid_force_n"], p["presliding_nm"]
-    memory = line or p["creep_share"] > 0.0 or braid > 0.0 or dahl > 0.0 or p["supply_droop_bar"] > 0.0
+    memory = line or p["creep_share"] > 0.0 or braid > 0.0 or dahl > 0.0
+    memory = memory or p["supply_droop_bar"] > 0.0 or p["splitter_droop_bar"] > 0.0
     memory = memory or (p["friction_load_share"] > 0.0 and p["coulomb_nm"] > 0.0)
     step = 10.0 ** p["creep_decades"]
     one = p["creep_decades"] == 0.0
@@ -218,6 +221,8 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         float(_torques(p)),
         float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] > 0.0),
         p["presliding_elements"],
+        p["hose_turbulence"],
+        1e5 * p["splitter_droop_bar"],
     ]
 
 

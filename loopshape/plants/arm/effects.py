@@ -57,10 +57,11 @@ _SPEED = _free("coulomb_rad_s", 0.01, 0.5, 0.03)
 _DAHL = _free("presliding_nm", 0.0, 1.0, 0.06, 0.18)
 _BRAID = _free("braid_force_n", 0.0, 40.0, 2.5, 6.0)
 _SLIP = _free("braid_slip_mm", 0.02, 5.0, 0.3)
-_SHARE = _free("braid_pressure_share", 0.4, 1.0, 0.9)
+_SHARE = _free("braid_pressure_share", 0.7, 1.0, 0.95)
 _CREEP = _free("creep_share", 0.0, 0.7, 0.2)
-_LOAD = _free("friction_load_share", 0.0, 1.0, 0.6)
+_LOAD = _free("friction_load_share", 0.0, 0.6, 0.3)
 _OPENING = _free("valve_opening_delay_ms", 0.0, 9.0, 2.5, 5.0)
+_TURBULENCE = _free("hose_turbulence", 0.0, 10.0, 0.3)
 _EXPONENT = _free("polytropic_exponent", 1.0, 1.6, 1.2)
 
 FORMS: tuple[EffectForm, ...] = (
@@ -78,17 +79,17 @@ FORMS: tuple[EffectForm, ...] = (
           usual=(0.05, 0.16), source="regulator set or loaded by others"),
     _form("supply_droop", "regulator droops with flow", "bar", _free("supply_droop_bar", 0.0, 0.8, 0.08, 0.25),
           _free("supply_droop_time_s", 0.005, 5.0, 0.05), usual=(0.05, 0.16), source="regulator's flow characteristic"),
-    _form("supply_droop", "narrow supply throttle", "bar", _free("throttle_in_mm", 0.1, 0.4, 0.25, 0.32),
-          scale=1.0, usual=(0.0, 1.0), source="line in front of the capacity"),
+    _form("supply_droop", "line behind the capacity", "bar", _free("splitter_droop_bar", 0.0, 0.8, 0.06, 0.14),
+          _free("supply_droop_time_s", 0.003, 2.0, 0.01), usual=(0.05, 0.16), source="line and manifold"),
     _form("choked_flow", "ellipse, equal at small drops", "1", _free("critical_ratio", 0.05, 0.9, 0.4, 0.55),
           usual=(0.35, 0.6), source="ISO 6358-1"),
     _form("choked_flow", "ellipse with a conductance of its own", "1", _free("critical_ratio", 0.05, 0.9, 0.4, 0.55),
           _free("choked_conductance", 0.5, 2.0, 1.0), usual=(0.35, 0.6), source="ISO 6358-1"),
-    _form("hose_lag", "volume and laminar restriction", "m", _free("hose_length_m", 0.0, 15.0, 1.5, 4.0),
-          usual=(1.0, 5.0), source="Hagen-Poiseuille, lumped"),
+    _form("hose_lag", "volume and restriction", "m", _free("hose_length_m", 0.0, 15.0, 1.5, 4.0), _TURBULENCE,
+          usual=(1.0, 5.0), source="Hagen-Poiseuille and inlet loss, lumped"),
     _form("hose_lag", "first-order lag of the flow", "m", _free("hose_lag_ms", 0.0, 100.0, 4.0, 15.0),
           scale=0.2, usual=(1.0, 5.0), source="lumped line"),
-    _form("hose_lag", "transport and laminar line", "m", _free("hose_length_m", 0.0, 5.1, 1.5, 4.0),
+    _form("hose_lag", "transport, volume and restriction", "m", _free("hose_length_m", 0.0, 5.1, 1.5, 4.0), _TURBULENCE,
           tied={"pulse_delay_ms": ("hose_length_m", 2.9)}, usual=(1.0, 5.0), source="speed of sound, Hagen-Poiseuille"),
     _form("leak", "orifice at A", "mm", _free("leak_a_mm", 0.0, 1.5, 0.15, 0.3), usual=(0.1, 0.3), source="(3.16)"),
     _form("leak", "orifices at both", "mm", _free("leak_a_mm", 0.0, 1.5, 0.15, 0.3), _free("leak_b_mm", 0.0, 1.5, 0.1),

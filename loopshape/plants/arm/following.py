@@ -87,7 +87,7 @@ def answers(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Arra
     """What the sensors would give (rows, 3), rad, Pa, Pa, from a parameter vector, in one of the three ways."""
     c = p.constants(vector)
     c[e.COULOMB_SPEED] = max(c[e.COULOMB_SPEED], 0.5 * f.row_s * c[e.COULOMB] / c[p.INERTIA])  # or the step is unstable
-    x, m = _start(f, c, more_pa)
+    x, m = _start(f, c, more_pa, mode)
     out = np.empty_like(f.measured)
     lead = round(0.5 * LEAD_S / f.row_s)
     _follow(f, c, x, m, out, lead, mode)
@@ -109,12 +109,14 @@ def gains(mode: str, row_s: float) -> Array:
     return np.array(table[mode])
 
 
-def _start(f: Followed, c: Array, more_pa: float) -> tuple[Array, Array]:
+def _start(f: Followed, c: Array, more_pa: float, mode: str) -> tuple[Array, Array]:
     """State and memory at the first sample; the capacity is a guess, `more_pa` above what a short lead gives it."""
     angle, p_a, p_b = f.measured[:3].mean(axis=0)
     x = np.array([_CAPACITY * c[p.P_IN], p_a, p_b, angle, 0.0, angle, 0.0])
     m = np.empty(memory.SIZE)
     memory.start(c, x, m)
+    if mode == "muscles":  # the pressures follow the measured ones, whatever feeds them
+        return x, m
     y, w = x.copy(), m.copy()
     _follow(f, c, y, w, np.empty((min(round(_CAPACITY_S / f.row_s), len(f.measured)), 3)), 0, "both")
     x[0] = y[0] + more_pa

@@ -22,6 +22,7 @@ CREEP_A, CREEP_B, WEN_A, WEN_B, SLIP_A, SLIP_B, DAHL, LINE_A, LINE_B, SUPPLY = 0
 ANGLE_LAG, LAG_A, LAG_B, PLAY, SLIP_JOINT, SIZE = 20, 22, 24, 26, 28, 32
 ELEMENTS = 4
 TYPICAL_PULL_N = 300.0  # |F_A| + |F_B| at which a load-dependent friction has its named level
+NAMED_KG_S = 1e-4  # a line's flow at which its turbulent loss has its named share
 NAMED_PA = 5e4  # a muscle's pressure at which its friction has its named level
 
 
@@ -127,15 +128,15 @@ def hold_flows(
     c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
 ) -> None:
     """Flows out of the lines into A and B over the step, from the supply into them, and the regulator's drop."""
-    if c[e.LINE] == 0.0 and c[e.DROP] == 0.0:
+    if c[e.LINE] == 0.0 and c[e.DROP] == 0.0 and c[e.SPLIT] == 0.0:
         return
-    lag_a, back_a = line(c, x[1])
-    lag_b, back_b = line(c, x[2])
+    lag_a, back_a = line(c, x[1], m[LINE_A])
+    lag_b, back_b = line(c, x[2], m[LINE_B])
     before_a, before_b = x[1], x[2]
     if c[e.LINE] > 0.0:
         before_a += back_a * m[LINE_A] / lag_a
         before_b += back_b * m[LINE_B] / lag_b
-    net_a, net_b, drain = model.valve_flows(c, x[0], before_a, before_b, in_a, in_b, out_a, out_b)
+    net_a, net_b, drain = model.valve_flows(c, x[0] - held[model.SPLIT], before_a, before_b, in_a, in_b, out_a, out_b)
     held[model.DRAIN] = drain
     if c[e.LINE] > 0.0:
         left_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * math.exp(-h / lag_a)
@@ -143,17 +144,22 @@ def hold_flows(
         held[model.LINE_A] = net_a - (left_a - m[LINE_A]) / h
         held[model.LINE_B] = net_b - (left_b - m[LINE_B]) / h
         m[LINE_A], m[LINE_B] = left_a, left_b
-    if c[e.DROP] > 0.0:
+    if c[e.DROP] > 0.0 or c[e.SPLIT] > 0.0:
         m[SUPPLY] = branch_on(m[SUPPLY], held[model.DRAIN], c[e.DROP_TIME], h)
         named = model.flow(c, c[k.BETA_S], c[k.P_IN], NAMED_PA)
         held[model.DROP] = c[e.DROP] * m[SUPPLY] / named
+        held[model.SPLIT] = c[e.SPLIT] * m[SUPPLY] / named
 
 
 @compiled_in_line
-def line(c: Array, p: float) -> tuple[float, float]:
-    """Time constant in s of the air in a hose at p, and its resistance in Pa s/kg."""
+def line(c: Array, p: float, mass: float) -> tuple[float, float]:
+    """Time constant in s of the air in a hose at p that holds `mass` kg back, and its resistance in Pa s/kg."""
     resistance = c[e.LINE_R] / (p + 0.5 * c[k.P_ATM2])
-    return c[e.LINE_LAG] + resistance * c[e.LINE_V], resistance
+    lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
+    if c[e.LINE_TURBULENT] > 0.0:
+        resistance *= 1.0 + c[e.LINE_TURBULENT] * abs(mass) / (lag * NAMED_KG_S)
+        lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
+    return lag, resistance
 
 
 @compiled

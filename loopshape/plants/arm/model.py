@@ -17,9 +17,9 @@ from loopshape.plants.arm import parameters as k
 from loopshape.units import Array
 
 #: what `memory` holds over a step: torque, its slope over the angle from there, creep (m), flows into A and B, from the
-#: supply, drop of the supply (Pa), Coulomb torque
-TORQUE, SLOPE, FROM, CREEP_A, CREEP_B, LINE_A, LINE_B, DRAIN, DROP, COULOMB = range(10)
-HELD = 10
+#: supply, drop of the supply (Pa), Coulomb torque, drop behind the capacity (Pa)
+TORQUE, SLOPE, FROM, CREEP_A, CREEP_B, LINE_A, LINE_B, DRAIN, DROP, COULOMB, SPLIT = range(11)
+HELD = 11
 
 
 LEAK_PA = 5e4  # where a laminar leak equals the orifice
@@ -176,7 +176,7 @@ def moving(
     pull_a, volume_a, slope_a = muscle(c, p_a, h_a, dh_a, c[k.FACTOR_A], c[e.TWO_L_A], held[CREEP_A])
     pull_b, volume_b, slope_b = muscle(c, p_b, h_b, dh_b, c[k.FACTOR_B], c[e.TWO_L_B], held[CREEP_B])
 
-    q_a, q_b, drain = valve_flows(c, p_c, p_a, p_b, in_a, in_b, out_a, out_b)
+    q_a, q_b, drain = valve_flows(c, p_c - held[SPLIT], p_a, p_b, in_a, in_b, out_a, out_b)
     if c[e.AIR] > 0.0:
         q_a, q_b, drain = line_and_leaks(c, held, p_a, p_b, q_a, q_b, drain)
     d_p_c = c[k.RT] * (throttle(c, c[k.BETA_IN], c[k.P_IN] - held[DROP], p_c) - drain) / c[k.V_C]

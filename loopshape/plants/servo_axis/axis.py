@@ -42,17 +42,22 @@ class ServoAxis:
     loops: tuple[str, ...] = ("position",)
     solvers: tuple[str, ...] = ("edges",)  # a study's usual word; there is one way to integrate
     channels: tuple[Channel, ...] = (Channel("position", "m"), Channel("force", "n"))
+    needs: tuple[str, ...] = ("force_n", "position_m")
+    trace_channel = "force [N]"
 
     def __init__(
         self,
         parameters: ParameterTable = AXIS_PARAMETERS,
         effects: tuple[EffectForm, ...] | None = None,
         spread: tuple[Spread, ...] | None = None,
+        pass_hz: float | None = None,
     ) -> None:
         self.parameters = parameters
         self.effects = forms() if effects is None else effects
         known = {row.name: row.value for row in parameters.rows if row.name in nominal.NOMINAL}
         self.spread = nominal.spread(known, known) if spread is None else spread
+        self._pass_hz = pass_hz
+        self._kept_hz = 100.0
 
     def of_run(self, run: Run) -> ServoAxis:
         """The axis with the nominal parameters and scales of a run.
@@ -69,7 +74,10 @@ class ServoAxis:
         first = nominal.estimated(ready, known)
         quiet = [following.quieter(f, with_nominal(first).vector()) for f in ready]
         found = nominal.estimated(quiet, known)
-        return ServoAxis(with_nominal(found), forms(nominal.scales(quiet)), nominal.spread(known, found))
+        lowest = min(quiet, key=lambda f: f.pass_hz)
+        own = ServoAxis(with_nominal(found), forms(nominal.scales(quiet)), nominal.spread(known, found), lowest.pass_hz)
+        own._kept_hz = lowest.rate_hz / lowest.keep
+        return own
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[ServoAxis, Run, list[str]]:
         """The run's own axis, the run, and the recordings named, cut into pieces where these are fewer than `ENOUGH`.
@@ -147,7 +155,7 @@ class ServoAxis:
         vector = self.parameters.vector(changes | dict(e.parameters))
         sensor = np.array([self._value(vector, n) for n in ("position_noise_m", "position_step_m", "range_m")])
         x, m = np.empty(motion.STATES), np.empty(motion.MEMORY)
-        motion.start(x, m, float(e.operating_point["position_m"]), 0.0, 0.0)
+        motion.start(x, m, float(e.operating_point.get("position_m", e.references[0, 0])), 0.0, 0.0)
         controller = e.loops[0].controller
         if controller is None or controller.rate_hz != e.rate_hz:
             raise WrongUseError(f"loop position needs a controller at the rig's rate {e.rate_hz:g} Hz")
@@ -161,8 +169,23 @@ class ServoAxis:
         return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
-        """The recording's force and position, and a low-pass that its noise allows."""
-        return following.quieter(following.followed(recording, _loop(run), longest_s), self.parameters.vector())
+        """The recording's force and position, and the run's low-pass (of a bare axis: one that the noise allows)."""
+        f = following.followed(recording, _loop(run), longest_s)
+        return following.quieter(f, self.parameters.vector()) if self._pass_hz is None else f.behind(self._pass_hz)
+
+    def stays_in_range(self, recording: Recording, run: Run) -> bool:
+        """Always: the model holds wherever the axis can go; `range_m` only ends simulations."""
+        return True
+
+    def residual_rate_hz(self, channel: str) -> float:
+        """How many values a second `residuals` gives."""
+        return self._kept_hz
+
+    def traces(self, prepared: following.Followed, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
+        """Time step in s, and the force in N, measured and of the inverse model, behind the same low-pass."""
+        measured = following.acting_n(prepared)
+        step_s = prepared.keep / prepared.rate_hz
+        return step_s, measured, measured - self.residuals(prepared, moves)["force"]
 
     def residuals(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """`force` in N: measured minus that of the inverse model, filtered and thinned as `following` says."""
@@ -217,13 +240,12 @@ def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
 
 def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:
     loop, free = e.loops[0], e.injection == "control"
-    columns = {
-        "t_s": np.arange(n) / e.rate_hz,
-        str(loop.reference): e.references[:n, 0],
-        str(loop.injected): np.zeros(n) if free else e.injected[:n, 0],
-        "position_m": out[:, 0],
-        "force_n": out[:, 1],
-    }
+    columns = {"t_s": np.arange(n) / e.rate_hz}
+    if loop.reference is not None:
+        columns[loop.reference] = e.references[:n, 0]
+    if loop.injected is not None:
+        columns[loop.injected] = np.zeros(n) if free else e.injected[:n, 0]
+    columns |= {"position_m": out[:, 0], "force_n": out[:, 1]}
     if out.shape[1] > kernel.MEASURED:
         columns |= {"true_position_m": out[:, 2], "true_velocity_m_s": out[:, 3], "true_load_m": out[:, 4]}
     return columns

@@ -97,15 +97,17 @@ def _forces(s: Scales) -> tuple[EffectForm, ...]:
 
 
 def _transmissions(s: Scales) -> tuple[EffectForm, ...]:
-    play = (0.0, 0.05 * s.travel_m, 2e-4 * s.travel_m, 2e-3 * s.travel_m)
+    widest = 0.05 * s.travel_m
+    fine = [5e-5 * s.travel_m * 1.35**k for k in range(20)]  # a play and a resonance are seen from near alone
+    coarse = fine[::3]
     rate = s.rate_hz
     hz = _free("flexible_hz", 2.0, 0.25 * rate, *(0.006 * rate * 1.2**k for k in range(15)))
     damping = _free("flexible_damping", 0.0, 0.5, 0.1)
     stiff = {"flexible_share": 0.5, "flexible_hz": 0.05 * rate, "flexible_damping": 0.3}
     return (
-        _form("backlash", "before the sensor", "mm", _free("sensor_play_m", *play[:2], *play[2:]), scale=1e3,
+        _form("backlash", "before the sensor", "mm", _free("sensor_play_m", 0.0, widest, *fine), scale=1e3,
               source="play operator"),
-        _form("backlash", "before half the mass", "mm", _free("drive_play_m", *play[:2], *play[2:]), fixed=stiff,
+        _form("backlash", "before half the mass", "mm", _free("drive_play_m", 0.0, widest, *coarse), fixed=stiff,
               scale=1e3, source="dead zone of a stiff coupling"),
         _form("flexibility", "30 % of the mass beyond", "Hz", hz, damping, fixed={"flexible_share": 0.3},
               source="two masses, position of the driven one"),

@@ -48,6 +48,10 @@ class Followed:
     pass_hz: float
     noise_m: float
 
+    def behind(self, pass_hz: float) -> Followed:
+        """The same with another low-pass."""
+        return replace(self, pass_hz=pass_hz)
+
     @property
     def keep(self) -> int:
         """One in how many samples is kept."""
@@ -68,7 +72,7 @@ def followed(recording: Recording, loop: LoopSetup | None = None, longest_s: flo
     if recording.info.injection == "plant_input" and loop is not None and loop.injected in recording.columns:
         force += recording.column(str(loop.injected))
     n = force.size
-    if longest_s is not None:
+    if longest_s is not None and np.isfinite(longest_s):
         n = min(n, round((LEAD_S + TAIL_S + longest_s) * recording.rate_hz))
     if n < (LEAD_S + TAIL_S + _SHORTEST_S) * recording.rate_hz:
         raise BadSignalError(
