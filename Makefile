@@ -2,9 +2,10 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test check speed studies clean install
+.PHONY: help demo test check speed studies exam clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +35,9 @@ speed: $(STAMP) ## benchmarks against peers (needs a C compiler); no gate
 
 studies: $(STAMP) ## long studies under experiments/
 	$(BIN)/python experiments/run.py
+
+exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an hour or so); EXAM_SEED=n draws another exam
+	$(BIN)/loopshape exam --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)
 
 clean: ## remove caches (also numba's, needed after editing a kernel) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -24,12 +24,16 @@ class Effect:
 
 @dataclass(frozen=True)
 class Free:
-    """A number that a form leaves to the data: the plant's parameter, bounds, and values to start from."""
+    """A number that a form leaves to the data: the plant's parameter, bounds, values to start from.
+
+    `step` is the share of it by which slopes are taken.
+    """
 
     parameter: str
     low: float
     high: float
     starts: tuple[float, ...]
+    step: float = 0.1
 
     def __post_init__(self) -> None:
         if not (self.starts and all(self.low <= s <= self.high for s in self.starts)):
@@ -41,7 +45,8 @@ class EffectForm:
     """One functional form of an effect: what it frees, sets, and ties to what it frees.
 
     `free[0]` carries the magnitude: its value times `scale`, in `unit`. `tied` parameters are a factor times a
-    free one, `fixed` ones shape it. `scale` translates where a form's own number is another quantity.
+    free one, `fixed` ones shape it. `scale` translates where a form's own number is another quantity. `extends`
+    names the effect that this one contains: then it has to earn its place over it.
     """
 
     effect: str
@@ -54,6 +59,7 @@ class EffectForm:
     scale: float = 1.0
     usual: tuple[float, float] = (0.0, float("inf"))
     source: str = ""
+    extends: str = ""
 
     def moves(self, values: Sequence[float]) -> dict[str, float]:
         """Parameters of the plant at these values of what is free, in order."""

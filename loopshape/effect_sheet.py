@@ -24,30 +24,32 @@ class FrfChange:
     noise: Array
 
     @property
+    def ratio(self) -> ComplexArray:
+        """With over without, (nf,)."""
+        return np.asarray(self.changed / self.without)
+
+    @property
     def gain_db(self) -> Array:
         """With over without, dB, (nf,)."""
-        return np.asarray(db(self.changed / self.without))
+        return np.asarray(db(self.ratio))
 
     @property
     def phase_deg(self) -> Array:
         """Phase of with over without, deg, (nf,), within a turn."""
-        return np.asarray(deg(np.angle(self.changed / self.without)))
+        return np.asarray(deg(np.angle(self.ratio)))
 
     def between(self, low_hz: float, high_hz: float) -> FrfChange:
         """The same from one frequency to another."""
         rows = (self.frequency_hz >= low_hz) & (self.frequency_hz <= high_hz)
         return FrfChange(self.frequency_hz[rows], self.without[rows], self.changed[rows], self.noise[rows])
 
-    def over(self, other: FrfChange) -> FrfChange:
-        """The path from the other's end to this one's, where both begin alike, on common lines."""
-        keys = [np.round(x.frequency_hz * 1e7).astype(np.int64) for x in (self, other)]
-        a, b = np.isin(keys[0], keys[1]), np.isin(keys[1], keys[0])
-        return FrfChange(
-            self.frequency_hz[a],
-            self.without[a] / other.without[b],
-            self.changed[a] / other.changed[b],
-            np.hypot(self.noise[a], other.noise[b]),
-        )
+    @property
+    def size(self) -> float:
+        """Rms of |with/without - 1| over the lines, what noise gives taken off; nan without lines."""
+        if not self.frequency_hz.size:
+            return float("nan")
+        power = np.mean(np.abs(self.ratio - 1.0) ** 2 - self.noise**2)
+        return float(np.sqrt(max(float(power), 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +70,13 @@ class TimeChange:
 class EffectSheet:
     """One effect at one magnitude. `frfs` by recording and path, `times` by recording and signal.
 
-    `odd` and `even` are distortions by recording, dB re the linear response in their band, without and with the
-    effect. `ended` says which recordings ended early, and why.
+    `distortion` by recording, path and kind ("odd", "even") is in dB re the linear response at low frequency, without
+    and with the effect. `ended` says which recordings ended early, and why.
     """
 
     form: EffectForm
     magnitude: float
     frfs: Mapping[tuple[str, str], FrfChange]
     times: Mapping[tuple[str, str], TimeChange]
-    odd: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    even: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    distortion: Mapping[tuple[str, str, str], tuple[float, float]] = field(default_factory=dict)
     ended: tuple[str, ...] = ()

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from loopshape.gap_table import GapTable
+from loopshape.study import Study
 from loopshape.units import Array
 
 
@@ -72,6 +73,20 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
+class Proposal:
+    """The experiment that would part the two hypotheses of `parts` most, as a study of one experiment.
+
+    `separation` is the predicted rms difference of the outputs over what noise alone makes: 1 parts nothing.
+    """
+
+    name: str
+    parts: tuple[str, str]
+    separation: float
+    study: Study
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
 class GapReport:
     """Everything that `loopshape gap` says of a run. `notes` tell what these recordings cannot."""
 
@@ -90,6 +105,7 @@ class GapReport:
     sentence: str
     moves: Mapping[str, float] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    proposal: Proposal | None = None
 
     @property
     def probability(self) -> float:

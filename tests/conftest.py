@@ -48,6 +48,15 @@ def arm_constants():
 
 
 @pytest.fixture(scope="session")
+def all_effects(arm):
+    """Parameter changes that switch all of the arm's effects on, each by its first form at its first start."""
+    first = {form.effect: form for form in reversed(arm.effects)}
+    moves = [form.at(form.scale * form.free[0].starts[0]).moves for form in first.values()]
+    assert len(first) == 21
+    return {name: value for move in moves for name, value in move.items()}
+
+
+@pytest.fixture(scope="session")
 def arm_experiment(arm):
     """An experiment at 1 kHz that starts at rest at `start` (deg, bar) and is asked to hold `setpoint`."""
 
@@ -67,18 +76,22 @@ def arm_experiment(arm):
 
 @pytest.fixture(scope="session")
 def arm_open_loop():
-    """The bare kernel, driven by z (n, 2) in V from a state (7,), SI, without noise: log (n, 12) and last state."""
+    """The bare kernel, driven by z (n, 2) in V from a state (7,), SI, without noise: log (n, 12) and last state.
+
+    `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
+    """
     from loopshape.plants.arm import closed_loop, memory
 
     sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9])  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
 
-    def run(c, start, z, *, solver=closed_loop.EDGES, steps=1, tick_s=1e-3, period_ticks=20, dead_zone=0.01):
+    def run(c, start, z, *, solver=closed_loop.EDGES, steps=1, tick_s=1e-3, period_ticks=20, dead_zone=0.01, m=None):
         z = np.ascontiguousarray(z, dtype=float)
         z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
         state, out = np.array(start, dtype=float), np.empty((len(z), len(closed_loop.LOGGED)))
-        m = np.empty(memory.SIZE)
-        memory.start(c, state, m)
+        if m is None:
+            m = np.empty(memory.SIZE)
+            memory.start(c, state, m)
         ended, n = closed_loop.run(
             c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), np.zeros((len(z), 2)), z,
             closed_loop.CONTROL, False, tick_s, period_ticks, dead_zone, solver, steps, 1, out,

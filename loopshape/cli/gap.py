@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +11,8 @@ import typer
 from loopshape.cli.output import Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.gap_report import GapReport, Ranked
+    from loopshape.gap_report import GapReport, Proposal, Ranked
+    from loopshape.study import ExperimentTemplate, Setpoint, Study
 
 FORMAT = "loopshape-gap/1"
 SHOWN = 6
@@ -23,7 +24,7 @@ def gap(
         Path | None, typer.Argument(help="A second run, simulated or real: then without a model, no cause.")
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the answer to this JSON file.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png, .pdf, .svg).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png).")] = None,
     next_study: Annotated[
         Path | None, typer.Option("--next", help="Write the experiment that would part the leading two (TOML).")
     ] = None,
@@ -32,6 +33,7 @@ def gap(
 ) -> None:
     """Diagnose the gap between a run and the nominal model of its plant, or between two runs."""
     output = Output(False, quiet)
+    check_files(json, report, next_study)
     if sim is not None:
         from loopshape.cli.gap_two_runs import two_runs
 
@@ -49,12 +51,16 @@ def diagnose_run(
     next_study: Path | None = None,
     quick: bool = False,
 ) -> GapReport:
-    """Diagnose a run folder, print what was found, and write what was asked for."""
+    """Diagnose a run folder, print what was found, and write what was asked for.
+
+    Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
+    """
     from loopshape.errors import WrongUseError
     from loopshape.gap.diagnose import diagnose
     from loopshape.registry import diagnosable
     from loopshape.store.run_folder import read_run
 
+    check_files(json, report, next_study)
     run = read_run(folder)
     if run.plant is None:
         raise WrongUseError(
@@ -66,8 +72,9 @@ def diagnose_run(
         found = diagnose(diagnosable(run.plant), run, folder.name, table=not quick, say=step)
     show(found, output)
     if json is not None:
-        from loopshape.store.files import write_json
+        from loopshape.store.files import make_folder, write_json
 
+        make_folder(json.parent)
         write_json(json, answer(found))
         output.say(f"answer written to {json}")
     if report is not None:
@@ -76,9 +83,22 @@ def diagnose_run(
 
         output.say(f"figure written to {save(gap_figure(found), report)}")
     if next_study is not None:
-        propose(found, folder, next_study, output)
+        propose(found, next_study, output)
+    if found.proposal is not None:
+        output.say(f"next: {found.proposal.sentence}")
     output.say(found.sentence)
     return found
+
+
+def check_files(json: Path | None, report: Path | None, study: Path | None = None) -> None:
+    """Refuse, before anything is computed, a picture of another kind than PNG and a folder in a file's place."""
+    from loopshape.errors import WrongUseError
+
+    if report is not None and report.suffix.lower() != ".png":
+        raise WrongUseError("a report is a picture as PNG", str(report), "name a file that ends in .png")
+    for path in (json, report, study):
+        if path is not None and path.is_dir():
+            raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
 
 
 def show(found: GapReport, output: Output) -> None:
@@ -87,7 +107,9 @@ def show(found: GapReport, output: Output) -> None:
         from loopshape.cli.gap_two_runs import COLUMNS, gap_cells
 
         rows = [row for row in found.table.rows if found.table.significant(row)]
-        output.table("Closed loop, nominal model against recorded", COLUMNS, [gap_cells(found.table, r) for r in rows])
+        if rows:
+            cells = [gap_cells(found.table, row) for row in rows]
+            output.table("Closed loop, nominal model against recorded", COLUMNS, cells)
     columns = ["recording", "role", "path", "nominal", "with the effect", "with the rival"]
     rows_ = [[s.recording, s.role, s.path, s.before, s.after, s.rival] for s in found.submodels]
     output.table("Submodels, rms over the noise floor", columns, rows_)
@@ -164,6 +186,7 @@ def answer(found: GapReport) -> dict[str, Any]:
             {k: getattr(s, k) for k in ("recording", "role", "path", "before", "after", "rival")}
             for s in found.submodels
         ],
+        "next_experiment": next_json(found.proposal),
         "parameters": dict(found.moves),
         "software": list(found.software),
         "notes": list(found.notes),
@@ -183,6 +206,78 @@ def _rank_json(r: Ranked) -> dict[str, Any]:
     return row
 
 
-def propose(found: GapReport, folder: Path, path: Path, output: Output) -> None:
-    """Write the study that would part the leading two hypotheses."""
-    raise NotImplementedError
+def propose(found: GapReport, path: Path, output: Output) -> None:
+    """Write the study that would part the leading two hypotheses; say so where there is none to write."""
+    from loopshape.store.files import make_folder, write_toml
+
+    if found.proposal is None:
+        output.warn([f"no experiment of this rig parts the leading hypotheses: {path} is not written"])
+        return
+    make_folder(path.parent)
+    write_toml(path, study_table(found.proposal.study))
+    output.say(f"study written to {path}")
+
+
+def next_json(proposal: Proposal | None) -> dict[str, Any] | None:
+    """The proposed experiment: what it parts, by how much, and its study as in a study file."""
+    if proposal is None:
+        return None
+    return {
+        "name": proposal.name,
+        "parts": list(proposal.parts),
+        "separation": proposal.separation,
+        "sentence": proposal.sentence,
+        "study": study_table(proposal.study),
+    }
+
+
+def study_table(study: Study) -> dict[str, Any]:
+    """A study as the TOML file that `loopshape measure` reads, signals in stored units."""
+    units = study.extra["units"]
+    return {
+        "format": "loopshape-study/1",
+        "rig": study.rig,
+        "plant": study.plant,
+        "rate_hz": study.rate_hz,
+        "seed": study.seed,
+        "solver": study.solver,
+        "operating_points": [dict(p) for p in study.operating_points],
+        "parameters": dict(study.changes) or None,
+        "pwm": dict(study.pwm) or None,
+        "loop": [
+            {"name": name, "controller": [block.to_table() for block in blocks]}
+            for name, blocks in study.controllers.items()
+        ],
+        "experiment": [_experiment_table(t, units[t.name]) for t in study.experiments],
+    }
+
+
+def _experiment_table(t: ExperimentTemplate, units: Mapping[str, Any]) -> dict[str, Any]:
+    """One experiment; keys that have their default are left out."""
+    from dataclasses import asdict
+
+    signal = None
+    if t.excitation is not None:
+        given = asdict(t.excitation)  # type: ignore[call-overload]
+        unit = units["excitation"]
+        signal = {"kind": given.pop("kind"), f"amplitude_{unit}": given.pop("amplitude"), **given}
+    return {
+        "name": t.name,
+        "excites": t.excites,
+        "injection": t.injection,
+        "role": t.role,
+        "lead_s": t.lead_s or None,
+        "tail_s": t.tail_s or None,
+        "duration_s": t.duration_s,
+        "excitation": signal,
+        "references": _setpoints(t.references, units["references"]) or None,
+        "control": _setpoints(t.control, units["control"]) or None,
+    }
+
+
+def _setpoints(signals: Mapping[str, Setpoint], units: Mapping[str, str]) -> dict[str, Any]:
+    """Staircases by loop."""
+    return {
+        loop: {"kind": s.kind, "times_s": list(s.times_s), f"values_{units[loop]}": list(s.values)}
+        for loop, s in signals.items()
+    }

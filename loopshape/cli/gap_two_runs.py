@@ -31,14 +31,16 @@ def two_runs(
 ) -> GapTable:
     """Compare two run folders, print the table and its conclusion, write JSON and figure; gives the table.
 
-    `json` is a file, `report` a folder for `gap_table.png`. Without `every` the time rows printed are those that stand
-    clear of their floor. Nothing is written where anything is refused.
+    `json` and `report` (.png) are files. Without `every` the time rows printed are those that stand clear of their
+    floor. Nothing is written where anything is refused.
     """
+    from loopshape.cli.gap import check_files
     from loopshape.gap.table import compare
-    from loopshape.store.files import write_json
+    from loopshape.store.files import make_folder, write_json
     from loopshape.store.run_folder import read_run
 
     output = output or Output()
+    check_files(json, report)
     table = compare(read_run(real), read_run(sim), bands=bands, real_name=real.name, sim_name=sim.name)
     output.table(f"{real.name} (real) against {sim.name} (sim)", COLUMNS, [gap_cells(table, row) for row in table.rows])
     if table.nu_gaps:
@@ -50,7 +52,10 @@ def two_runs(
     output.say(table.conclusion)
     content = payload(table)
     figure = _draw(table, report)
+    if report is not None and figure is None:
+        output.warn([f"{report} is not written: the runs share no response to draw"])
     if json is not None:
+        make_folder(json.parent)
         write_json(json, content)
     output.json(content | ({"figures": [str(figure)]} if figure else {}))
     return table
@@ -66,14 +71,14 @@ def payload(table: GapTable) -> dict[str, Any]:
 
 
 def _draw(table: GapTable, report: Path | None) -> Path | None:
-    """The picture in the report's folder; None where there is nothing to draw or nowhere to."""
+    """The picture in the report's file; None where there is nothing to draw or nowhere to."""
     if report is None or not table.rows:
         return None
     from loopshape.cli.pictures import save
     from loopshape.draw.gap_table import gap_map
     from loopshape.draw.style import figure_of
 
-    return save(figure_of(gap_map(table)), report / "gap_table.png")
+    return save(figure_of(gap_map(table)), report)
 
 
 def gap_cells(table: GapTable, row: GapRow) -> Sequence[Any]:

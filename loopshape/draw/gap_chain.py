@@ -21,7 +21,7 @@ ORDER = (
 #: blocks beside the chain, and the block that they feed
 FEEDS = {"supply": "valve"}
 OUTSIDE = ("none", "unknown")
-BLAME = COLOURS[1]
+BLAME, WELL = COLOURS[1], COLOURS[0]
 _WIDTH, _HEIGHT, _UPPER, _RETURN = 0.84, 0.8, 1.3, -0.42
 _MOST_POINTS = 2
 
@@ -43,13 +43,13 @@ def in_order(names: Sequence[str]) -> list[str]:
 
 
 def percent(p: float) -> str:
-    """A probability in whole percent; what rounds to 0 or 100 says on which side it lies."""
-    return "< 1 %" if p < 0.005 else "> 99 %" if p >= 0.995 else f"{100.0 * p:.0f} %"
+    """A probability in whole percent; near 0 and 1 on which side of 1 and 99 % it lies."""
+    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{100.0 * p:.0f} %"
 
 
 @styled()
 def chain(where: Where, *, ax: Axes | None = None) -> Axes:
-    """The loop's blocks with the probability that the gap lies there; the blamed ones framed, none and unknown apart."""
+    """The loop's blocks with the probability that the gap lies there; blamed ones framed, none and unknown apart."""
     ax = axes_or_new(ax, (FULL_WIDTH_IN, 1.5))
     probability = shares(where.blocks)
     row = in_order(list(probability))
@@ -72,12 +72,13 @@ def chain(where: Where, *, ax: Axes | None = None) -> Axes:
 def _box(ax: Axes, name: str, corner: tuple[float, float], p: float, blamed: bool, n: int) -> None:
     """One block: name above, probability below."""
     x, y = corner
-    tint = 0.0 if p < 0.005 else 0.15 + 0.55 * p
-    face = tuple(1.0 - tint * (1.0 - np.array(to_rgb(BLAME))))
+    tint = 0.0 if p < 0.01 else 0.15 + 0.55 * p
+    colour = WELL if name == "none" else BLAME
+    face = tuple(1.0 - tint * (1.0 - np.array(to_rgb(colour))))
     apart = name in OUTSIDE
     ax.add_patch(
         Rectangle(
-            corner, _WIDTH, _HEIGHT, facecolor=face, edgecolor=BLAME if blamed else "0.45",
+            corner, _WIDTH, _HEIGHT, facecolor=face, edgecolor=colour if blamed else "0.45",
             linewidth=2.0 if blamed else 0.8, linestyle=(0, (3, 2)) if apart and not blamed else "-",
             gid=f"block {name}", zorder=2.0,
         )
@@ -85,13 +86,20 @@ def _box(ax: Axes, name: str, corner: tuple[float, float], p: float, blamed: boo
     look = {"ha": "center", "va": "center", "fontsize": 8.0 * min(1.0, 9.0 / n), "zorder": 3.0}
     weight = "bold" if blamed else "normal"
     ax.text(x + 0.5 * _WIDTH, y + 0.66 * _HEIGHT, name.replace("_", " "), fontweight=weight, **look)  # type: ignore[arg-type]
-    colour = "black" if p >= 0.005 else QUIET
-    ax.text(x + 0.5 * _WIDTH, y + 0.27 * _HEIGHT, percent(p), fontweight=weight, color=colour, **look)  # type: ignore[arg-type]
+    ink = "black" if p >= 0.01 else QUIET
+    ax.text(x + 0.5 * _WIDTH, y + 0.27 * _HEIGHT, percent(p), fontweight=weight, color=ink, **look)  # type: ignore[arg-type]
 
 
 def _arrows(ax: Axes, n: int, feeding: Sequence[tuple[float, float]]) -> None:
     """The signal's way along the row and back, and down from what feeds a block."""
-    look = {"arrowstyle": "-|>", "color": "0.3", "linewidth": 0.8, "mutation_scale": 7.0, "shrinkA": 0.0, "shrinkB": 0.0}
+    look = {
+        "arrowstyle": "-|>",
+        "color": "0.3",
+        "linewidth": 0.8,
+        "mutation_scale": 7.0,
+        "shrinkA": 0.0,
+        "shrinkB": 0.0,
+    }
     middle, end = 0.5 * _HEIGHT, n - 1 + 0.5 * _WIDTH
     for k in range(n - 1):
         ax.annotate("", (k + 1.0, middle), (k + _WIDTH, middle), arrowprops=look)

@@ -6,8 +6,11 @@ that nobody chose afterwards: an answer that broke off has the verdict `failed` 
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, fields
+from io import StringIO
+from math import isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,12 +109,12 @@ class Marked:
 
 
 class Bar(NamedTuple):
-    """A bar of the exam: what must be reached, what is aimed at; `upwards` where more is better."""
+    """A bar of the exam: what must be reached, what is aimed at, if anything; `upwards` where more is better."""
 
     name: str
     score: str
-    must: float
-    aim: float
+    must: float = nan
+    aim: float = nan
     upwards: bool = True
     unit: str = "%"
 
@@ -127,11 +130,17 @@ BARS = (
     Bar("held-out shrink, median", "shrink", 0.80, 0.95),
     Bar("magnitude within 20 %", "magnitude", 0.70, 0.90),
     Bar("time an arm, median", "time_s", 180.0, 60.0, False, "s"),
+    Bar("unknowns, called so or put into their block", "unknown_or_block"),
+    Bar("pairs, at least one named", "pairs_one"),
+    Bar("truth in the ambiguity set", "set_coverage"),
+    Bar("size of the ambiguity set, median", "set_size", unit="1"),
+    Bar("magnitude in its 95 % interval", "interval_coverage"),
+    Bar("relative error of the magnitude, median", "magnitude_error", unit="1"),
 )
 
 
 class Line(NamedTuple):
-    """A score against its bar: `met` is aim, must, missed, or - without cases."""
+    """A score against its bar: `met` is aim, must, missed, or - without cases or bar."""
 
     bar: Bar
     value: float
@@ -174,12 +183,12 @@ def share(right: int, of: int, level: float = 0.95) -> Share:
     rest = 0.5 * (1.0 - level)
     low = float(beta.ppf(rest, right, of - right + 1)) if right > 0 else 0.0
     high = float(beta.ppf(1.0 - rest, right + 1, of - right)) if right < of else 1.0
-    return Share(right, of, right / of if of else float("nan"), (low, high))
+    return Share(right, of, right / of if of else nan, (low, high))
 
 
 def spread(values: Sequence[float]) -> Spread:
     """Median and quartiles; the median's interval is free of any distribution, as wide as it goes for a few numbers."""
-    nan, n = float("nan"), len(values)
+    n = len(values)
     if n == 0:
         return Spread(0, nan, (nan, nan), (nan, nan), nan, nan)
     x = np.sort(np.asarray(values, dtype=float))
@@ -203,7 +212,7 @@ def mark(label: Label, answer: Mapping[str, Any]) -> Marked:
         truth=truth,
         variant=label.variant,
         verdict=said,
-        probability=float(ranking[names.index(said)]["probability"]) if said in names else float("nan"),
+        probability=float(ranking[names.index(said)]["probability"]) if said in names else nan,
         rank=names.index(truth) + 1 if truth in names else None,
         block_ok=_block_ok(label, said, str((answer.get("where") or {}).get("block"))),
         set_size=len(answer.get("ambiguity_set", ())),
@@ -227,7 +236,6 @@ def _block_ok(label: Label, said: str, block: str) -> bool:
 
 def calibrated(confidence: Array, right: Array, seed: int = 1) -> Calibration:
     """Expected calibration error of answers (n,) and its distribution had they been right as often as they said."""
-    nan = float("nan")
     if not confidence.size:
         return Calibration(nan, nan, nan, nan, bins=())
     equal = np.minimum((confidence * BINS).astype(int), BINS - 1)
@@ -306,7 +314,7 @@ def confusion(marked: Sequence[Marked]) -> dict[str, dict[str, int]]:
 
 
 def against_bars(scores: Scores) -> list[Line]:
-    """Each bar with the score that it is for."""
+    """Each bar with the score that it is for, and the scores beside them."""
     return [_line(bar, getattr(scores, bar.score)) for bar in BARS]
 
 
@@ -316,21 +324,34 @@ def _line(bar: Bar, found: Share | Spread | Calibration) -> Line:
     else:
         of, interval = found.of, found.interval
         value = found.value if isinstance(found, Share) else found.median
+    if of == 0 or isnan(bar.must):
+        return Line(bar, value, interval, of, "-")
     side = 1.0 if bar.upwards else -1.0
     met = [name for name, level in (("aim", bar.aim), ("must", bar.must)) if side * value >= side * level]
-    return Line(bar, value, interval, of, "-" if of == 0 else met[0] if met else "missed")
+    return Line(bar, value, interval, of, met[0] if met else "missed")
+
+
+def as_csv(marked: Sequence[Marked]) -> str:
+    """One row a case, with a header; what is not known is empty."""
+    text = StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerows([[f.name for f in fields(Marked)], *(astuple(m) for m in marked)])
+    return text.getvalue()
 
 
 def as_json(scores: Scores) -> dict[str, Any]:
-    """Scores and bars as words, numbers, lists and mappings."""
+    """Scores and bars as words, numbers, lists and mappings; None where there is no case or no bar."""
     lines = [
-        {**line.bar._asdict(), "value": line.value, "of": line.of, "met": line.met} for line in against_bars(scores)
+        {**line.bar._asdict(), "value": line.value, "interval": line.interval, "of": line.of, "met": line.met}
+        for line in against_bars(scores)
     ]
-    return {"format": FORMAT, "bars": lines} | {k: _plain(v) for k, v in asdict(scores).items()}
+    return {"format": FORMAT, "bars": _plain(lines)} | {k: _plain(v) for k, v in asdict(scores).items()}
 
 
 def _plain(value: Any) -> Any:
-    """Named tuples as mappings, all the way down."""
+    """Named tuples as mappings and what is not known as None, all the way down."""
+    if isinstance(value, float) and isnan(value):
+        return None
     if hasattr(value, "_asdict"):
         return _plain(value._asdict())
     if isinstance(value, Mapping):

@@ -55,7 +55,7 @@ def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, 
             residual = np.nan_to_num(next(residuals), nan=1e9, posinf=1e9, neginf=-1e9)
             slopes = np.zeros((residual.size, phi.size))
             slopes[:, : base.hypothesis.n_free] = base.slopes[:, : base.hypothesis.n_free]
-            slopes[:, -n_spread:] = base.slopes[:, -n_spread:]
+            slopes[:, phi.size - n_spread :] = base.slopes[:, base.phi.size - n_spread :]
             fitted = Fitted(hypothesis, phi, residual, evidence.mean_squares(residual), slopes)
             tried += [_answered(evidence, fitted, n_spread), _scaled(evidence, fitted, base)]
         out.append(min(tried, key=lambda f: f.cost))

@@ -21,6 +21,8 @@ from loopshape.gap.hypothesis import Hypothesis
 
 SHARPNESS = 0.4  # one over the temperature
 ONE_EFFECT, TWO_EFFECTS = 1.0, 3.5
+PER_NUMBER = 0.3  # beyond the first of each effect
+EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
 UNKNOWN, UNKNOWN_LEAVES = 2.5, 0.3
 _UNUSUAL, _SLACK = 6.0, 0.15
 
@@ -53,14 +55,18 @@ def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
     deviations = tuple(spread_of_magnitude(fitted, left, k) for k in range(len(forms)))
-    cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
+    cost = (0.0, ONE_EFFECT, TWO_EFFECTS + SECOND / evidence.independent)[len(forms)]
+    cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
+    cost += sum(EXTENDS / evidence.independent for f in forms if f.extends)
     odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
     return Candidate(fitted, left, deviations, SHARPNESS * (left.cost - evidence.quiet) + cost + odd)
 
 
 def unknown_energy(evidence: Evidence, none: Candidate) -> float:
-    """Energy of an explanation that the catalogue does not hold."""
-    return UNKNOWN + SHARPNESS * UNKNOWN_LEAVES * max(none.left.cost - evidence.quiet, 0.0)
+    """Energy of an explanation that the catalogue does not hold: it would leave UNKNOWN_LEAVES of the gap's rms."""
+    excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
+    left = float(np.sum(np.log1p(1.0 + UNKNOWN_LEAVES**2 * excess))) - evidence.quiet
+    return UNKNOWN + SHARPNESS * left
 
 
 def best_by_name(candidates: Sequence[Candidate]) -> dict[str, Candidate]:

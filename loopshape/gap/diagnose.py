@@ -11,6 +11,7 @@ from loopshape.gap import attribute, decide, locate, shrink
 from loopshape.gap.decide import Candidate
 from loopshape.gap.evidence import Evidence, Moves
 from loopshape.gap.hypothesis import candidates
+from loopshape.gap.next_experiment import propose
 from loopshape.gap.replay import tables as _tables
 from loopshape.gap.software import software_check
 from loopshape.gap.suitable import suitable
@@ -59,8 +60,10 @@ def attribute_effect(
     plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say
 ) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
-    evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
-    brief = Evidence.of(plant, run, names, PERIODIC_S, threads, brief_s=BRIEF_S)
+    independent = len(names)
+    plant, run, names = plant.readied(run, names)
+    evidence = Evidence.of(plant, run, names, PERIODIC_S, threads, independent=independent)
+    brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S, independent)
     say("healthy arm")
     rough = attribute.healthy(brief)
     healthy = attribute.again(evidence, rough, rounds=2)
@@ -119,7 +122,9 @@ def diagnose(
     validation = [r for r in usable if r.info.role == "validation"]
     say("software")
     software = software_check(run)
-    a = attribute_effect(plant, run, [r.info.name for r in estimation], threads=threads, say=say)
+    names = [r.info.name for r in estimation]
+    a = attribute_effect(plant, run, names, threads=threads, say=say)
+    plant = a.evidence.plant  # with the run's own nominal numbers
     say("held-out recordings")
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
@@ -132,8 +137,11 @@ def diagnose(
         files = [r.info.file for r in validation]
         gap = shrink.summary(held[0], after, (rival.name, held[2]) if rival and healed else None, files)
     tables = _tables(plant, run, usable, many, say) if table else (None, None)
+    say("next experiment")
+    other = (rival.name, many[2]) if rival else (a.none.name, many[0])
+    proposal = propose(plant, run, (a.leading.name, many[1]), other, threads)
     ranking = ranked(plant, a)
-    place = locate.where(plant, run, a.evidence, a.none, a.probabilities)
+    place = locate.where(run, a.evidence, a.none, a.probabilities)
     return GapReport(
         run=name,
         plant=plant.name,
@@ -150,6 +158,7 @@ def diagnose(
         sentence=sentence(name, a, ranking, place, gap),
         moves=many[1] if healed else many[0],
         notes=notes,
+        proposal=proposal,
     )
 
 

@@ -118,5 +118,5 @@ def improve(evidence: Evidence, fitted: Fitted, rounds: int, *, all_slopes: bool
     return fitted
 
 
-_ENOUGH = 0.02
+_ENOUGH = 0.08
 _SPREAD = 0.05  # a light hold on the spread: it decides only what the data leave open

@@ -67,10 +67,11 @@ class Hypothesis:
 
     def steps(self, phi: Array) -> Array:
         """Steps for finite differences, pointing into the box."""
-        scale = [0.2 * max(abs(s) for s in f.starts) for form in self.forms for f in form.free]
-        size = np.concatenate(
-            [0.1 * np.maximum(np.abs(phi[: self.n_free]), scale), np.full(len(self.plant.spread), 0.5)]
-        )
+        free = [f for form in self.forms for f in form.free]
+        scale = [max(0.2 * max(abs(s) for s in f.starts), 0.01 * (f.high - f.low)) for f in free]
+        share = np.array([f.step for f in free])
+        own = share * np.maximum(np.abs(phi[: self.n_free]), scale)
+        size = np.concatenate([own, np.full(len(self.plant.spread), 0.5)])
         return np.asarray(np.where(phi + size > self.high, -size, size))
 
     def magnitudes(self, phi: Array) -> list[float]:

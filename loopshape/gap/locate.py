@@ -15,10 +15,9 @@ from loopshape.run import Run
 from loopshape.units import Array
 
 
-def where(
-    plant: Followable, run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[str, float]
-) -> Where:
+def where(run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[str, float]) -> Where:
     """The place of a gap, from the healthy model's residuals and the probabilities of the effects."""
+    plant = evidence.plant
     blocks = block_probabilities(plant, probabilities)
     verdict = next(iter(probabilities))
     excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
@@ -29,7 +28,7 @@ def where(
     mine = [(c, e) for c, e in zip(evidence.cells, excess, strict=True) if c.channel == channel]
     worst = max(e for _, e in mine)
     clear = [c for c, e in mine if e >= 0.25 * worst]
-    points = {tuple(sorted(run.recording(c.recording).info.operating_point.items())): None for c in clear}
+    points = {tuple(sorted(_point(run, c.recording).items())): None for c in clear}
     return Where(
         block="+".join(sorted(block_of(plant, part) for part in verdict.split("+"))),
         blocks=blocks,
@@ -37,6 +36,14 @@ def where(
         band_hz=_band(clear, none.fitted.residual, plant.residual_rate_hz(channel)),
         operating_points=[dict(p) for p in points],
     )
+
+
+def _point(run: Run, recording: str) -> Mapping[str, float]:
+    """The operating point of a recording, or of the one that it is a piece of."""
+    for r in run.recordings:
+        if recording == r.info.name or recording.startswith(f"{r.info.name}-"):
+            return r.info.operating_point
+    return {}
 
 
 def block_of(plant: Followable, effect: str) -> str:

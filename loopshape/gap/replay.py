@@ -24,7 +24,7 @@ def tables(
 ) -> tuple[GapTable | None, GapTable | None]:
     """The gap table against the nominal model, and against the model with the effect, replayed in closed loop."""
     real = replace(run, recordings=tuple(r for r in recordings if r.info.closed_loop))
-    if not real.recordings:
+    if not real.recordings or any(loop.controller is None for loop in run.loops):
         return None, None
     out: list[GapTable | None] = []
     for moves, name in zip(many[:2], ("nominal model", "model with the effect"), strict=True):

@@ -23,9 +23,14 @@ loops = arm.loop_setups(arm.default_controllers(1000.0), "controller_input")
 e = Experiment("one", "none", loops, 1000.0, np.tile([0.15, 1.1], (300, 1)), injected, "controller_input",
                {"theta2_deg": 5.0, "p_ab_bar": 1.0}, seed=3)
 out = {"compiled": np.array(hasattr(run, "py_func"))}
-for solver in ("edges", "grid"):
-    (r,) = arm.simulate([e], solver=solver, changes={"converter_bits": 0.0}, states=True)
-    out |= {f"{solver} {name}": r.columns[name] for name in r.columns}
+first = {form.effect: form for form in reversed(arm.effects)}
+last = {form.effect: form for form in arm.effects}
+for way, forms in (("edges", {}), ("grid", {}), ("first", first), ("last", last)):
+    solver = "grid" if way == "grid" else "edges"
+    moves = [form.at(form.scale * form.free[0].starts[0]).moves for form in forms.values()]
+    changes = {name: value for move in moves for name, value in move.items()} | {"converter_bits": 0.0}
+    (r,) = arm.simulate([e], solver=solver, changes=changes, states=True)
+    out |= {f"{way} {name}": r.columns[name] for name in r.columns}
 out["normal"] = np.empty(3001)
 state = fill_normal(start_state(5, 2), out["normal"])
 states = [state]
@@ -56,13 +61,14 @@ def test_random_numbers_are_the_same_bits(both):
     np.testing.assert_array_equal(compiled["normal"], plain["normal"])
 
 
-@pytest.mark.parametrize("solver", ["edges", "grid"])
-def test_closed_loop_log_is_the_same(both, solver):
+@pytest.mark.parametrize("way", ["edges", "grid", "first", "last"])
+def test_closed_loop_log_is_the_same(both, way):
+    """By both solvers, and with all effects on: each by its first form, and by its last."""
     compiled, plain = both
-    names = [name for name in compiled if name.startswith(solver)]
+    names = [name for name in compiled if name.startswith(way)]
     assert len(names) == 17
     for name in names:
         size = np.abs(plain[name]).max()
         # compiled code may contract a b + c, which leaves 1e-16 at each step
         np.testing.assert_allclose(compiled[name], plain[name], rtol=0.0, atol=1e-12 * size, err_msg=name)
-    assert np.abs(plain[f"{solver} z_theta2_v"]).max() > 0.1
+    assert np.abs(plain[f"{way} z_theta2_v"]).max() > 0.1

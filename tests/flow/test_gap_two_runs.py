@@ -123,7 +123,7 @@ def test_equal_inputs_are_compared_in_time(stiff):
 
 
 def test_the_command_prints_writes_and_concludes(folders, capsys, tmp_path):
-    table = two_runs(folders / "real", folders / "stiff", tmp_path / "gap.json", tmp_path / "report", Output())
+    table = two_runs(folders / "real", folders / "stiff", tmp_path / "gap.json", tmp_path / "report.png", Output())
     printed = capsys.readouterr().out
     assert "z_theta2 -> theta2" in printed
     assert table.conclusion in printed
@@ -132,7 +132,7 @@ def test_the_command_prints_writes_and_concludes(folders, capsys, tmp_path):
     assert len(found["rows"]) == len(table.rows)
     assert sum(row["significant"] for row in found["rows"]) == sum(table.significant(row) for row in table.rows)
     assert found["conclusion"] == table.conclusion
-    assert (tmp_path / "report" / "gap_table.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_it_is_quiet_when_asked_and_one_object_when_asked(folders, capsys):
@@ -151,7 +151,9 @@ def test_what_only_one_run_holds_is_said(folders, runs, capsys):
 
 def test_nothing_is_written_where_a_run_is_refused(folders, tmp_path):
     with pytest.raises(LoopshapeError):
-        two_runs(folders / "real", tmp_path / "nowhere", tmp_path / "gap.json", tmp_path / "report", Output())
+        two_runs(folders / "real", tmp_path / "nowhere", tmp_path / "gap.json", tmp_path / "report.png", Output())
+    with pytest.raises(LoopshapeError, match=r"a report is a picture as PNG; received .*report.pdf"):
+        two_runs(folders / "real", folders / "twin", tmp_path / "gap.json", tmp_path / "report.pdf", Output())
     with pytest.raises(LoopshapeError):
         two_runs(folders / "real", folders / "twin", tmp_path / "gap.json", None, Output(), bands="thirds")
     assert list(tmp_path.iterdir()) == []

@@ -37,6 +37,13 @@ def start() -> np.ndarray:
     return rest(c, 0.0, 1.0, float(c[P_IN]))
 
 
+def all_effects() -> dict[str, float]:
+    """Parameter changes that switch every effect on, each by its first form in the middle of what usually occurs."""
+    first = {form.effect: form for form in reversed(Arm1.effects)}
+    moves = [form.at(0.5 * sum(form.usual)).moves for form in first.values()]
+    return {name: value for move in moves for name, value in move.items()}
+
+
 def experiments(count: int, seconds: float = SECONDS) -> list[Experiment]:
     """The workload as experiments, each with its own noise."""
     plant = Arm1()

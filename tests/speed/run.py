@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from arm_workload import SECONDS, biquads, experiments, references, start
+from arm_workload import SECONDS, all_effects, biquads, experiments, references, start
 from scipy.integrate import solve_ivp
 
 HERE = Path(__file__).parent
@@ -71,14 +71,17 @@ def c_arm(folder: Path) -> Callable[[], object]:
     return go
 
 
-def our_arm() -> Callable[[], object]:
-    """Our kernel on the same workload, one call, no Python inside."""
+def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
+    """Our kernel on the same workload, one call, no Python inside; with parameters moved."""
     from loopshape.kernels.noise import start_state
     from loopshape.plants.arm import closed_loop as kernel
+    from loopshape.plants.arm import memory
     from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
 
-    vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0})
+    vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0} | (moves or {}))
     c, sensors = constants(vector), sensor_constants(vector)
+    x, m = start(), np.empty(memory.SIZE)
+    memory.start(c, x, m)
     r, n = references(), references().shape[0]
     injected, out = np.zeros((n, 2)), np.zeros((n, kernel.MEASURED))
     sections = biquads()
@@ -87,8 +90,8 @@ def our_arm() -> Callable[[], object]:
     def go() -> None:
         state = np.zeros((2, sections.shape[1], 2))
         ended, _ = kernel.run(
-            c, sensors, start(), sections[0], sections[1][:2], state, r, injected, kernel.CONTROLLER_INPUT, True,
-            1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
+            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, r, injected, kernel.CONTROLLER_INPUT,
+            True, 1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
         )  # fmt: skip
         assert ended == kernel.COMPLETE, "the arm left its range"
 
@@ -117,7 +120,7 @@ def solve_ivp_arm(seconds: float) -> Callable[[], object]:
         return np.array([d[0], d[1], d[2], x[4], d[3]])
 
     def go() -> float:
-        x, state, u, close = start(), np.zeros((2, 4, 2)), (0.0, 0.0), (0.0, 0.0)
+        x, state, u, close = start()[:5], np.zeros((2, 4, 2)), (0.0, 0.0), (0.0, 0.0)
         for tick in range(r.shape[0]):
             z_theta = cascade.step(sections[0], state[0], r[tick, 0] - x[3])
             z_p = cascade.step(sections[1], state[1], 1e-5 * (r[tick, 1] - x[1] - x[2]))
@@ -173,9 +176,11 @@ def main() -> None:
     print(f"{os.cpu_count()} cores; arm workload: {SECONDS:.0f} s of tracking steps, noise and converters on")
     with tempfile.TemporaryDirectory() as folder:
         ours, peer = interleaved(our_arm(), c_arm(Path(folder)))
+    effects, nominal = interleaved(our_arm(all_effects()), our_arm())
     speed = SECONDS / ours
     line("arm, closed loop, exact edges, one core", speed, "simulated s/s")
     line("  plain C (-O3), same workload", SECONDS / peer, f"simulated s/s, ours {peer / ours:.2f} of it")
+    line("  all 21 effects on", SECONDS / effects, f"simulated s/s, {nominal / effects:.2f} of the nominal arm's")
     one, two = interleaved(batch(1), batch(2), 3)
     line("8 recordings through the plant, 1 thread", 8 * SECONDS / one, "simulated s/s")
     line("  2 threads", 8 * SECONDS / two, f"simulated s/s, {one / two:.2f} times as fast")

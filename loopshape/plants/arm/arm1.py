@@ -84,6 +84,10 @@ class Arm1:
             LoopSetup("p_ab", "r_p_ab_bar", n_p, "z_p_v", "p_a_bar + p_b_bar", known["p_ab"]),
         )
 
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[Arm1, Run, list[str]]:
+        """The arm has its own numbers, and follows recordings as they are."""
+        return self, run, list(names)
+
     def stays_in_range(self, recording: Recording, run: Run) -> bool:
         """Whether the measured angle and pressures lie where the model holds, with a little room for noise."""
         table = self.parameters.vector()

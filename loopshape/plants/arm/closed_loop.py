@@ -14,10 +14,10 @@ import math
 import numpy as np
 
 from loopshape.kernels import biquads, noise, pwm
-from loopshape.kernels.compiled import compiled, compiled_in_line
+from loopshape.kernels.compiled import compiled
 from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm import memory, model, valves
-from loopshape.plants.arm.model import moving
+from loopshape.plants.arm.model import called, in_line, moving
 from loopshape.units import Array
 
 EDGES, GRID = 0, 1
@@ -30,7 +30,7 @@ MEASURED = 7
 LOWEST_PA, WIDEST = 5e2, 1.2  # a followed state stays inside: a wrong hypothesis shall err, not break
 
 
-@compiled
+@in_line
 def step_rk4(c: Array, held: Array, x: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float) -> None:
     """One classical Runge-Kutta step of length h s with the valves as given; `x` (7,) moves in place."""
     c0, a0, b0, q0, w0, s0, v0 = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
@@ -61,7 +61,7 @@ def step_rk4(c: Array, held: Array, x: Array, h: float, in_a: float, in_b: float
     x[6] = v0 + sixth * (k1v + 2.0 * (k2v + k3v) + k4v)
 
 
-@compiled
+@called
 def integrate_edges(
     c: Array, held: Array, x: Array, m: Array, start_s: float, end_s: float, steps: int, schedule: Array,
     edges: Array, n_edges: int,
@@ -80,15 +80,13 @@ def integrate_edges(
             in_a, in_b, out_a, out_b = valves.areas(c, schedule, middle)
             if c[e.MEMORY] > 0.0:
                 memory.hold(c, x, m, held, stop - now, in_a, in_b, out_a, out_b)
-                angle = x[3]
-                step_rk4(c, held, x, stop - now, in_a, in_b, out_a, out_b)
-                memory.move_on(c, x, m, angle, stop - now)
-            else:
-                step_rk4(c, held, x, stop - now, in_a, in_b, out_a, out_b)
+            step_rk4(c, held, x, stop - now, in_a, in_b, out_a, out_b)
+            if c[e.MEMORY] > 0.0:
+                memory.move_on(c, x, m, held, stop - now)
             now = stop
 
 
-@compiled
+@called
 def grid_derivatives(
     c: Array, held: Array, p_c: float, p_a: float, p_b: float, angle: float, velocity: float,
     phase: float, u_a: float, u_b: float, dead_zone: float,
@@ -104,7 +102,7 @@ def grid_derivatives(
     return d_c, d_a, d_b, turn
 
 
-@compiled
+@called
 def integrate_grid(
     c: Array,
     held: Array,
@@ -161,7 +159,7 @@ def integrate_grid(
         x[4] = w0 + ninth * (2.0 * k1w + 3.0 * k2w + 4.0 * k3w)
 
 
-@compiled_in_line
+@in_line
 def converted(value: float, step: float, low: float, high: float) -> float:
     """Value after a converter of this step (0: none) and span."""
     if step == 0.0:
@@ -169,7 +167,7 @@ def converted(value: float, step: float, low: float, high: float) -> float:
     return min(max(step * round(value / step), low), high)
 
 
-@compiled_in_line
+@in_line
 def sense(
     theta: float, p_a: float, p_b: float, sensors: Array, random_state: int, spare: float, has_spare: bool
 ) -> tuple[float, float, float, int, float, bool]:
@@ -189,7 +187,7 @@ def sense(
     return theta, p_a, converted(p_b, sensors[3], 0.0, sensors[8]), random_state, spare, has_spare
 
 
-@compiled_in_line
+@in_line
 def log(
     out: Array, tick: int, theta: float, p_a: float, p_b: float, z_theta: float, z_p: float, u_a: float, u_b: float,
     x: Array,
@@ -201,7 +199,7 @@ def log(
         out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
 
 
-@compiled_in_line
+@in_line
 def range_left(x: Array, sensors: Array) -> int:
     """Which limit of the model's range the state has passed, or COMPLETE."""
     if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4]):
@@ -213,7 +211,7 @@ def range_left(x: Array, sensors: Array) -> int:
     return COMPLETE
 
 
-@compiled_in_line
+@in_line
 def late(commands: Array, column: int, tick: int, delay_ticks: float) -> float:
     """A logged command as it was `delay_ticks` ago, between two rows their weighted mean; at first the first row's."""
     if delay_ticks == 0.0:

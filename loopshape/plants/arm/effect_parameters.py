@@ -28,6 +28,7 @@ EFFECT_ROWS = (
         ("pulse_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: whole pulses come late; loop_delay, hose_lag"),
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
         ("valve_closing_ratio", 1.5, "1", 0.0, 4.0, "shapes valve_opening_delay_ms: closing delay over it"),
+        ("valve_short_lost", 0.0, "1", 0.0, 3.0, "shapes valve_opening_delay_ms: pulses shorter than so many are lost"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
     + _rows(
@@ -50,6 +51,7 @@ EFFECT_ROWS = (
         "line",
         ("hose_length_m", 0.0, "m", 0.0, 30.0, "neutral 0: volume and laminar restriction of a 2.5 mm bore; hose_lag"),
         ("hose_turbulence", 0.0, "1", 0.0, 10.0, "shapes hose_length_m: loss over the laminar one at 0.1 g/s"),
+        ("hose_front", 0.0, "1", 0.0, 1.0, "shapes hose_length_m: share of the line's impedance c/A, for short pulses"),
         ("hose_lag_ms", 0.0, "ms", 0.0, 200.0, "neutral 0: first-order lag of the flow; effect hose_lag"),
         ("leak_a_mm", 0.0, "mm", 0.0, 3.0, "neutral 0: orifice's diameter at A; effect leak"),
         ("leak_b_mm", 0.0, "mm", 0.0, 3.0, "neutral 0: orifice's diameter at B; effect leak"),
@@ -136,23 +138,25 @@ EFFECT_ROWS = (
 
 (
     DEAD_A, DEAD_B, TWO_L_A, TWO_L_B, COMPRESSION, CRITICAL, CONDUCTANCE, LEAK_A, LEAK_B, LAMINAR,
-    CREEP_GAIN, COULOMB, COULOMB_SPEED, STRIBECK, STRIBECK_SPEED, HOSE_K, HOSE_ANGLE, HOSE_CUBIC, TILT,
-    FLEX_K, FLEX_D, FLEX_INERTIA, FLEX_GRAVITY, LINE, MEMORY, CREEP, CREEP_1, CREEP_2, CREEP_3,
+    CREEP_GAIN, COULOMB, COULOMB_SPEED, STRIBECK, STRIBECK_SPEED, HOSE_K, HOSE_ANGLE, HOSE_CUBIC,
+    TILT_SINE, TILT_COSINE, FLEX_K, FLEX_D, FLEX_INERTIA, FLEX_GRAVITY, LINE, MEMORY, CREEP, CREEP_1, CREEP_2, CREEP_3,
     BRAID, BRAID_SLIP, BRAID_ELEMENTS, BRAID_SHARE, DAHL, DAHL_ANGLE, LOAD_SHARE, LINE_R, LINE_V, LINE_LAG,
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
-    AIR, TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT,
-) = range(34, 90)  # fmt: skip
+    TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST,
+) = range(34, 92)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
+_SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 89 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 91 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
     share = p["flexible_share"]
+    closing_ms = p["valve_opening_delay_ms"] * p["valve_closing_ratio"]
     reduced = share * (1.0 - share) * inertia_kgm2
     turn = 2.0 * np.pi * p["flexible_hz"]
     two_l = 2e-3 * p["braid_length_mm"]
@@ -160,6 +164,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
     orifice = p["throttle_factor"] * np.sqrt(2.0) * np.pi * np.sqrt(0.5 / gas) * (0.5e-3) ** 2
     hose_v = p["hose_length_m"] * np.pi / 4.0 * _BORE_M**2
     hose_r = 128.0 * _AIR_PA_S * p["hose_length_m"] / (np.pi * _BORE_M**4) * gas  # over the density: times p
+    front = p["hose_front"] if p["hose_length_m"] > 0.0 else 0.0
     line = p["hose_length_m"] > 0.0 or p["hose_lag_ms"] > 0.0
     braid, dahl = p["braid_force_n"], p["presliding_nm"]
     memory = line or p["creep_share"] > 0.0 or braid > 0.0 or dahl > 0.0
@@ -187,7 +192,8 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         p["hose_stiffness_nm_rad"],
         float(rad(p["hose_angle_deg"])),
         p["hose_cubic_nm_rad3"],
-        float(rad(p["base_tilt_deg"])),
+        float(np.sin(rad(p["base_tilt_deg"]))),
+        float(np.cos(rad(p["base_tilt_deg"]))),
         reduced * turn**2,
         2.0 * p["flexible_damping"] * reduced * turn,
         share * inertia_kgm2,
@@ -205,27 +211,28 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         p["friction_load_share"],
         hose_r,
         hose_v / gas,
-        1e-3 * p["hose_lag_ms"],
+        1e-3 * p["hose_lag_ms"] + front * p["hose_length_m"] / _SOUND_M_S,
         1e5 * p["supply_droop_bar"],
         p["supply_droop_time_s"],
         1e-3 * p["loop_delay_ms"],
-        1e-3 * (p["valve_opening_delay_ms"] + p["pulse_delay_ms"]),
-        1e-3 * (p["valve_opening_delay_ms"] * p["valve_closing_ratio"] + p["pulse_delay_ms"]),
+        1e-3 * max(p["valve_opening_delay_ms"] + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
+        1e-3 * max(closing_ms + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
         1e-3 * p["valve_ramp_ms"],
         1e-3 * p["angle_lag_ms"],
         1e-3 * p["pressure_lag_ms"],
         p["lag_order"],
         float(rad(p["backlash_deg"])),
         p["backlash_soft"],
-        float(line or p["leak_a_mm"] > 0.0 or p["leak_b_mm"] > 0.0),
         float(_torques(p)),
         float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] > 0.0),
         p["presliding_elements"],
         p["hose_turbulence"],
         1e5 * p["splitter_droop_bar"],
+        front * _SOUND_M_S / (np.pi / 4.0 * _BORE_M**2),
+        1e-3 * p["valve_opening_delay_ms"] * p["valve_short_lost"],
     ]
 
 
 def _torques(p: Mapping[str, float]) -> bool:
     names = ("braid_force_n", "presliding_nm", "coulomb_nm", "hose_stiffness_nm_rad", "hose_cubic_nm_rad3")
-    return any(p[n] > 0.0 for n in (*names, "flexible_share")) or p["base_tilt_deg"] != 0.0
+    return any(p[n] > 0.0 for n in (*names, "flexible_share"))

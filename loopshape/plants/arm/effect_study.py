@@ -27,7 +27,7 @@ AMPLITUDES_V = {"small": 0.08, "middle": 0.25, "large": 0.6}
 PERIOD_S, PERIODS = 20.0, 3
 #: paths by the signals at their ends; what was injected is the instrument
 PATHS = {"u -> theta2": ("u_d", "theta2"), "u -> p": ("u_d", "p_d"), "p -> theta2": ("p_d", "theta2")}
-SUM_PATH = {"u -> p": ("u_s", "p_s")}  # where the pressure loop is excited
+SUM_PATH = {"u -> p": ("u_s", "p_s")}  # where the pressure loop is excited and the joint hardly moves
 SETPOINTS_DEG = 25.0
 SPEED_DEG_S = 1.5
 
@@ -94,3 +94,8 @@ def signals(recording: Recording) -> dict[str, Array]:
         "p_s": p_a + p_b,
         "theta2": c("theta2_rad"),
     }
+
+
+def paths(recording: Recording) -> Mapping[str, tuple[str, str]]:
+    """The paths that a recording shows."""
+    return SUM_PATH if recording.info.excites == "p_ab" else PATHS

@@ -53,7 +53,7 @@ def _form(
 
 
 _FRICTION = _free("coulomb_nm", 0.0, 1.0, 0.06, 0.18)
-_SPEED = _free("coulomb_rad_s", 0.01, 0.5, 0.03)
+_SPEED = _free("coulomb_rad_s", 0.01, 0.15, 0.03)
 _DAHL = _free("presliding_nm", 0.0, 1.0, 0.06, 0.18)
 _BRAID = _free("braid_force_n", 0.0, 40.0, 2.5, 6.0)
 _SLIP = _free("braid_slip_mm", 0.02, 5.0, 0.3)
@@ -75,6 +75,8 @@ FORMS: tuple[EffectForm, ...] = (
           usual=(2.0, 6.0), source="on/off solenoid valves"),
     _form("valve_delay", "dead times and ramps", "ms", _OPENING, _free("valve_ramp_ms", 0.0, 8.0, 2.0),
           usual=(2.0, 6.0), source="on/off solenoid valves, armature's travel"),
+    _form("valve_delay", "dead times, shorter pulses lost", "ms", _OPENING, _free("valve_closing_ratio", 0.6, 2.2, 1.4),
+          fixed={"valve_short_lost": 1.0}, usual=(2.0, 6.0), source="solenoid's current has to build up"),
     _form("supply_droop", "supply stands lower", "bar", _free("supply_drop_bar", 0.0, 0.4, 0.05, 0.13),
           usual=(0.05, 0.16), source="regulator set or loaded by others"),
     _form("supply_droop", "regulator droops with flow", "bar", _free("supply_droop_bar", 0.0, 0.8, 0.08, 0.25),
@@ -91,6 +93,8 @@ FORMS: tuple[EffectForm, ...] = (
           scale=0.2, usual=(1.0, 5.0), source="lumped line"),
     _form("hose_lag", "transport, volume and restriction", "m", _free("hose_length_m", 0.0, 5.1, 1.5, 4.0), _TURBULENCE,
           tied={"pulse_delay_ms": ("hose_length_m", 2.9)}, usual=(1.0, 5.0), source="speed of sound, Hagen-Poiseuille"),
+    _form("hose_lag", "travelling front and restriction", "m", _free("hose_length_m", 0.0, 15.0, 1.5, 4.0),
+          fixed={"hose_front": 1.0}, usual=(1.0, 5.0), source="water hammer, Hagen-Poiseuille"),
     _form("leak", "orifice at A", "mm", _free("leak_a_mm", 0.0, 1.5, 0.15, 0.3), usual=(0.1, 0.3), source="(3.16)"),
     _form("leak", "orifices at both", "mm", _free("leak_a_mm", 0.0, 1.5, 0.15, 0.3), _free("leak_b_mm", 0.0, 1.5, 0.1),
           usual=(0.1, 0.3), source="(3.16)"),

@@ -2,6 +2,11 @@
 
 An averaged valve lets through its full flow times the duty. Filling and exhaust differ, so the nominal gain
 is the mean of both; `ripple_gains` gives the gains that a moving command sees.
+
+Effects that act on the flows, the gas, the muscles, the joint and the body are in it, with four limits: a flexible
+coupling is stiff and a hose without its lag (below their frequencies), creep is fast (above its own), and what hangs on
+the amplitude or on delays - sliding friction, hysteresis, play, valves, sensors - is not there. Coulomb friction enters
+with its slope at rest, which is far more damping than a motion of any size sees.
 """
 
 from __future__ import annotations
@@ -10,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm.equilibrium import rest
 from loopshape.plants.arm.model import derivatives
-from loopshape.plants.arm.parameters import P_IN
+from loopshape.plants.arm.parameters import GRAVITY, INERTIA, P_IN
 from loopshape.units import TWO_PI, Array, ComplexArray, angular, hz
 
 
@@ -61,24 +67,35 @@ class Linearisation:
 def _rates(
     c: Array, x: Array, in_a: bool = False, in_b: bool = False, out_a: bool = False, out_b: bool = False
 ) -> tuple[float, float, float, float]:
-    p_c, p_a, p_b, angle, velocity = x
+    p_c, p_a, p_b, angle, velocity = x[:5]
     return derivatives(c, p_c, p_a, p_b, angle, velocity, in_a, in_b, out_a, out_b)
+
+
+def _quasi_static(c: Array) -> Array:
+    """Constants of the arm with a stiff coupling and hoses that hold no air back; their volume stays."""
+    c = c.copy()
+    c[INERTIA] += c[e.FLEX_INERTIA]
+    c[GRAVITY] += c[e.FLEX_GRAVITY]
+    for place in (e.FLEX_K, e.FLEX_D, e.FLEX_INERTIA, e.FLEX_GRAVITY, e.LINE):
+        c[place] = 0.0
+    return c
 
 
 def linearise(c: Array, theta2_deg: float, p_ab_bar: float) -> Linearisation:
     """Linearisation about an equilibrium with p_c = p_in; refuses a point without equilibrium."""
+    c = _quasi_static(c)
     x = rest(c, theta2_deg, p_ab_bar, float(c[P_IN]))
 
     def shut(state: Array) -> Array:
         d = _rates(c, state)
         return np.array([state[4], d[3], 1e-5 * d[1], 1e-5 * d[2]])
 
-    step = np.array([0.0, 10.0, 10.0, 1e-5, 1e-3])
+    step = np.array([0.0, 10.0, 10.0, 1e-5, 1e-3, 0.0, 0.0])
     columns = []
     for k, unit in ((3, 1.0), (4, 1.0), (1, 1e5), (2, 1e5)):
-        e = np.zeros(5)
-        e[k] = step[k]
-        columns.append((shut(x + e) - shut(x - e)) / (2.0 * step[k]) * unit)
+        small = np.zeros(x.size)
+        small[k] = step[k]
+        columns.append((shut(x + small) - shut(x - small)) / (2.0 * step[k]) * unit)
     fill = _rates(c, x, in_a=True)[1], _rates(c, x, in_b=True)[2]
     out = _rates(c, x, out_a=True)[1], _rates(c, x, out_b=True)[2]
     return Linearisation(np.array(columns).T, 1e-5 * np.array(fill), -1e-5 * np.array(out))

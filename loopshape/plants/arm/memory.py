@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm import model
 from loopshape.plants.arm import parameters as k
+from loopshape.plants.arm.model import called, in_line
 from loopshape.units import Array
 
 #: places in the memory (32,): creep of A and B (3 branches), their Bouc-Wen elements, slip elements (4), Dahl, line's
@@ -22,11 +22,12 @@ CREEP_A, CREEP_B, WEN_A, WEN_B, SLIP_A, SLIP_B, DAHL, LINE_A, LINE_B, SUPPLY = 0
 ANGLE_LAG, LAG_A, LAG_B, PLAY, SLIP_JOINT, SIZE = 20, 22, 24, 26, 28, 32
 ELEMENTS = 4
 TYPICAL_PULL_N = 300.0  # |F_A| + |F_B| at which a load-dependent friction has its named level
+ROUNDS = 3  # of the valve's flow against the line's impedance; each brings it four times nearer
 NAMED_KG_S = 1e-4  # a line's flow at which its turbulent loss has its named share
 NAMED_PA = 5e4  # a muscle's pressure at which its friction has its named level
 
 
-@compiled_in_line
+@in_line
 def slipping(z: float, step: float) -> float:
     """An element of -1..1 after a displacement of `step` slip lengths."""
     if step == 0.0:
@@ -35,25 +36,25 @@ def slipping(z: float, step: float) -> float:
     return side - (side - z) * math.exp(-abs(step))
 
 
-@compiled_in_line
+@in_line
 def sticking(z: float, step: float) -> float:
     """An element of -1..1 that sticks until it slips, after a displacement of `step` slip lengths."""
     return min(max(z + step, -1.0), 1.0)
 
 
-@compiled_in_line
+@in_line
 def element_slip(slip: float, j: int) -> float:
     """Slip length of element j of the four: 1/4, 1/2, 1 and 2 times the named one."""
     return slip * 0.25 * (1 << j)
 
 
-@compiled_in_line
+@in_line
 def braid_level(c: Array, p: float) -> float:
     """Friction in N of one muscle's braid at p."""
     return c[e.BRAID] * (1.0 - c[e.BRAID_SHARE] + c[e.BRAID_SHARE] * max(p, 0.0) / NAMED_PA)
 
 
-@compiled_in_line
+@in_line
 def friction(m: Array, single: int, first: int, elements: float, slip: float, side: float) -> tuple[float, float]:
     """Share of its level at which a sliding friction pulls, and its slope over the way; `side` of motion."""
     if elements == 0.0:
@@ -67,7 +68,7 @@ def friction(m: Array, single: int, first: int, elements: float, slip: float, si
     return pull, slope
 
 
-@compiled_in_line
+@in_line
 def slide(m: Array, single: int, first: int, elements: float, slip: float, way: float) -> None:
     """The same friction's elements after a way."""
     if elements == 0.0:
@@ -77,7 +78,7 @@ def slide(m: Array, single: int, first: int, elements: float, slip: float, way: 
         m[first + j] = sticking(m[first + j], way / element_slip(slip, j))
 
 
-@compiled_in_line
+@in_line
 def creep(c: Array, m: Array, first: int) -> float:
     """Creep in m times the relaxing share: mean of the branches."""
     if c[e.CREEP_2] == 0.0:
@@ -85,19 +86,33 @@ def creep(c: Array, m: Array, first: int) -> float:
     return c[e.CREEP] * (m[first] + m[first + 1] + m[first + 2]) / 3.0
 
 
-@compiled_in_line
+@in_line
 def branch_on(state: float, target: float, time_s: float, h: float) -> float:
     """A first-order branch h s later."""
-    return state if time_s == 0.0 else state + (target - state) * (h / (time_s + 0.5 * h))
+    return state + (target - state) * (h / (time_s + 0.5 * h))
 
 
-@compiled
+@in_line
+def place(c: Array, held: Array, angle: float) -> None:
+    """Lengths and levers at an angle, unless they are there: a step starts where one has ended."""
+    if held[model.AT] == angle and held[model.LENGTH_A] > 0.0:
+        return
+    held[model.AT] = angle
+    h_a, h_b, lever_a, lever_b = model.geometry(c, math.sin(angle), math.cos(angle))
+    held[model.LENGTH_A], held[model.LENGTH_B] = h_a, h_b
+    held[model.LEVER_A], held[model.LEVER_B] = lever_a, lever_b
+
+
+@in_line
 def hold(
     c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
 ) -> None:
-    """Fill `held` (10,) for a step of h s from state `x` (7,); the air in the lines moves on."""
+    """Fill `held` (16,) for a step of h s from state `x` (7,); the air in the lines moves on."""
     angle, velocity = x[3], x[4]
-    h_a, h_b, lever_a, lever_b = model.geometry(c, math.sin(angle), math.cos(angle))
+    place(c, held, angle)
+    h_a, h_b, lever_a, lever_b = (
+        held[model.LENGTH_A], held[model.LENGTH_B], held[model.LEVER_A], held[model.LEVER_B]
+    )  # fmt: skip
     held[model.FROM], held[model.TORQUE], held[model.SLOPE] = angle, 0.0, 0.0
     side = 1.0 if velocity >= 0.0 else -1.0
     if c[e.BRAID] > 0.0:
@@ -116,34 +131,22 @@ def hold(
     held[model.COULOMB] = load * c[e.COULOMB]
     if c[e.DAHL] > 0.0:
         pull, slope = friction(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], side)
-        fade = velocity / c[e.STRIBECK_SPEED]
-        level = load * c[e.DAHL] * (1.0 + c[e.STRIBECK] * math.exp(-fade * fade))
+        level = load * c[e.DAHL] * model.stribeck(c, velocity)
         held[model.TORQUE] -= level * pull
         held[model.SLOPE] -= level * slope
     hold_flows(c, x, m, held, h, in_a, in_b, out_a, out_b)
 
 
-@compiled_in_line
+@in_line
 def hold_flows(
     c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
 ) -> None:
-    """Flows out of the lines into A and B over the step, from the supply into them, and the regulator's drop."""
-    if c[e.LINE] == 0.0 and c[e.DROP] == 0.0 and c[e.SPLIT] == 0.0:
-        return
-    lag_a, back_a = line(c, x[1], m[LINE_A])
-    lag_b, back_b = line(c, x[2], m[LINE_B])
-    before_a, before_b = x[1], x[2]
+    """Flows over the step out of the lines into A and B and from the supply into them, and the supply's drops."""
     if c[e.LINE] > 0.0:
-        before_a += back_a * m[LINE_A] / lag_a
-        before_b += back_b * m[LINE_B] / lag_b
-    net_a, net_b, drain = model.valve_flows(c, x[0] - held[model.SPLIT], before_a, before_b, in_a, in_b, out_a, out_b)
-    held[model.DRAIN] = drain
-    if c[e.LINE] > 0.0:
-        left_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * math.exp(-h / lag_a)
-        left_b = net_b * lag_b + (m[LINE_B] - net_b * lag_b) * math.exp(-h / lag_b)
-        held[model.LINE_A] = net_a - (left_a - m[LINE_A]) / h
-        held[model.LINE_B] = net_b - (left_b - m[LINE_B]) / h
-        m[LINE_A], m[LINE_B] = left_a, left_b
+        hold_lines(c, x, m, held, h, in_a, in_b, out_a, out_b)
+    elif c[e.DROP] > 0.0 or c[e.SPLIT] > 0.0:
+        p_s = x[0] - held[model.SPLIT]
+        _, _, held[model.DRAIN] = model.valve_flows(c, p_s, x[1], x[2], in_a, in_b, out_a, out_b)
     if c[e.DROP] > 0.0 or c[e.SPLIT] > 0.0:
         m[SUPPLY] = branch_on(m[SUPPLY], held[model.DRAIN], c[e.DROP_TIME], h)
         named = model.flow(c, c[k.BETA_S], c[k.P_IN], NAMED_PA)
@@ -151,37 +154,100 @@ def hold_flows(
         held[model.SPLIT] = c[e.SPLIT] * m[SUPPLY] / named
 
 
-@compiled_in_line
+@in_line
+def hold_lines(
+    c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
+) -> None:
+    """Flows through lines over the step: the valves see the pressures and the lines' air at its middle.
+
+    First they see those at its start, which tells those at its middle. Between, a line empties exponentially.
+    """
+    p_s = x[0] - held[model.SPLIT]
+    rise_a, rise_b = rises(c, held[model.LENGTH_A], held[model.LENGTH_B])
+    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, x[1], x[2], m[LINE_A], m[LINE_B], in_a, in_b, out_a, out_b)
+    air_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * half_kept(h / lag_a)
+    air_b = net_b * lag_b + (m[LINE_B] - net_b * lag_b) * half_kept(h / lag_b)
+    p_a = x[1] + rise_a * (0.5 * h * net_a - air_a + m[LINE_A])
+    p_b = x[2] + rise_b * (0.5 * h * net_b - air_b + m[LINE_B])
+    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, p_a, p_b, air_a, air_b, in_a, in_b, out_a, out_b)
+    left_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * math.exp(-h / lag_a)
+    left_b = net_b * lag_b + (m[LINE_B] - net_b * lag_b) * math.exp(-h / lag_b)
+    held[model.LINE_A] = net_a - (left_a - m[LINE_A]) / h
+    held[model.LINE_B] = net_b - (left_b - m[LINE_B]) / h
+    held[model.DRAIN] = drain
+    m[LINE_A], m[LINE_B] = left_a, left_b
+
+
+@in_line
+def half_kept(steps: float) -> float:
+    """Nearly exp(-steps/2), and as stable."""
+    return 1.0 / (1.0 + steps * (0.5 + 0.125 * steps))
+
+
+@in_line
+def through(
+    c: Array, p_s: float, p_a: float, p_b: float, air_a: float, air_b: float,
+    in_a: float, in_b: float, out_a: float, out_b: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Time constants of both lines, net flows into them and what comes from the supply, with so much air in them."""
+    lag_a, back_a = line(c, p_a, air_a)
+    lag_b, back_b = line(c, p_b, air_b)
+    out_of_a, out_of_b = air_a / lag_a, air_b / lag_b
+    at_a, at_b = p_a + back_a * out_of_a, p_b + back_b * out_of_b
+    net_a, net_b, drain = model.valve_flows(c, p_s, at_a, at_b, in_a, in_b, out_a, out_b)
+    if c[e.LINE_Z] > 0.0:  # until the front is back, the line answers the valve with its impedance
+        for _ in range(ROUNDS):
+            front_a, front_b = c[e.LINE_Z] * (net_a - out_of_a), c[e.LINE_Z] * (net_b - out_of_b)
+            net_a, net_b, drain = model.valve_flows(c, p_s, at_a + front_a, at_b + front_b, in_a, in_b, out_a, out_b)
+    return lag_a, lag_b, net_a, net_b, drain
+
+
+@in_line
+def rises(c: Array, h_a: float, h_b: float) -> tuple[float, float]:
+    """Rise of pressure in Pa per kg of air let into A and B of these lengths."""
+    _, volume_a, _ = model.muscle(c, 0.0, h_a, 0.0, 1.0, c[e.TWO_L_A], 0.0)
+    _, volume_b, _ = model.muscle(c, 0.0, h_b, 0.0, 1.0, c[e.TWO_L_B], 0.0)
+    per_kg = c[k.EXPONENT] * c[k.RT]
+    return per_kg / (volume_a + c[e.DEAD_A]), per_kg / (volume_b + c[e.DEAD_B])
+
+
+@in_line
 def line(c: Array, p: float, mass: float) -> tuple[float, float]:
-    """Time constant in s of the air in a hose at p that holds `mass` kg back, and its resistance in Pa s/kg."""
+    """Time constant in s of the air in a hose at p that holds `mass` kg back, and its resistance in Pa s/kg.
+
+    Turbulence adds a loss that goes with the flow; of the flow we know what it would be without.
+    """
     resistance = c[e.LINE_R] / (p + 0.5 * c[k.P_ATM2])
     lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
     if c[e.LINE_TURBULENT] > 0.0:
-        resistance *= 1.0 + c[e.LINE_TURBULENT] * abs(mass) / (lag * NAMED_KG_S)
+        more = c[e.LINE_TURBULENT] * abs(mass) / (lag * NAMED_KG_S)
+        resistance *= 0.5 + math.sqrt(0.25 + more)
         lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
     return lag, resistance
 
 
-@compiled
-def move_on(c: Array, x: Array, m: Array, from_angle: float, h: float) -> None:
-    """Bring creep and friction after a step of h s that began at `from_angle` and ended in `x`."""
-    was_a, was_b, _, _ = model.geometry(c, math.sin(from_angle), math.cos(from_angle))
-    h_a, h_b, _, _ = model.geometry(c, math.sin(x[3]), math.cos(x[3]))
+@in_line
+def move_on(c: Array, x: Array, m: Array, held: Array, h: float) -> None:
+    """Bring creep and friction after a step of h s that began as `held` says and ended in `x`."""
+    if c[e.DAHL] > 0.0:
+        slide(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], x[3] - held[model.FROM])
+    if c[e.CREEP] == 0.0 and c[e.BRAID] == 0.0:
+        return
+    was_a, was_b = held[model.LENGTH_A], held[model.LENGTH_B]
+    place(c, held, x[3])
+    h_a, h_b = held[model.LENGTH_A], held[model.LENGTH_B]
     if c[e.CREEP] > 0.0:
         stretch_a = h_a - model.nominal_length(c, c[e.TWO_L_A], x[1])
         stretch_b = h_b - model.nominal_length(c, c[e.TWO_L_B], x[2])
-        for j in range(3):
-            time_s = c[e.CREEP_1 + j]
-            m[CREEP_A + j] = branch_on(m[CREEP_A + j], stretch_a, time_s, h)
-            m[CREEP_B + j] = branch_on(m[CREEP_B + j], stretch_b, time_s, h)
+        for j in range(1 if c[e.CREEP_2] == 0.0 else 3):
+            m[CREEP_A + j] = branch_on(m[CREEP_A + j], stretch_a, c[e.CREEP_1 + j], h)
+            m[CREEP_B + j] = branch_on(m[CREEP_B + j], stretch_b, c[e.CREEP_1 + j], h)
     if c[e.BRAID] > 0.0:
         slide(m, WEN_A, SLIP_A, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_a - was_a)
         slide(m, WEN_B, SLIP_B, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_b - was_b)
-    if c[e.DAHL] > 0.0:
-        slide(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], x[3] - from_angle)
 
 
-@compiled
+@called
 def start(c: Array, x: Array, m: Array) -> None:
     """Memory (32,) of an arm that has long rested in `x`; of friction nothing is known, it pulls no way."""
     m[:] = 0.0
@@ -191,9 +257,10 @@ def start(c: Array, x: Array, m: Array) -> None:
         m[CREEP_B + j] = h_b - model.nominal_length(c, c[e.TWO_L_B], x[2])
     for j in range(2):
         m[ANGLE_LAG + j], m[LAG_A + j], m[LAG_B + j] = x[3], x[1], x[2]
+    m[PLAY] = x[3]
 
 
-@compiled_in_line
+@in_line
 def lagged(m: Array, first: int, value: float, lag_s: float, order: float, tick_s: float) -> float:
     """A sensor's answer a tick later: one pole, or two equal ones of half the delay each."""
     if lag_s == 0.0:
@@ -207,7 +274,7 @@ def lagged(m: Array, first: int, value: float, lag_s: float, order: float, tick_
     return m[first + 1]
 
 
-@compiled_in_line
+@in_line
 def played(c: Array, m: Array, angle: float) -> float:
     """The angle behind the play; m holds the last angle and the element."""
     if c[e.PLAY] == 0.0:
@@ -215,11 +282,12 @@ def played(c: Array, m: Array, angle: float) -> float:
     half = 0.5 * c[e.PLAY]
     step = (angle - m[PLAY]) / half
     m[PLAY] = angle
-    m[PLAY + 1] = slipping(m[PLAY + 1], step) if c[e.PLAY_SOFT] > 0.0 else sticking(m[PLAY + 1], step)
+    # the soft one yields half as fast, so that at a turn what is seen stands still and never goes the other way
+    m[PLAY + 1] = slipping(m[PLAY + 1], 0.5 * step) if c[e.PLAY_SOFT] > 0.0 else sticking(m[PLAY + 1], step)
     return angle - half * m[PLAY + 1]
 
 
-@compiled
+@called
 def sensed(c: Array, x: Array, m: Array, tick_s: float) -> tuple[float, float, float]:
     """Angle and pressures as the sensors give them before noise and converters (rad, Pa, Pa)."""
     angle = lagged(m, ANGLE_LAG, played(c, m, x[3]), c[e.ANGLE_LAG], c[e.LAG_ORDER], tick_s)

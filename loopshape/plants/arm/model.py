@@ -8,45 +8,60 @@ is held over a step by `memory`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled, compiled_in_line
+from loopshape.kernels.compiled import _compile, compiled
 from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm import parameters as k
 from loopshape.units import Array
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 #: what `memory` holds over a step: torque, its slope over the angle from there, creep (m), flows into A and B, from the
-#: supply, drop of the supply (Pa), Coulomb torque, drop behind the capacity (Pa)
+#: supply, drop of the supply (Pa), Coulomb torque, drop behind the capacity (Pa); for itself: angle, lengths, levers
 TORQUE, SLOPE, FROM, CREEP_A, CREEP_B, LINE_A, LINE_B, DRAIN, DROP, COULOMB, SPLIT = range(11)
-HELD = 11
-
-
+AT, LENGTH_A, LENGTH_B, LEVER_A, LEVER_B = range(11, 16)
+HELD = 16
 LEAK_PA = 5e4  # where a laminar leak equals the orifice
 
 
-@compiled_in_line
+def called(function: F) -> F:
+    """As `compiled`, without counting references to arrays, which took half the time: for what makes no array."""
+    return _compile(function, _nrt=False)
+
+
+def in_line(function: F) -> F:
+    """As `called`, and put into its callers' code."""
+    return _compile(function, _nrt=False, forceinline=True)
+
+
+@in_line
 def flow(c: Array, beta: float, p1: float, p2: float) -> float:
     """Throttle flow (3.16) in kg/s from p1 to p2; `beta` holds the root of 1/(2 R T)."""
     drop = p1 - p2
     return math.copysign(beta * math.sqrt((p1 + p2 + c[k.P_ATM2]) * abs(drop)), drop)
 
 
-@compiled
-def choked(c: Array, beta: float, p1: float, p2: float) -> float:
+@called
+def choked(critical: float, conductance: float, p_atm: float, p1: float, p2: float) -> float:
     """As `flow`, by ISO 6358-1's ellipse with a critical ratio of pressures."""
-    high, low = max(p1, p2) + 0.5 * c[k.P_ATM2], min(p1, p2) + 0.5 * c[k.P_ATM2]
-    bend = max(low / high - c[e.CRITICAL], 0.0) / (1.0 - c[e.CRITICAL])
-    return math.copysign(beta * c[e.CONDUCTANCE] * high * math.sqrt(1.0 - bend * bend), p1 - p2)
+    high, low = max(p1, p2) + p_atm, min(p1, p2) + p_atm
+    bend = max(low / high - critical, 0.0) / (1.0 - critical)
+    return math.copysign(conductance * high * math.sqrt(1.0 - bend * bend), p1 - p2)
 
 
-@compiled_in_line
+@in_line
 def throttle(c: Array, beta: float, p1: float, p2: float) -> float:
     """Whichever of both holds."""
-    return flow(c, beta, p1, p2) if c[e.CRITICAL] == 0.0 else choked(c, beta, p1, p2)
+    if c[e.CRITICAL] == 0.0:
+        return flow(c, beta, p1, p2)
+    return choked(c[e.CRITICAL], beta * c[e.CONDUCTANCE], 0.5 * c[k.P_ATM2], p1, p2)
 
 
-@compiled_in_line
+@in_line
 def supply_flows(c: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b: float) -> tuple[float, float]:
     """Flows through the splitter into A and B (3.28-3.34), in-valves open to 0..1.
 
@@ -68,7 +83,7 @@ def supply_flows(c: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b
     return 0.0, 0.0
 
 
-@compiled_in_line
+@in_line
 def leak(c: Array, beta: float, p: float) -> float:
     """Flow in kg/s out of a muscle at p: orifice, or laminar and equal to the orifice at 0.5 bar."""
     if c[e.LAMINAR] > 0.0:
@@ -76,7 +91,7 @@ def leak(c: Array, beta: float, p: float) -> float:
     return flow(c, beta, p, 0.0)
 
 
-@compiled_in_line
+@in_line
 def valve_flows(
     c: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b: float, out_a: float, out_b: float
 ) -> tuple[float, float, float]:
@@ -90,13 +105,15 @@ def valve_flows(
     return q_a, q_b, drain
 
 
-@compiled
-def line_and_leaks(
-    c: Array, held: Array, p_a: float, p_b: float, q_a: float, q_b: float, drain: float
+@in_line
+def flows(
+    c: Array, held: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b: float, out_a: float, out_b: float
 ) -> tuple[float, float, float]:
-    """Flows into A and B and from the supply, where lines hold air back or muscles leak."""
+    """As `valve_flows`, with what lines hold back and muscles leak."""
     if c[e.LINE] > 0.0:
         q_a, q_b, drain = held[LINE_A], held[LINE_B], held[DRAIN]
+    else:
+        q_a, q_b, drain = valve_flows(c, p_c, p_a, p_b, in_a, in_b, out_a, out_b)
     if c[e.LEAK_A] > 0.0:
         q_a -= leak(c, c[e.LEAK_A], p_a)
     if c[e.LEAK_B] > 0.0:
@@ -104,7 +121,7 @@ def line_and_leaks(
     return q_a, q_b, drain
 
 
-@compiled_in_line
+@in_line
 def geometry(c: Array, sine: float, cosine: float) -> tuple[float, float, float, float]:
     """Lengths with fittings and levers -dh/dtheta of A and B, m."""
     xa, ya = c[k.X] - c[k.R_A] * sine, c[k.YA] + c[k.R_A] * cosine
@@ -115,14 +132,14 @@ def geometry(c: Array, sine: float, cosine: float) -> tuple[float, float, float,
     return length_a - c[k.FITTING], length_b - c[k.FITTING], lever_a, lever_b
 
 
-@compiled_in_line
+@in_line
 def nominal_length(c: Array, two_l: float, p: float) -> float:
     """Length in m at which a muscle at p pulls nothing (3.45-3.52)."""
     bar = 1e-5 * p
     return two_l - c[k.S1] * bar / (c[k.S2] + bar)
 
 
-@compiled_in_line
+@in_line
 def muscle(
     c: Array, p: float, h: float, dh: float, factor: float, two_l: float, creep: float
 ) -> tuple[float, float, float]:
@@ -139,29 +156,50 @@ def muscle(
     return factor * stiffness * stretch + (c[k.D0] + c[k.D1] * bar) * dh, volume, slope
 
 
-@compiled
+@in_line
+def stribeck(c: Array, velocity: float) -> float:
+    """Friction over its level at speed, 1 + share at rest."""
+    if c[e.STRIBECK] == 0.0:
+        return 1.0
+    fade = velocity / c[e.STRIBECK_SPEED]
+    return 1.0 + c[e.STRIBECK] * math.exp(-fade * fade)
+
+
+@in_line
+def turned(sine: float, cosine: float, turn: float) -> float:
+    """Sine of an angle `turn` further on; by series where that is small, as in a coupling: in half the time."""
+    if abs(turn) > 0.1:
+        return sine * math.cos(turn) + cosine * math.sin(turn)
+    t = turn * turn
+    of_turn = turn * (1.0 + t * (-1.0 / 6.0 + t * (1.0 / 120.0 - t * (1.0 / 5040.0))))
+    return sine * (1.0 + t * (-0.5 + t * (1.0 / 24.0 + t * (-1.0 / 720.0 + t * (1.0 / 40320.0))))) + cosine * of_turn
+
+
+@in_line
 def other_torques(
-    c: Array, held: Array, angle: float, velocity: float, beyond: float, beyond_velocity: float
-) -> tuple[float, float]:
-    """Torque in N m at the joint of what remembers, friction, hoses, tilt and coupling; acceleration beyond it."""
+    c: Array, held: Array, angle: float, sine: float, cosine: float, velocity: float, beyond: float,
+    beyond_velocity: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Torque in N m at the joint of what remembers, friction, hoses and coupling; acceleration beyond it.
+
+    `sine` and `cosine` are those of angle and tilt.
+    """
     torque = held[TORQUE] + held[SLOPE] * (angle - held[FROM])
     if held[COULOMB] > 0.0:
-        fade = velocity / c[e.STRIBECK_SPEED]
-        level = held[COULOMB] * (1.0 + c[e.STRIBECK] * math.exp(-fade * fade))
-        torque -= level * math.tanh(velocity / c[e.COULOMB_SPEED])
+        left = math.exp(-2.0 * abs(velocity) / c[e.COULOMB_SPEED])  # tanh by exp: half the time
+        size = held[COULOMB] * stribeck(c, velocity) * (1.0 - left) / (1.0 + left)
+        torque -= math.copysign(size, velocity)
     if c[e.HOSE_K] > 0.0 or c[e.HOSE_CUBIC] > 0.0:
         turn = angle - c[e.HOSE_ANGLE]
         torque -= turn * (c[e.HOSE_K] + c[e.HOSE_CUBIC] * turn * turn)
-    if c[e.TILT] != 0.0:
-        torque += c[k.GRAVITY] * (math.sin(angle + c[e.TILT]) - math.sin(angle))
     if c[e.FLEX_K] == 0.0:
         return torque, 0.0
     twist = c[e.FLEX_K] * (beyond - angle) + c[e.FLEX_D] * (beyond_velocity - velocity)
-    outer = c[e.FLEX_GRAVITY] * math.sin(beyond + c[e.TILT]) - twist
+    outer = c[e.FLEX_GRAVITY] * turned(sine, cosine, beyond - angle) - twist
     return torque + twist, outer / c[e.FLEX_INERTIA]
 
 
-@compiled_in_line
+@in_line
 def moving(
     c: Array, held: Array, p_c: float, p_a: float, p_b: float, angle: float, velocity: float, beyond: float,
     beyond_velocity: float, in_a: float, in_b: float, out_a: float, out_b: float,
@@ -176,18 +214,18 @@ def moving(
     pull_a, volume_a, slope_a = muscle(c, p_a, h_a, dh_a, c[k.FACTOR_A], c[e.TWO_L_A], held[CREEP_A])
     pull_b, volume_b, slope_b = muscle(c, p_b, h_b, dh_b, c[k.FACTOR_B], c[e.TWO_L_B], held[CREEP_B])
 
-    q_a, q_b, drain = valve_flows(c, p_c - held[SPLIT], p_a, p_b, in_a, in_b, out_a, out_b)
-    if c[e.AIR] > 0.0:
-        q_a, q_b, drain = line_and_leaks(c, held, p_a, p_b, q_a, q_b, drain)
+    q_a, q_b, drain = flows(c, held, p_c - held[SPLIT], p_a, p_b, in_a, in_b, out_a, out_b)
     d_p_c = c[k.RT] * (throttle(c, c[k.BETA_IN], c[k.P_IN] - held[DROP], p_c) - drain) / c[k.V_C]
     work_a = c[e.COMPRESSION] * (p_a + c[k.ABSOLUTE]) * slope_a * dh_a
     work_b = c[e.COMPRESSION] * (p_b + c[k.ABSOLUTE]) * slope_b * dh_b
     d_p_a = c[k.EXPONENT] * (c[k.RT] * q_a - work_a) / (volume_a + c[e.DEAD_A])
     d_p_b = c[k.EXPONENT] * (c[k.RT] * q_b - work_b) / (volume_b + c[e.DEAD_B])
-    torque = c[k.GRAVITY] * sine + pull_a * lever_a + pull_b * lever_b
+    upright = sine * c[e.TILT_COSINE] + cosine * c[e.TILT_SINE]
+    torque = c[k.GRAVITY] * upright + pull_a * lever_a + pull_b * lever_b
     if c[e.TORQUES] == 0.0:
         return d_p_c, d_p_a, d_p_b, torque / c[k.INERTIA], 0.0
-    more, outer = other_torques(c, held, angle, velocity, beyond, beyond_velocity)
+    across = cosine * c[e.TILT_COSINE] - sine * c[e.TILT_SINE]
+    more, outer = other_torques(c, held, angle, upright, across, velocity, beyond, beyond_velocity)
     return d_p_c, d_p_a, d_p_b, (torque + more) / c[k.INERTIA], outer
 
 
@@ -207,8 +245,10 @@ def derivatives(
     """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2; nothing remembered, a stiff coupling."""
     held = np.zeros(HELD)
     held[COULOMB] = c[e.COULOMB]
-    d_c, d_a, d_b, turn, _ = moving(
+    d_c, d_a, d_b, turn, outer = moving(
         c, held, p_c, p_a, p_b, angle, velocity, angle, velocity,
         1.0 if in_a else 0.0, 1.0 if in_b else 0.0, 1.0 if out_a else 0.0, 1.0 if out_b else 0.0,
     )  # fmt: skip
+    if c[e.FLEX_K] > 0.0:  # a stiff coupling: what lies beyond turns along
+        turn = (c[k.INERTIA] * turn + c[e.FLEX_INERTIA] * outer) / (c[k.INERTIA] + c[e.FLEX_INERTIA])
     return d_c, d_a, d_b, turn

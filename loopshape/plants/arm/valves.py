@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from loopshape.kernels import pwm
-from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.plants.arm import effect_parameters as e
+from loopshape.plants.arm.model import called, in_line
 from loopshape.units import Array
 
 #: a schedule (16,): sign, opening and closing times of the present pulse and of the one before, of A and then of B,
@@ -12,14 +12,15 @@ from loopshape.units import Array
 SIGN, OPEN, CLOSE, LAST_SIGN, LAST_OPEN, LAST_CLOSE, EACH = 0, 1, 2, 3, 4, 5, 6
 
 
-@compiled_in_line
+@in_line
 def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_zone: float) -> None:
     """Move a muscle's schedule on by a period whose command is u."""
     s[first + LAST_SIGN] = s[first + SIGN]
     s[first + LAST_OPEN] = s[first + OPEN] - period_s
     s[first + LAST_CLOSE] = s[first + CLOSE] - period_s
     length = pwm.pulse_s(u, period_s, dead_zone)
-    s[first + SIGN] = 0.0 if length == 0.0 else (1.0 if u > 0.0 else -1.0)
+    lost = length == 0.0 or length < c[e.SHORTEST]
+    s[first + SIGN] = 0.0 if lost else (1.0 if u > 0.0 else -1.0)
     s[first + OPEN] = c[e.OPENING]
     s[first + CLOSE] = length + c[e.CLOSING]
     whole = s[first + LAST_CLOSE] > c[e.CLOSING] - 1e-9 and s[first + LAST_SIGN] == s[first + SIGN]
@@ -27,7 +28,7 @@ def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_z
         s[first + LAST_CLOSE] = s[first + OPEN]
 
 
-@compiled
+@called
 def plan_period(c: Array, s: Array, edges: Array, u_a: float, u_b: float, period_s: float, dead_zone: float) -> int:
     """Move the schedule on and list in order the times at which an area changes or bends; gives their number."""
     next_pulse(c, s, 0, u_a, period_s, dead_zone)
@@ -44,7 +45,7 @@ def plan_period(c: Array, s: Array, edges: Array, u_a: float, u_b: float, period
     return n
 
 
-@compiled_in_line
+@in_line
 def put(edges: Array, n: int, time_s: float, period_s: float) -> int:
     """Insert a time in order, if it lies inside the period."""
     if not 0.0 < time_s < period_s:
@@ -57,7 +58,7 @@ def put(edges: Array, n: int, time_s: float, period_s: float) -> int:
     return n + 1
 
 
-@compiled_in_line
+@in_line
 def pulse_area(opens: float, closes: float, ramp: float, now: float) -> float:
     """Open area of one pulse at `now`; ramps are centred on its edges."""
     if ramp == 0.0:
@@ -66,7 +67,7 @@ def pulse_area(opens: float, closes: float, ramp: float, now: float) -> float:
     return max(up - min(max((now - closes) / ramp + 0.5, 0.0), 1.0), 0.0)
 
 
-@compiled_in_line
+@in_line
 def area(c: Array, s: Array, first: int, side: float, now: float) -> float:
     """Open area 0..1 of a muscle's in (side 1) or out (side -1) valve at `now` s of the period."""
     total = 0.0
@@ -77,7 +78,7 @@ def area(c: Array, s: Array, first: int, side: float, now: float) -> float:
     return min(total, 1.0)
 
 
-@compiled_in_line
+@in_line
 def areas(c: Array, s: Array, now: float) -> tuple[float, float, float, float]:
     """Open areas of in A, in B, out A, out B at `now` s of the period."""
     if c[e.LATE] == 0.0:

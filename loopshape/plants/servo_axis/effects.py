@@ -37,11 +37,14 @@ def _form(
     source: str = "",
 ) -> EffectForm:
     usual = (free[0].low * scale, free[0].high * scale)
-    return EffectForm(effect, form, BLOCKS.get(effect, "guide"), unit, free, fixed or {}, {}, scale, usual, source)
+    extends = "coulomb_friction" if effect in ("asymmetric_friction", "stribeck_friction") else ""
+    block = BLOCKS.get(effect, "guide")
+    return EffectForm(effect, form, block, unit, free, fixed or {}, {}, scale, usual, source, extends)
 
 
 def _free(parameter: str, low: float, high: float, *starts: float) -> Free:
-    return Free(parameter, low, high, starts)
+    step = 0.01 if parameter.endswith("_hz") else 0.1  # a tenth would step over a resonance
+    return Free(parameter, low, high, starts, step)
 
 
 def forms(s: Scales = USUAL) -> tuple[EffectForm, ...]:

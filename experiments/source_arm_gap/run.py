@@ -1,0 +1,231 @@
+"""Which effect explains the eigenfrequencies that the source measured on its own arm, and how sure can one be."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, shades, styled
+from loopshape.effect import EffectForm
+from loopshape.errors import WrongUseError
+from loopshape.plants.arm.effects import FORMS
+from loopshape.plants.arm.operating_points import EQUILIBRIA
+from loopshape.store.files import write_bytes_whole
+from loopshape.units import Array
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # the study's own second file, however it is started
+
+from published import (  # noqa: E402
+    HIGH_HZ,
+    LOW_HZ,
+    MEASURED,
+    SIMULATED,
+    UPRIGHT,
+    WIDE,
+    Numbers,
+    digits,
+    numbers,
+    own_misfits,
+)
+
+FIGURES = HERE.parent.parent / "figures" / HERE.name
+DRAWS, SEED = 700, 5
+COLUMNS = (
+    "digits", "effects", "form", "magnitude", "low_95", "high_95", "unit", "chi2_frequency", "chi2_gain", "chi2_damping",
+    "f_0deg_hz", "f_30deg_hz", "f_min_hz", "f_max_hz", "rise_30deg_hz", "rise_hz_per_bar", "kappa_ratio", "gain_span_db",
+    "kappa_span_db", "kappa_over_measured",
+)  # fmt: skip
+POSTERIORS = ("effect", "own_digits_usual", "own_digits_bounds", "any_digits_usual", "any_digits_bounds")
+Moves = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One hypothesis at its best: digits of table 4.1, form, values of what it frees, and the numbers."""
+
+    digits: str
+    effects: str
+    form: EffectForm | None
+    values: tuple[float, ...]
+    found: Numbers
+    interval: tuple[float, float] = (float("nan"), float("nan"))
+
+
+def main() -> None:
+    """Fit, rank, table, draw."""
+    printed, own = np.zeros(6), own_digits()
+    moving = [form for form in FORMS if acts(form)]
+    seen = {f.effect for f in moving}
+    print("no trace in a linearised plant:", ", ".join(dict.fromkeys(f.effect for f in FORMS if f.effect not in seen)))
+    cases = [Case(w, "none", None, (), numbers(digits(q))) for w, q in (("printed", printed), ("own", own))]
+    cases += [best(w, f, digits(q)) for w, q in (("printed", printed), ("own", own)) for f in moving]
+    gas = {"gas_absolute_share": 1.0}
+    others = [f for f in moving if f.effect != "gas_law"]
+    cases += [best("own", f, digits(own) | gas, "gas_law + ", gains=True) for f in others]
+    write("results.csv", COLUMNS, [row(case) for case in cases])
+    rows = posteriors(moving)
+    write("posterior.csv", POSTERIORS, rows)
+    for line in [row(case) for case in cases] + rows:
+        print("  ".join(f"{cell!s:>12.34}" for cell in line))
+    write_bytes_whole(FIGURES / "eigenfrequency.png", png(draw(cases)))
+
+
+def write(name: str, columns: tuple[str, ...], rows: list[list]) -> None:
+    """A small table beside this file."""
+    with (HERE / name).open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
+
+
+def own_digits() -> Array:
+    """Shares of half a digit (6,), as small as can be, with which the printed model gives the source's 5.8 and 4.7 Hz."""
+    return least_squares(lambda q: np.r_[10.0 * own_misfits(q), 0.1 * q], np.zeros(6), bounds=(-1.0, 1.0), diff_step=1e-3).x
+
+
+def acts(form: EffectForm) -> bool:
+    """Whether a form moves the linearised arm's numbers. Coulomb's slope at rest is no motion's damping: left out."""
+    if form.effect == "joint_friction":
+        return False
+    moved = numbers(form.moves([f.starts[0] for f in form.free])).table / numbers({}).table
+    return bool(np.nanmax(np.abs(moved - 1.0)) > 1e-4)
+
+
+def chi2(found: Numbers, *, gains: bool = False) -> float:
+    """Sum of squared misfits; a model that cannot stand or falls over is out."""
+    misfits = np.r_[found.frequency_misfits(), found.gain_misfits() if gains else []]
+    total = float(misfits @ misfits)
+    return total if np.isfinite(total) else 1e6
+
+
+def tried(form: EffectForm, values: Array, rest: Moves) -> Numbers | None:
+    """The numbers with a form at these values; None outside its bounds or where the arm cannot be."""
+    if any(not f.low <= v <= f.high for f, v in zip(form.free, values, strict=True)):
+        return None
+    try:
+        return numbers(dict(rest) | form.moves(values))
+    except WrongUseError:
+        return None
+
+
+def best(word: str, form: EffectForm, rest: Moves, before: str = "", *, gains: bool = False) -> Case:
+    """The form's best values from each of its starts, and the magnitudes within 3.84 of the best, others held."""
+
+    def cost(values: Array) -> float:
+        found = tried(form, values, rest)
+        return 1e6 if found is None else chi2(found, gains=gains)
+
+    starts = [[s, *(f.starts[0] for f in form.free[1:])] for s in form.free[0].starts]
+    ends = [minimize(cost, s, method="Nelder-Mead", options={"maxfev": 160, "xatol": 1e-4, "fatol": 1e-3}) for s in starts]
+    end = min(ends, key=lambda e: e.fun)
+    grid = np.linspace(form.free[0].low, form.free[0].high, 161)
+    near = [v for v in grid if cost(np.r_[v, end.x[1:]]) < end.fun + 3.84] + [end.x[0]]
+    interval = tuple(sorted((form.magnitude([min(near)]), form.magnitude([max(near)]))))
+    found = tried(form, end.x, rest)
+    assert found is not None
+    return Case(word, before + form.effect, form, tuple(end.x.tolist()), found, interval)
+
+
+def row(case: Case) -> list:
+    """One line of the table."""
+    n, form = case.found, case.form
+    middle = "" if form is None else f"{form.magnitude(case.values):.3g}"
+    ends = ["" if np.isnan(x) else f"{x:.3g}" for x in case.interval]
+    ratio = n.at(UPRIGHT)[0] / MEASURED[UPRIGHT][0]
+    values = [chi2(n), float(n.gain_misfits() @ n.gain_misfits()), float(n.damping_misfits() @ n.damping_misfits())]
+    f = n.table[:, 1]
+    values += [n.at(UPRIGHT)[1], n.at(WIDE)[1], f.min(), f.max(), n.away_hz, n.per_bar_hz, n.at(WIDE)[0] / n.at(UPRIGHT)[0]]
+    values += [n.gain_span_db, n.mass_span_db, ratio]
+    words = [case.digits, case.effects, form.form if form else "", middle, *ends, form.unit if form else ""]
+    return words + [f"{v:.4g}" for v in values]
+
+
+def posteriors(moving: list[EffectForm]) -> list[list]:
+    """Probability of each effect, equal before, from the frequencies alone, under four assumptions.
+
+    Table 4.1's digits are uniform within their rounding, or those of these that reproduce the source's own simulation
+    within half a unit of its digits; magnitudes are uniform in the catalogue's usual range (either sign where it allows)
+    or in its bounds. An effect is the mean of its forms that show; other free numbers are uniform in their bounds.
+    """
+    rng = np.random.default_rng(SEED)
+    pool = rng.uniform(-1.0, 1.0, (6000, 6))
+    own = pool[[bool(np.abs(own_misfits(q)).max() < 1.0) for q in pool]]
+    columns = []
+    for shares in (own, pool):
+        none = np.mean([np.exp(-0.5 * chi2(numbers(digits(q)))) for q in shares[:DRAWS]])
+        evidence = [(form.effect, both(form, shares, rng)) for form in moving]
+        for k in range(2):
+            effects = {"none": [float(none)]}
+            for effect, found in evidence:
+                effects.setdefault(effect, []).append(found[k])
+            total = sum(float(np.mean(v)) for v in effects.values())
+            columns.append({name: float(np.mean(v)) / total for name, v in effects.items()})
+    order = sorted(columns[0], key=lambda name: -columns[0][name])
+    return [[name, *(f"{c[name]:.2g}" for c in columns)] for name in order]
+
+
+def both(form: EffectForm, shares: Array, rng: np.random.Generator) -> tuple[float, float]:
+    """Mean likelihood with the magnitude uniform in the usual range, and in the bounds."""
+    first, found = form.free[0], []
+    usual = np.array(form.usual) / form.scale
+    for wide in (False, True):
+        total = 0.0
+        for q in shares[rng.integers(len(shares), size=DRAWS)]:
+            value = rng.uniform(first.low, first.high) if wide else rng.uniform(*usual)
+            if not wide and first.low < 0.0 and rng.random() < 0.5:
+                value = -value
+            values = np.array([value, *(rng.uniform(f.low, f.high) for f in form.free[1:])])
+            model = tried(form, values, digits(q))
+            total += 0.0 if model is None else float(np.exp(-0.5 * chi2(model)))
+        found.append(total / DRAWS)
+    return found[0], found[1]
+
+
+PANELS = (
+    ("printed", "none", "", "as printed"), ("own", "none", "", "digits of its own simulation"),
+    ("own", "stiffness_error", "", "+ stiffness error"), ("own", "hose_stiffness", "hardening spring about an angle", "+ hose stiffness"),
+    ("own", "gas_law", "share of the atmosphere", "+ absolute gas law"),
+    ("printed", "gas_law", "absolute, polytropic", "printed, polytropic gas"),
+)  # fmt: skip
+
+
+@styled()
+def draw(cases: list[Case]):
+    """Eigenfrequency over the angle by pressure: what was measured, what is printed, and the leading effects."""
+    figure = new_figure(2, 3, (7.0, 5.0), sharex=True, sharey=True)
+    pressures = sorted({p for _, p in EQUILIBRIA})
+    colours = dict(zip(pressures, shades(len(pressures)), strict=True))
+    for ax, (word, effects, form, title) in zip(figure.axes, PANELS, strict=True):
+        fitting = [c for c in cases if (c.digits, c.effects) == (word, effects) and form in ("", c.form and c.form.form)]
+        case = min(fitting, key=lambda c: chi2(c.found))
+        ax.axhspan(LOW_HZ, HIGH_HZ, color="0.9", label="measured, 24 points")
+        for p in pressures:
+            places = [k for k, q in enumerate(EQUILIBRIA) if q[1] == p]
+            angles = [EQUILIBRIA[k][0] for k in places]
+            ax.plot(angles, case.found.table[places, 1], color=colours[p], marker=".", linewidth=0.9, label=f"{p:.1f} bar")
+        for point, (_, f_hz, _) in MEASURED.items():
+            ax.plot(point[0], f_hz, "D", color=colours[point[1]], markeredgecolor="black", markersize=6, label="measured fit")
+        for point, (_, f_hz, _) in SIMULATED.items():
+            ax.plot(point[0], f_hz, "o", color="white", markeredgecolor=QUIET, markersize=5, label="the source's simulation")
+        note = "" if case.form is None else f" {case.form.magnitude(case.values):.2g} {case.form.unit}".removesuffix(" 1")
+        ax.set_title(title + note, fontsize=8.5)
+        ax.text(0.97, 0.04, rf"$\chi^2$ = {chi2(case.found):.0f}", transform=ax.transAxes, ha="right", fontsize=8.0, color=COLOURS[6])
+    for ax in figure.axes[3:]:
+        ax.set_xlabel(r"$\theta_2$ [deg]")
+        ax.set_xticks([-30, -15, 0, 15, 30])
+    for ax in figure.axes[::3]:
+        ax.set_ylabel("eigenfrequency [Hz]")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    kept = dict(zip(labels, handles, strict=True))
+    figure.legend(kept.values(), kept.keys(), loc="outside lower center", ncols=5)
+    head(figure, "Eigenfrequencies of the source's own arm and of the linearised model, pressures by colour")
+    return figure
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""`loopshape gap` end to end on a small run of an arm with a payload: exit code, what is printed, whole files."""
+
+import json
+
+import pytest
+from small_gap_run import KNOWN, MIDDLE, loopshape, recorded
+
+from loopshape.plants.arm.arm1 import Arm1
+from loopshape.rigs.simulated import measure, plan
+from loopshape.store.run_folder import write_run
+from loopshape.store.study import read_study
+
+KEYS = {
+    "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "where": dict,
+    "gap": dict, "submodels": list, "next_experiment": dict, "parameters": dict, "software": list, "notes": list,
+    "sentence": str,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gap")
+    write_run(folder / "arm", recorded())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(place, module_output):
+    files = [place / "out" / name for name in ("gap.json", "gap.png", "next.toml")]
+    with module_output() as printed:
+        code = loopshape("gap", place / "arm", "--json", files[0], "--report", files[1], "--next", files[2])
+    return code, printed[0], files
+
+
+@pytest.fixture(scope="module")
+def module_output():
+    """Standard output of a block, for fixtures that live as long as the module."""
+    from contextlib import contextmanager, redirect_stdout
+    from io import StringIO
+
+    @contextmanager
+    def caught():
+        text, out = StringIO(), [""]
+        with redirect_stdout(text):
+            yield out
+        out[0] = text.getvalue()
+
+    return caught
+
+
+@pytest.fixture(scope="module")
+def answer(done):
+    return json.loads(done[2][0].read_text())
+
+
+def test_it_names_the_payload_and_says_so_last(done, answer):
+    code, printed, _ = done
+    assert code == 0
+    assert answer["verdict"] == "payload"
+    assert answer["sentence"] in printed.strip().splitlines()[-1]
+    first = answer["ranking"][0]
+    assert first["interval"][0] < first["magnitude"] < first["interval"][1]
+    assert first["magnitude"] == pytest.approx(60.0, abs=6.0)
+    assert first["unit"] == "g"
+
+
+def test_the_json_has_every_key_of_the_format_with_its_type(answer):
+    assert {key: type(value) for key, value in answer.items()} == KEYS
+    where, gap = answer["where"], answer["gap"]
+    assert {"block", "channel", "band_hz", "operating_points"} <= set(where)
+    assert where["block"] == "body"
+    assert where["channel"] == "theta2"
+    assert 0.0 < where["band_hz"][0] <= where["band_hz"][1]
+    assert MIDDLE in where["operating_points"]
+    assert {"metric", "noise_floor", "before", "after", "shrink", "interval", "recordings"} <= set(gap)
+    assert gap["noise_floor"] == 1.0
+    assert gap["recordings"] == ["r05.parquet", "r06.parquet"]  # those held out, as files
+
+
+def test_the_ranking_lists_every_effect_none_and_unknown_and_sums_to_one(answer):
+    names = [row["effect"] for row in answer["ranking"]]
+    assert {*KNOWN, "none", "unknown"} <= set(names)
+    assert len(names) == len(set(names))
+    probabilities = [row["probability"] for row in answer["ranking"]]
+    assert sum(probabilities) == pytest.approx(1.0)
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert set(answer["ambiguity_set"]) <= set(names)
+    assert sum(answer["where"]["blocks"].values()) == pytest.approx(1.0)
+
+
+def test_the_held_out_gap_shrinks_as_the_definition_says(answer):
+    gap = answer["gap"]
+    assert gap["before"] > 5.0
+    assert gap["after"] < 1.5
+    assert gap["shrink"] == pytest.approx((gap["before"] - gap["after"]) / (gap["before"] - 1.0))
+    assert gap["interval"][0] <= gap["shrink"] <= gap["interval"][1]
+    assert gap["rival_after"] > gap["after"]
+
+
+def test_the_files_are_whole(done):
+    assert done[2][1].read_bytes().startswith(b"\x89PNG")
+    assert sorted(p.name for p in done[2][0].parent.iterdir()) == ["gap.json", "gap.png", "next.toml"]
+
+
+def test_the_next_experiment_can_be_measured_as_written(done, answer):
+    study = read_study(done[2][2])
+    (planned,) = plan(study, Arm1())
+    proposal = answer["next_experiment"]
+    assert planned.name == proposal["name"]
+    assert proposal["parts"][0] == "payload"
+    assert proposal["parts"][1] in (*KNOWN, "none")
+    assert proposal["separation"] > 2.0
+    assert proposal["sentence"] in done[1]
+    assert proposal["study"]["experiment"][0]["name"] == planned.name
+    (recording,) = measure(study, Arm1(), threads=1)
+    assert recording.info.ended_early is None
+    own = {c.loop: c.blocks for c in Arm1().default_controllers(1000.0)}
+    assert {loop.name: loop.controller.blocks for loop in planned.loops if loop.controller} == own
+
+
+def test_a_healthy_arm_has_no_gap_and_nothing_to_shrink(place, tmp_path):
+    write_run(tmp_path / "healthy", recorded({}))
+    assert loopshape("gap", tmp_path / "healthy", "--json", tmp_path / "gap.json", "--quick", "--quiet") == 0
+    found = json.loads((tmp_path / "gap.json").read_text())
+    assert found["verdict"] == "none"
+    assert found["gap"]["before"] < 1.5
+    assert found["gap"]["shrink"] is None
+    assert found["gap"]["interval"] is None
+    assert found["where"]["block"] == "none"
+
+
+def test_a_report_that_is_no_png_is_refused_before_anything_is_computed(place, tmp_path, capsys):
+    for second in ((), (place / "arm",)):
+        code = loopshape(
+            "gap", place / "arm", *second, "--json", tmp_path / "gap.json", "--report", tmp_path / "gap.pdf"
+        )
+        assert code == 2
+        assert "a report is a picture as PNG" in capsys.readouterr().err
+    assert loopshape("gap", place / "arm", "--json", tmp_path) == 2
+    assert "a folder stands where a file is to be written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_runs_take_files_too(place, tmp_path):
+    words = ("--report", tmp_path / "new" / "two.png", "--json", tmp_path / "new" / "two.json", "--quiet")
+    assert loopshape("gap", place / "arm", place / "arm", *words) == 0
+    assert json.loads((tmp_path / "new" / "two.json").read_text())["format"] == "loopshape-gap-table/1"
