@@ -74,7 +74,7 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The experiment that would part the two hypotheses of `parts` most, as a study of one experiment.
+    """The experiment that would part the two hypotheses of `parts` most, the first of a study ready to be measured.
 
     `separation` is the predicted rms difference of the outputs over what noise alone makes: 1 parts nothing.
     """

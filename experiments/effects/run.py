@@ -29,25 +29,35 @@ SIZES = (
     "effect", "form", "magnitude", "unit", "path", "largest_db", "largest_deg", "static_shift_mbar", "static_span_mbar",
     "step_deg", "step_p_ab_mbar",
 )  # fmt: skip
-SIGNATURES = ("effect", "column", "claim", "value", "unit", "holds")
+SIGNATURES = ("effect", "form", "column", "claim", "value", "unit", "holds")
 
 
 def main() -> None:
-    """Simulate, estimate, compare, draw."""
+    """Simulate, estimate, compare, draw; every form's signature, the first forms' sizes and pictures."""
     plant = Arm1()
-    names = list(dict.fromkeys(form.effect for form in plant.effects))
-    found = list(sheets(plant, effect_study(), asked(plant, names), signals, paths))
-    write("results.csv", SIZES, [row for sheet in found for row in sizes(sheet)])
+    found = list(sheets(plant, effect_study(), asked(plant, every_form(plant)), signals, paths))
+    first = [s for k, s in enumerate(found) if s.form.effect not in {t.form.effect for t in found[:k]}]
+    write("results.csv", SIZES, [row for sheet in first for row in sizes(sheet)])
     answers = [row for sheet in found for row in claims(sheet)]
     write("signatures.csv", SIGNATURES, answers)
     for row in answers:
-        print(f"{row[0]:>22}  {row[1]:<10} {row[2]:<44} {row[3]:>8} {row[4]:<5} {row[5]}")
-    held = sum(row[5] == "yes" for row in answers)
-    print(f"{held} of {len(answers)} claims hold")
-    half = (len(found) + 1) // 2
-    for k, part in enumerate((found[:half], found[half:])):
+        print(f"{row[0]:>22}  {row[1]:<44.44} {row[2]:<10} {row[3]:<44} {row[4]:>8} {row[5]:<5} {row[6]}")
+    names = {(s.form.effect, s.form.form) for s in first}
+    for words, chosen in (("first forms", [r for r in answers if (r[0], r[1]) in names]), ("all forms", answers)):
+        print(f"{words}: {sum(r[6] == 'yes' for r in chosen)} of {len(chosen)} claims hold")
+    print("ended early:", [(s.form.effect, s.form.form, s.ended) for s in found if s.ended])
+    half = (len(first) + 1) // 2
+    for k, part in enumerate((first[:half], first[half:])):
         title = f"What each effect does to the 1-DoF arm ({k + 1} of 2)"
         write_bytes_whole(FIGURES / f"effects_{k + 1}.png", png(effects_page(part, title=title)))
+
+
+def every_form(plant: Arm1) -> list[str]:
+    """NAME:FORM of the whole catalogue; an effect's first form first."""
+    found: list[str] = []
+    for form in plant.effects:
+        found.append(f"{form.effect}:{1 + sum(k.startswith(form.effect + ':') for k in found)}")
+    return found
 
 
 def write(name: str, columns: Sequence[str], rows: Sequence[Sequence]) -> None:
@@ -76,7 +86,8 @@ def claims(sheet: EffectSheet) -> list[list]:
     for claim in CLAIMS:
         if claim.effect == sheet.form.effect:
             value, holds = claim.test(sheet)
-            rows.append([claim.effect, claim.column, claim.words, f"{value:.3g}", claim.unit, "yes" if holds else "no"])
+            words = [claim.effect, sheet.form.form, claim.column, claim.words]
+            rows.append([*words, f"{value:.3g}", claim.unit, "yes" if holds else "no"])
     return rows
 
 

@@ -16,8 +16,9 @@ from loopshape.effect import EffectForm
 from loopshape.errors import WrongUseError
 from loopshape.plants.arm.effects import FORMS
 from loopshape.plants.arm.operating_points import EQUILIBRIA
+from loopshape.plants.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
 from loopshape.store.files import write_bytes_whole
-from loopshape.units import Array
+from loopshape.units import Array, angular, rad
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's own second file, however it is started
@@ -38,11 +39,16 @@ from published import (  # noqa: E402
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 DRAWS, SEED = 700, 5
 COLUMNS = (
-    "digits", "effects", "form", "magnitude", "low_95", "high_95", "unit", "chi2_frequency", "chi2_gain", "chi2_damping",
-    "f_0deg_hz", "f_30deg_hz", "f_min_hz", "f_max_hz", "rise_30deg_hz", "rise_hz_per_bar", "kappa_ratio", "gain_span_db",
-    "kappa_span_db", "kappa_over_measured",
+    "digits", "effects", "form", "magnitude", "low_95", "high_95", "unit", "chi2_frequency", "chi2_gain",
+    "chi2_damping", "f_0deg_hz", "f_30deg_hz", "f_min_hz", "f_max_hz", "rise_30deg_hz", "rise_hz_per_bar",
+    "kappa_ratio", "gain_span_db", "kappa_span_db", "kappa_over_measured",
 )  # fmt: skip
-POSTERIORS = ("effect", "own_digits_usual", "own_digits_bounds", "any_digits_usual", "any_digits_bounds")
+POSTERIORS = (
+    "effect", "own_digits_usual", "own_digits_bounds", "own_digits_usual_twice_the_errors",
+    "own_digits_bounds_twice_the_errors", "any_digits_usual", "any_digits_bounds", "any_digits_usual_twice_the_errors",
+    "any_digits_bounds_twice_the_errors",
+)  # fmt: skip
+HEAT = (1.0, 4.0)  # what the squared misfits are divided by: the errors as they are, and twice as large
 Moves = Mapping[str, float]
 
 
@@ -70,6 +76,8 @@ def main() -> None:
     others = [f for f in moving if f.effect != "gas_law"]
     cases += [best("own", f, digits(own) | gas, "gas_law + ", gains=True) for f in others]
     write("results.csv", COLUMNS, [row(case) for case in cases])
+    gassy = next(c for c in cases if c.effects == "gas_law" and c.digits == "own")
+    print(f"friction for the damping at (30 deg, 0.8 bar), moving by 1 deg: {friction_nm(gassy.found):.3f} N m")
     rows = posteriors(moving)
     write("posterior.csv", POSTERIORS, rows)
     for line in [row(case) for case in cases] + rows:
@@ -84,8 +92,10 @@ def write(name: str, columns: tuple[str, ...], rows: list[list]) -> None:
 
 
 def own_digits() -> Array:
-    """Shares of half a digit (6,), as small as can be, with which the printed model gives the source's 5.8 and 4.7 Hz."""
-    return least_squares(lambda q: np.r_[10.0 * own_misfits(q), 0.1 * q], np.zeros(6), bounds=(-1.0, 1.0), diff_step=1e-3).x
+    """Shares of half a digit (6,), small ones, with which the printed model gives the source's own 5.8 and 4.7 Hz."""
+    return least_squares(
+        lambda q: np.r_[10.0 * own_misfits(q), 0.1 * q], np.zeros(6), bounds=(-1.0, 1.0), diff_step=1e-3
+    ).x
 
 
 def acts(form: EffectForm) -> bool:
@@ -121,7 +131,9 @@ def best(word: str, form: EffectForm, rest: Moves, before: str = "", *, gains: b
         return 1e6 if found is None else chi2(found, gains=gains)
 
     starts = [[s, *(f.starts[0] for f in form.free[1:])] for s in form.free[0].starts]
-    ends = [minimize(cost, s, method="Nelder-Mead", options={"maxfev": 160, "xatol": 1e-4, "fatol": 1e-3}) for s in starts]
+    ends = [
+        minimize(cost, s, method="Nelder-Mead", options={"maxfev": 160, "xatol": 1e-4, "fatol": 1e-3}) for s in starts
+    ]
     end = min(ends, key=lambda e: e.fun)
     grid = np.linspace(form.free[0].low, form.free[0].high, 161)
     near = [v for v in grid if cost(np.r_[v, end.x[1:]]) < end.fun + 3.84] + [end.x[0]]
@@ -139,59 +151,80 @@ def row(case: Case) -> list:
     ratio = n.at(UPRIGHT)[0] / MEASURED[UPRIGHT][0]
     values = [chi2(n), float(n.gain_misfits() @ n.gain_misfits()), float(n.damping_misfits() @ n.damping_misfits())]
     f = n.table[:, 1]
-    values += [n.at(UPRIGHT)[1], n.at(WIDE)[1], f.min(), f.max(), n.away_hz, n.per_bar_hz, n.at(WIDE)[0] / n.at(UPRIGHT)[0]]
+    values += [
+        n.at(UPRIGHT)[1],
+        n.at(WIDE)[1],
+        f.min(),
+        f.max(),
+        n.away_hz,
+        n.per_bar_hz,
+        n.at(WIDE)[0] / n.at(UPRIGHT)[0],
+    ]
     values += [n.gain_span_db, n.mass_span_db, ratio]
     words = [case.digits, case.effects, form.form if form else "", middle, *ends, form.unit if form else ""]
     return words + [f"{v:.4g}" for v in values]
+
+
+def friction_nm(n: Numbers, amplitude_deg: float = 1.0) -> float:
+    """Coulomb torque whose describing function makes up for the damping that a model lacks at (30 deg, 0.8 bar)."""
+    c = constants(ARM1_PARAMETERS.vector())
+    w = float(angular(n.at(WIDE)[1]))
+    lacking = 2.0 * (MEASURED[WIDE][2] - n.at(WIDE)[2]) * w * float(c[INERTIA])
+    return 0.25 * np.pi * lacking * w * float(rad(amplitude_deg))
 
 
 def posteriors(moving: list[EffectForm]) -> list[list]:
     """Probability of each effect, equal before, from the frequencies alone, under four assumptions.
 
     Table 4.1's digits are uniform within their rounding, or those of these that reproduce the source's own simulation
-    within half a unit of its digits; magnitudes are uniform in the catalogue's usual range (either sign where it allows)
-    or in its bounds. An effect is the mean of its forms that show; other free numbers are uniform in their bounds.
+    within half a unit of its digits; magnitudes are uniform in the catalogue's usual range (of either sign where it may
+    be), or in its bounds. An effect is the mean of its forms that show; other free numbers are uniform in their bounds.
     """
     rng = np.random.default_rng(SEED)
     pool = rng.uniform(-1.0, 1.0, (6000, 6))
     own = pool[[bool(np.abs(own_misfits(q)).max() < 1.0) for q in pool]]
     columns = []
     for shares in (own, pool):
-        none = np.mean([np.exp(-0.5 * chi2(numbers(digits(q)))) for q in shares[:DRAWS]])
-        evidence = [(form.effect, both(form, shares, rng)) for form in moving]
-        for k in range(2):
-            effects = {"none": [float(none)]}
-            for effect, found in evidence:
-                effects.setdefault(effect, []).append(found[k])
-            total = sum(float(np.mean(v)) for v in effects.values())
-            columns.append({name: float(np.mean(v)) / total for name, v in effects.items()})
+        found = {"none": [np.tile(likelihoods([chi2(numbers(digits(q))) for q in shares[:DRAWS]]), (2, 1))]}
+        for form in moving:
+            found.setdefault(form.effect, []).append(
+                np.array([likelihoods(drawn(form, shares, rng, w)) for w in (0, 1)])
+            )
+        means = {name: np.mean(values, axis=0) for name, values in found.items()}
+        total = sum(means.values())
+        columns += [
+            {name: v[wide, hot] / total[wide, hot] for name, v in means.items()} for hot in (0, 1) for wide in (0, 1)
+        ]
     order = sorted(columns[0], key=lambda name: -columns[0][name])
-    return [[name, *(f"{c[name]:.2g}" for c in columns)] for name in order]
+    return [[name, *("<1e-9" if c[name] < 1e-9 else f"{c[name]:.2g}" for c in columns)] for name in order]
 
 
-def both(form: EffectForm, shares: Array, rng: np.random.Generator) -> tuple[float, float]:
-    """Mean likelihood with the magnitude uniform in the usual range, and in the bounds."""
+def likelihoods(chi2s: list[float]) -> Array:
+    """Mean likelihood (2,) with the errors as they are and twice as large."""
+    return np.array([float(np.mean(np.exp(-0.5 * np.array(chi2s) / heat))) for heat in HEAT])
+
+
+def drawn(form: EffectForm, shares: Array, rng: np.random.Generator, wide: int) -> list[float]:
+    """Chi-squared of draws of a form's numbers, the magnitude from its usual range or (`wide`) its bounds."""
     first, found = form.free[0], []
-    usual = np.array(form.usual) / form.scale
-    for wide in (False, True):
-        total = 0.0
-        for q in shares[rng.integers(len(shares), size=DRAWS)]:
-            value = rng.uniform(first.low, first.high) if wide else rng.uniform(*usual)
-            if not wide and first.low < 0.0 and rng.random() < 0.5:
-                value = -value
-            values = np.array([value, *(rng.uniform(f.low, f.high) for f in form.free[1:])])
-            model = tried(form, values, digits(q))
-            total += 0.0 if model is None else float(np.exp(-0.5 * chi2(model)))
-        found.append(total / DRAWS)
-    return found[0], found[1]
+    for q in shares[rng.integers(len(shares), size=DRAWS)]:
+        value = rng.uniform(first.low, first.high) if wide else rng.uniform(*form.usual) / form.scale
+        if not wide and first.low < 0.0 and rng.random() < 0.5:
+            value = -value
+        values = np.array([value, *(rng.uniform(f.low, f.high) for f in form.free[1:])])
+        model = tried(form, values, digits(q))
+        found.append(1e6 if model is None else chi2(model))
+    return found
 
 
 PANELS = (
-    ("printed", "none", "", "as printed"), ("own", "none", "", "digits of its own simulation"),
-    ("own", "stiffness_error", "", "+ stiffness error"), ("own", "hose_stiffness", "hardening spring about an angle", "+ hose stiffness"),
+    ("printed", "none", "", "as printed"),
+    ("own", "none", "", "digits of its own simulation"),
+    ("own", "stiffness_error", "", "+ stiffness error"),
+    ("own", "hose_stiffness", "hardening spring about an angle", "+ hardening hose"),
     ("own", "gas_law", "share of the atmosphere", "+ absolute gas law"),
     ("printed", "gas_law", "absolute, polytropic", "printed, polytropic gas"),
-)  # fmt: skip
+)
 
 
 @styled()
@@ -201,20 +234,38 @@ def draw(cases: list[Case]):
     pressures = sorted({p for _, p in EQUILIBRIA})
     colours = dict(zip(pressures, shades(len(pressures)), strict=True))
     for ax, (word, effects, form, title) in zip(figure.axes, PANELS, strict=True):
-        fitting = [c for c in cases if (c.digits, c.effects) == (word, effects) and form in ("", c.form and c.form.form)]
+        fitting = [
+            c for c in cases if (c.digits, c.effects) == (word, effects) and form in ("", c.form and c.form.form)
+        ]
         case = min(fitting, key=lambda c: chi2(c.found))
         ax.axhspan(LOW_HZ, HIGH_HZ, color="0.9", label="measured, 24 points")
         for p in pressures:
             places = [k for k, q in enumerate(EQUILIBRIA) if q[1] == p]
             angles = [EQUILIBRIA[k][0] for k in places]
-            ax.plot(angles, case.found.table[places, 1], color=colours[p], marker=".", linewidth=0.9, label=f"{p:.1f} bar")
+            ax.plot(
+                angles, case.found.table[places, 1], color=colours[p], marker=".", linewidth=0.9, label=f"{p:.1f} bar"
+            )
         for point, (_, f_hz, _) in MEASURED.items():
-            ax.plot(point[0], f_hz, "D", color=colours[point[1]], markeredgecolor="black", markersize=6, label="measured fit")
+            ax.plot(
+                point[0],
+                f_hz,
+                "D",
+                color=colours[point[1]],
+                markeredgecolor="black",
+                markersize=6,
+                label="measured fit",
+            )
         for point, (_, f_hz, _) in SIMULATED.items():
-            ax.plot(point[0], f_hz, "o", color="white", markeredgecolor=QUIET, markersize=5, label="the source's simulation")
-        note = "" if case.form is None else f" {case.form.magnitude(case.values):.2g} {case.form.unit}".removesuffix(" 1")
+            ax.plot(
+                point[0], f_hz, "o", color="white", markeredgecolor=QUIET, markersize=5, label="the source's simulation"
+            )
+        note = (
+            "" if case.form is None else f" {case.form.magnitude(case.values):.2g} {case.form.unit}".removesuffix(" 1")
+        )
         ax.set_title(title + note, fontsize=8.5)
-        ax.text(0.97, 0.04, rf"$\chi^2$ = {chi2(case.found):.0f}", transform=ax.transAxes, ha="right", fontsize=8.0, color=COLOURS[6])
+        ax.text(
+            0.03, 0.91, rf"$\chi^2$ = {chi2(case.found):.0f}", transform=ax.transAxes, fontsize=8.0, color=COLOURS[6]
+        )
     for ax in figure.axes[3:]:
         ax.set_xlabel(r"$\theta_2$ [deg]")
         ax.set_xticks([-30, -15, 0, 15, 30])

@@ -269,6 +269,7 @@ def _experiment_table(t: ExperimentTemplate, units: Mapping[str, Any]) -> dict[s
         "lead_s": t.lead_s or None,
         "tail_s": t.tail_s or None,
         "duration_s": t.duration_s,
+        "operating_points": None if t.operating_points is None else [dict(p) for p in t.operating_points],
         "excitation": signal,
         "references": _setpoints(t.references, units["references"]) or None,
         "control": _setpoints(t.control, units["control"]) or None,

@@ -8,6 +8,7 @@ import typer
 
 from loopshape.cli.check import check
 from loopshape.cli.demo import demo
+from loopshape.cli.effects import effects
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.exam import exam
 from loopshape.cli.figures import figures
@@ -29,7 +30,7 @@ measure or import a run -> frf -> fit -> tune -> check; run -> gap. Exit codes: 
 app = typer.Typer(
     help=HELP, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
 )
-for command in (measure, simulate, frf, fit, tune, check, gap, exam, figures, equilibria, demo):
+for command in (measure, simulate, frf, fit, tune, check, gap, exam, effects, figures, equilibria, demo):
     app.command()(command)
 app.command("import")(import_file)
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from loopshape.draw.labels import number
@@ -25,24 +26,25 @@ SMALLEST_DB, SMALLEST_DEG = 2.0, 12.0  # half heights below which a panel is not
 MOST_DB, MOST_DEG = 12.0, 90.0  # ... and above which it is cut
 TITLES = (
     r"$u\rightarrow\theta_2$, gain", r"$u\rightarrow\theta_2$, phase", r"$u\rightarrow p_A{-}p_B$, gain",
-    r"$u\rightarrow p_A{-}p_B$, phase", r"statics, $\Delta(p_A{-}p_B)$", "step of 10 deg",
+    r"$u\rightarrow p_A{-}p_B$, phase", r"statics, $p_A{-}p_B$", r"step, $\theta_2$",
 )  # fmt: skip
 UNITS = ("dB over Hz", "deg over Hz", "dB over Hz", "deg over Hz", "mbar over deg", "deg over s")
-ROW_IN = 0.86
+ROW_IN = 0.84
+STEP_S = 1.0  # when the setpoint jumps
 
 
 @styled()
 def effects_page(sheets: Sequence[EffectSheet], *, title: str = "What each effect does") -> Figure:
-    """One row a sheet: change of gain and phase of u -> theta2 and u -> p_A - p_B, statics, and a step.
+    """One row a sheet: what changes with the effect in u -> theta2 and u -> p_A - p_B, statics, and a step of 10 deg.
 
-    Solid blue is the large excitation, dashed orange the small one; both are with over without the effect. Statics: by
-    how much p_A - p_B differs while the setpoint moves slowly, up, down and up. Steps: with the effect in blue, without
-    in grey. Scales differ from row to row, and none is narrower than +-2 dB or +-12 deg. Refuses an empty list.
+    Solid blue is the large excitation, dashed orange the small one. Statics: by how much p_A - p_B differs while the
+    setpoint moves slowly, up, down and up; the step: by how much theta2 differs after it. Scales differ from row to
+    row, and none is narrower than +-2 dB, +-12 deg, +-5 mbar, +-0.5 deg. Refuses an empty list.
     """
     if not sheets:
         raise WrongUseError("a page of effects needs a sheet", "none", "name an effect")
     rows = len(sheets)
-    figure = new_figure(rows, 6, (FULL_WIDTH_IN + 0.9, 1.25 + ROW_IN * rows))
+    figure = new_figure(rows, 6, (FULL_WIDTH_IN + 0.6, 1.3 + ROW_IN * rows))
     for k, sheet in enumerate(sheets):
         row = figure.axes[6 * k : 6 * k + 6]
         _frfs(row, sheet)
@@ -56,28 +58,31 @@ def effects_page(sheets: Sequence[EffectSheet], *, title: str = "What each effec
         )  # fmt: skip
     _legend(figure)
     head(figure, title)
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(h_pad=0.085, hspace=0.0)  # room for each row's name
     return figure
 
 
 def _frfs(row: Sequence[Axes], sheet: EffectSheet) -> None:
     for k, path in enumerate(PATHS):
-        for column, name, least, most in (
-            (2 * k, "gain_db", SMALLEST_DB, MOST_DB),
-            (2 * k + 1, "phase_deg", SMALLEST_DEG, MOST_DEG),
-        ):
-            ax = row[column]
-            values = []
-            for recording, look in LOOKS.items():
-                change = sheet.frfs.get((recording, path))
-                if change is None or not change.frequency_hz.size:
-                    continue
-                values.append(getattr(change, name))
-                ax.semilogx(change.frequency_hz, values[-1], gid=recording, **look)
-            half = _half(values, least, most)
-            ax.set_ylim(-half, half)
-            ax.set_xlim(0.14, 16.0)
-            ax.set_xticks([0.2, 1.0, 10.0], ["0.2", "1", "10"])
-            ax.minorticks_off()
+        _frf(row[2 * k], sheet, path, "gain_db", SMALLEST_DB, MOST_DB)
+        _frf(row[2 * k + 1], sheet, path, "phase_deg", SMALLEST_DEG, MOST_DEG)
+
+
+def _frf(ax: Axes, sheet: EffectSheet, path: str, name: str, least: float, most: float) -> None:
+    values = []
+    for recording, look in LOOKS.items():
+        change = sheet.frfs.get((recording, path))
+        if change is not None and change.frequency_hz.size:
+            values.append(getattr(change, name))
+            ax.semilogx(change.frequency_hz, values[-1], gid=recording, **look)
+    half = _half(values, least, most)
+    ax.set_ylim(-half, half)
+    ax.set_xscale("log")
+    ax.set_xlim(0.14, 16.0)
+    ax.set_xticks([0.2, 1.0, 10.0], ["0.2", "1", "10"])
+    ax.minorticks_off()
 
 
 def _half(values: Sequence[Array], least: float, most: float) -> float:
@@ -107,21 +112,20 @@ def _smooth(values: Array, length: int = 25) -> Array:
 
 def _step(ax: Axes, sheet: EffectSheet) -> None:
     change: TimeChange = sheet.times["steps", "theta2"]
-    rows = (change.x > 0.8) & (change.x < 4.8)
-    t = change.x[rows] - 1.0
-    ax.plot(t, deg(change.without[rows]), color=QUIET, linewidth=0.8, gid="without")
-    ax.plot(t, deg(change.changed[rows]), color=COLOURS[0], linewidth=0.9, gid="with")
-    ax.set_xlim(-0.2, 3.8)
-    ax.set_ylim(2.0, 22.0)
-    ax.set_xticks([0.0, 2.0])
-    ax.set_yticks([5.0, 15.0])
+    rows = (change.x > STEP_S - 0.2) & (change.x < STEP_S + 3.6)
+    values = np.asarray(deg(change.changed[rows] - change.without[rows]))
+    ax.plot(change.x[rows] - STEP_S, values, color=COLOURS[0], linewidth=0.9, gid="step")
+    half = max(0.5, 1.1 * float(np.abs(values).max(initial=0.0)))
+    ax.set_ylim(-half, half)
+    ax.set_xlim(-0.2, 3.6)
+    ax.set_xticks([0.0, 1.0, 2.0, 3.0])
 
 
 def _finish(row: Sequence[Axes], sheet: EffectSheet, *, last: bool) -> None:
     """Small ticks, no numbers under any but the last row, and the row's name above its first panel."""
     for ax in row:
         ax.tick_params(labelsize=6.5, pad=1.5, labelbottom=last, length=2.0)
-        ax.locator_params(axis="y", nbins=4) if ax is not row[5] else None
+        ax.locator_params(axis="y", nbins=4)
     form = sheet.form
     unit = "" if form.unit == "1" else f" {form.unit}"
     words = f"{form.effect.replace('_', ' ')}, {number(sheet.magnitude)}{unit}"
@@ -138,7 +142,6 @@ def _finish(row: Sequence[Axes], sheet: EffectSheet, *, last: bool) -> None:
 
 
 def _legend(figure: Figure) -> None:
-    words = {"large": "large excitation, and time responses with the effect", "small": "small excitation (2/15)"}
+    words = {"large": "with less without; FRFs at large excitation", "small": "FRFs at small excitation"}
     handles = [Line2D([], [], label=words[name], **look) for name, look in LOOKS.items()]  # type: ignore[arg-type]
-    handles.append(Line2D([], [], color=QUIET, linewidth=0.8, label="without the effect"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)

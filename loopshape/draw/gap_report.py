@@ -115,7 +115,9 @@ def sizes(r: Ranked) -> str:
 
 
 def _size(value: float, interval: tuple[float, float], unit: str) -> str:
-    text = f"{value:.3g}{'' if unit in ('', '1') else ' ' + unit} ({interval[0]:.3g} to {interval[1]:.3g})"
+    text = f"{value:.3g}{'' if unit in ('', '1') else ' ' + unit}"
+    if interval[1] > interval[0]:  # one recording alone gives none
+        text += f" ({interval[0]:.3g} to {interval[1]:.3g})"
     return text.replace("-", "\N{MINUS SIGN}")
 
 

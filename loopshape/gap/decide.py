@@ -19,22 +19,32 @@ from loopshape.gap.evidence import Evidence
 from loopshape.gap.fitting import Fitted
 from loopshape.gap.hypothesis import Hypothesis
 
-SHARPNESS = 0.4  # one over the temperature
-ONE_EFFECT, TWO_EFFECTS = 1.0, 3.5
+SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
+ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
 PER_NUMBER = 0.3  # beyond the first of each effect
 EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
-UNKNOWN, UNKNOWN_LEAVES = 2.5, 0.3
+UNKNOWN, UNKNOWN_LEAVES = 2.5, 0.2
 _UNUSUAL, _SLACK = 6.0, 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A fitted hypothesis with its score: cost left out, standard deviations of its magnitudes, its energy."""
+    """A fitted hypothesis with its score.
+
+    `excess` is what it leaves over noise when recordings are left out, `price` what its effects and magnitudes
+    cost, `deviations` are standard deviations of the magnitudes.
+    """
 
     fitted: Fitted
     left: LeftOut
     deviations: tuple[float, ...]
-    energy: float
+    excess: float
+    price: float
+
+    @property
+    def energy(self) -> float:
+        """At the highest temperature, to choose among forms."""
+        return SHARPNESS * self.excess + self.price
 
     @property
     def name(self) -> str:
@@ -59,14 +69,30 @@ def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
     cost += sum(EXTENDS / evidence.independent for f in forms if f.extends)
     odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
-    return Candidate(fitted, left, deviations, SHARPNESS * (left.cost - evidence.quiet) + cost + odd)
+    return Candidate(fitted, left, deviations, left.cost - evidence.quiet, cost + odd)
 
 
-def unknown_energy(evidence: Evidence, none: Candidate) -> float:
-    """Energy of an explanation that the catalogue does not hold: it would leave UNKNOWN_LEAVES of the gap's rms."""
+def energies(evidence: Evidence, none: Candidate, scored: Mapping[str, Candidate]) -> dict[str, float]:
+    """Energy of every name scored, of every other effect of the catalogue, and of `unknown`.
+
+    Where the best explains all but noise its form is right, and differences count for more.
+    """
+    best = max(min(c.excess for c in scored.values()), 0.0)
+    sharpness = SHARPNESS + SHARPER * float(np.exp(-best / _EXPLAINED))
+    out = {name: sharpness * c.excess + c.price for name, c in scored.items()}
+    out["unknown"] = UNKNOWN + sharpness * unknown_excess(evidence, none)
+    for form in evidence.plant.effects:  # what was not worth fitting explains no more than nothing does
+        out.setdefault(form.effect, out["none"] + ONE_EFFECT + _NOT_FITTED)
+    return out
+
+
+_EXPLAINED, _NOT_FITTED = 3.0, 3.0
+
+
+def unknown_excess(evidence: Evidence, none: Candidate) -> float:
+    """What an explanation that the catalogue does not hold would leave: UNKNOWN_LEAVES of the gap's rms."""
     excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
-    left = float(np.sum(np.log1p(1.0 + UNKNOWN_LEAVES**2 * excess))) - evidence.quiet
-    return UNKNOWN + SHARPNESS * left
+    return float(np.sum(np.log1p(1.0 + UNKNOWN_LEAVES**2 * excess))) - evidence.quiet
 
 
 def best_by_name(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
@@ -104,12 +130,28 @@ def pairs_on(base: Candidate, catalogue: Sequence[EffectForm]) -> list[Hypothesi
     """The base with every other effect, in each effect's first two forms."""
     seen: dict[str, int] = {}
     out = []
-    forms = base.fitted.hypothesis.forms
     for f in catalogue:
         seen[f.effect] = seen.get(f.effect, 0) + 1
-        if seen[f.effect] <= 2 and f.effect not in {g.effect for g in forms} and not _clash(forms, f):
-            out.append(Hypothesis(base.fitted.hypothesis.plant, (*forms, f)))
+        if seen[f.effect] <= _FIRST_FORMS:
+            out += _beside(base, f)
     return out
+
+
+def other_forms(base: Candidate, catalogue: Sequence[EffectForm], effect: str) -> list[Hypothesis]:
+    """The base with an effect in the forms that `pairs_on` did not try."""
+    mine = [f for f in catalogue if f.effect == effect]
+    return [h for f in mine[_FIRST_FORMS:] for h in _beside(base, f)]
+
+
+_FIRST_FORMS = 2
+
+
+def _beside(base: Candidate, form: EffectForm) -> list[Hypothesis]:
+    """The base with a form, if its effect is another and the two can be told apart."""
+    forms = base.fitted.hypothesis.forms
+    if form.effect in {f.effect for f in forms} or _clash(forms, form):
+        return []
+    return [Hypothesis(base.fitted.hypothesis.plant, (*forms, form))]
 
 
 def _clash(forms: Sequence[EffectForm], other: EffectForm) -> bool:

@@ -77,18 +77,23 @@ def attribute_effect(
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
         say(f"pairs with {base.name}")
-        ground = attribute.again(brief, base.fitted, rounds=1)
-        found = attribute.screened(brief, decide.pairs_on(base, plant.effects), ground, rounds=1, brief=True)
-        refined = [attribute.again(evidence, f, rounds=2) for f in attribute.best_forms(found)[:PAIRS_REFINED]]
-        everything += [decide.candidate(evidence, f) for f in refined]
+        everything += _pairs(evidence, brief, base)
     scored = decide.best_by_name([none, *everything])
-    energies = {name: c.energy for name, c in scored.items()} | {"unknown": decide.unknown_energy(evidence, none)}
-    for form in plant.effects:  # what was not worth fitting explains no more than nothing does
-        energies.setdefault(form.effect, none.energy + decide.ONE_EFFECT + _NOT_FITTED)
+    energies = decide.energies(evidence, none, scored)
     return Attribution(evidence, none, scored, energies, decide.probabilities(energies))
 
 
-_NOT_FITTED = 3.0
+def _pairs(evidence: Evidence, brief: Evidence, base: Candidate) -> list[Candidate]:
+    """The best pairs with a base; of the leading second effect all forms."""
+    effects = evidence.plant.effects
+    ground = attribute.again(brief, base.fitted, rounds=1)
+    found = attribute.screened(brief, decide.pairs_on(base, effects), ground, rounds=1, brief=True)
+    leading = attribute.best_forms(found)[0].hypothesis.forms[-1].effect
+    others = decide.other_forms(base, effects, leading)
+    if others:
+        found += attribute.screened(brief, others, ground, rounds=1, brief=True)
+    refined = [attribute.again(evidence, f, rounds=2) for f in attribute.best_forms(found)[:PAIRS_REFINED]]
+    return [decide.candidate(evidence, f) for f in refined]
 
 
 def _both_forms(best: Sequence[attribute.Fitted], coarse: Sequence[attribute.Fitted]) -> list[attribute.Fitted]:

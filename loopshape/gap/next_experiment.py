@@ -71,10 +71,13 @@ def propose(
         values = separations(plant, [e for _, e in tried], many, most, threads)
     except LoopshapeError:  # a recording that does not tell how it was made, a plant that cannot do it
         return None
-    best = max(range(len(tried)), key=lambda k: values[k], default=None)
-    if best is None or not values[best] > 0.0:
+    good = sorted((k for k in range(len(tried)) if values[k] > 0.0), key=lambda k: -values[k])
+    if not good:
         return None
-    return _proposal(plant, run, tried[best][0], (first[0], second[0]), values[best])
+    chosen = [tried[good[0]][0]]
+    if chosen[0].template.excitation is None:  # then `measure` would have no FRF to estimate
+        chosen += [tried[k][0] for k in good if tried[k][0].template.excitation is not None][:1]
+    return _proposal(plant, run, chosen, (first[0], second[0]), values[good[0]])
 
 
 def candidates(plant: Plant, run: Run, many: Sequence[Moves]) -> list[Candidate]:
@@ -217,9 +220,10 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _proposal(plant: Plant, run: Run, best: Candidate, parts: tuple[str, str], value: float) -> Proposal:
-    """The study of one experiment, and its sentence."""
-    t = best.template
+def _proposal(plant: Plant, run: Run, chosen: Sequence[Candidate], parts: tuple[str, str], value: float) -> Proposal:
+    """The study of the best candidate, and of the best that gives a FRF where it gives none; and its sentence."""
+    best, t = chosen[0], chosen[0].template
+    also = f"; the study also holds {chosen[1].what}" if len(chosen) > 1 else ""
     seconds = t.duration_s if t.excitation is None else t.lead_s + t.excitation.duration_s + t.tail_s
     where = ", ".join(f"{v:g} {k.rsplit('_', 1)[-1]}" for k, v in best.point.items())
     does = f"{best.what} at ({where}), {seconds:g} s"
@@ -230,16 +234,16 @@ def _proposal(plant: Plant, run: Run, best: Candidate, parts: tuple[str, str], v
     study = Study(
         rig="simulated",
         plant=plant.name,
-        experiments=(t,),
+        experiments=tuple(replace(c.template, operating_points=(dict(c.point),)) for c in chosen),
         operating_points=(dict(best.point),),
         rate_hz=run.rate_hz,
         solver=plant.solvers[0],
         changes=dict(run.extra.get("parameters", {})),
         pwm={k: float(run.pwm[k]) for k in ("frequency_hz", "dead_zone") if k in run.pwm},
         controllers=controllers,
-        extra={"units": {t.name: _units(run, t)}},
+        extra={"units": {c.template.name: _units(run, c.template) for c in chosen}},
     )
-    return Proposal(t.name, parts, value, study, f"{does}, {verb}")
+    return Proposal(t.name, parts, value, study, f"{does}, {verb}{also}")
 
 
 def _units(run: Run, t: ExperimentTemplate) -> dict[str, Any]:

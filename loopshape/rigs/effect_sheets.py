@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -59,7 +59,9 @@ class _Seen:
         info, excites = recording.info, recording.info.excites is not None and recording.info.ended_early is None
         self.ended = info.ended_early
         self.frfs = {name: _frf(recording, signals, ends) for name, ends in paths.items()} if excites else {}
-        self.distortion = {name: _distortion(recording, signals, ends) for name, ends in paths.items()} if excites else {}
+        self.distortion = (
+            {name: _distortion(recording, signals, ends) for name, ends in paths.items()} if excites else {}
+        )
 
 
 def _seen(
@@ -91,8 +93,12 @@ def _distortion(
     return odd, even
 
 
-def _sheet(form: EffectForm, magnitude: float, nominal: Mapping[str, _Seen], changed: Mapping[str, _Seen]) -> EffectSheet:
-    frfs, times, levels = {}, {}, {}
+def _sheet(
+    form: EffectForm, magnitude: float, nominal: Mapping[str, _Seen], changed: Mapping[str, _Seen]
+) -> EffectSheet:
+    frfs: dict[tuple[str, str], FrfChange] = {}
+    times: dict[tuple[str, str], TimeChange] = {}
+    levels: dict[tuple[str, str, str], tuple[float, float]] = {}
     for name, one in nominal.items():
         two = changed[name]
         times |= {(name, s): _time_change(one, two, s) for s in one.signals}
@@ -117,7 +123,7 @@ def _time_change(one: _Seen, two: _Seen, signal: str) -> TimeChange:
     rows = max(1, round(BLOCK_S * one.recording.rate_hz))
     a, b = (_blocks(x.signals[signal], rows) for x in (one, two))
     n = min(a.size, b.size)
-    return TimeChange((np.arange(n) + 0.5) * rows / one.recording.rate_hz, a[:n], b[:n])
+    return TimeChange(np.asarray((np.arange(n) + 0.5) * rows / one.recording.rate_hz), a[:n], b[:n])
 
 
 def _blocks(values: Array, rows: int) -> Array:

@@ -72,7 +72,7 @@ def _magnitude(word: str, number: str) -> float:
 
 
 def chosen(plant: Any, key: str, magnitude: float) -> tuple[EffectForm, Effect]:
-    """The form that NAME or NAME:FORM means at a magnitude, and the effect; refuses a magnitude that no form can have."""
+    """The form that NAME or NAME:FORM means at a magnitude, and the effect; refuses what no form can have."""
     forms = _candidates(plant, key)
     for form in forms:
         low, high = bounds(form)

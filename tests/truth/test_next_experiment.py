@@ -81,6 +81,18 @@ def test_models_that_agree_are_not_parted_and_models_that_differ_are(run) -> Non
     assert large.sentence.endswith(f"parts payload from none by {large.separation:.2g} noise floors")
 
 
+def test_a_study_always_gives_a_frf_to_estimate(run, monkeypatch) -> None:
+    def pulses_win(plant, experiments, *_):
+        return [9.0 if e.kind == "open_loop" else 3.0 if e.kind == "multisine" else 1.0 for e in experiments]
+
+    monkeypatch.setattr(nxt, "separations", pulses_win)
+    found = nxt.propose(Arm1(), run, ("payload", PAYLOAD), ("none", {}))
+    assert (found.name, found.separation) == ("next-pulses-theta2", 9.0)
+    assert [t.kind for t in found.study.experiments] == ["open_loop", "multisine"]
+    assert "the study also holds a multisine of theta2" in found.sentence
+    assert [p.name for p in plan(found.study, Arm1())] == ["next-pulses-theta2", "next-multisine-theta2"]
+
+
 def test_the_study_holds_the_signals_that_were_simulated(run) -> None:
     plant = Arm1()
     for candidate in nxt.candidates(plant, run, (PAYLOAD, FRICTION))[:12]:
@@ -89,8 +101,9 @@ def test_the_study_holds_the_signals_that_were_simulated(run) -> None:
         study = Study("simulated", plant.name, (candidate.template,), (candidate.point,), controllers=controllers)
         theirs = rig_experiment(study, plant, plan(study, plant)[0])
         assert theirs.injection == mine.injection
-        assert np.allclose(theirs.references[: mine.samples], mine.references)
-        assert np.allclose(theirs.injected[: mine.samples], mine.injected)
+        n = mine.samples - round(nxt.RAMP_S * run.rate_hz)  # then one period ramps out where the study goes on
+        assert np.allclose(theirs.references[:n], mine.references[:n])
+        assert np.allclose(theirs.injected[:n], mine.injected[:n])
 
 
 def test_what_leaves_the_range_or_saturates_is_dropped(run) -> None:

@@ -29,6 +29,7 @@ EFFECT_ROWS = (
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
         ("valve_closing_ratio", 1.5, "1", 0.0, 4.0, "shapes valve_opening_delay_ms: closing delay over it"),
         ("valve_short_lost", 0.0, "1", 0.0, 3.0, "shapes valve_opening_delay_ms: pulses shorter than so many are lost"),
+        ("valve_current", 0.0, "1", 0.0, 1.0, "shapes valve_opening_delay_ms: 1 is a solenoid's first-order current"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
     + _rows(
@@ -130,7 +131,8 @@ EFFECT_ROWS = (
         "sensor",
         ("angle_lag_ms", 0.0, "ms", 0.0, 300.0, "neutral 0: low-frequency delay; effect angle_sensor_lag"),
         ("pressure_lag_ms", 0.0, "ms", 0.0, 300.0, "neutral 0: low-frequency delay; effect pressure_sensor_lag"),
-        ("lag_order", 1.0, "1", 1.0, 2.0, "shapes the lags: 1, or 2 for two equal poles"),
+        ("lag_order", 1.0, "1", 1.0, 2.0, "shapes the lags: number of poles, 1 or 2"),
+        ("lag_damping", 1.0, "1", 0.3, 1.5, "shapes the lags of two poles: 1 is two equal ones"),
         ("backlash_deg", 0.0, "deg", 0.0, 20.0, "neutral 0: whole play; effect backlash"),
         ("backlash_soft", 0.0, "1", 0.0, 1.0, "shapes backlash_deg: 0 play, 1 yields gradually"),
     )
@@ -142,8 +144,8 @@ EFFECT_ROWS = (
     TILT_SINE, TILT_COSINE, FLEX_K, FLEX_D, FLEX_INERTIA, FLEX_GRAVITY, LINE, MEMORY, CREEP, CREEP_1, CREEP_2, CREEP_3,
     BRAID, BRAID_SLIP, BRAID_ELEMENTS, BRAID_SHARE, DAHL, DAHL_ANGLE, LOAD_SHARE, LINE_R, LINE_V, LINE_LAG,
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
-    TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST,
-) = range(34, 92)  # fmt: skip
+    TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT,
+) = range(34, 94)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -151,7 +153,7 @@ _SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 91 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 93 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
@@ -230,6 +232,8 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         1e5 * p["splitter_droop_bar"],
         front * _SOUND_M_S / (np.pi / 4.0 * _BORE_M**2),
         1e-3 * p["valve_opening_delay_ms"] * p["valve_short_lost"],
+        p["lag_damping"],
+        1e-3 * p["valve_opening_delay_ms"] * p["valve_current"] / np.log(2.0),
     ]
 
 

@@ -62,6 +62,7 @@ _CREEP = _free("creep_share", 0.0, 0.7, 0.2)
 _LOAD = _free("friction_load_share", 0.0, 0.6, 0.3)
 _OPENING = _free("valve_opening_delay_ms", 0.0, 9.0, 2.5, 5.0)
 _TURBULENCE = _free("hose_turbulence", 0.0, 10.0, 0.3)
+_DAMPING = _free("lag_damping", 0.5, 1.2, 0.9)
 _EXPONENT = _free("polytropic_exponent", 1.0, 1.6, 1.2)
 
 FORMS: tuple[EffectForm, ...] = (
@@ -75,6 +76,9 @@ FORMS: tuple[EffectForm, ...] = (
           usual=(2.0, 6.0), source="on/off solenoid valves"),
     _form("valve_delay", "dead times and ramps", "ms", _OPENING, _free("valve_ramp_ms", 0.0, 8.0, 2.0),
           usual=(2.0, 6.0), source="on/off solenoid valves, armature's travel"),
+    _form("valve_delay", "solenoid's current, short pulses lost", "ms", _OPENING,
+          _free("valve_closing_ratio", 0.6, 2.2, 1.4), fixed={"valve_current": 1.0}, usual=(2.0, 6.0),
+          source="current of first order, opening at half of it"),
     _form("valve_delay", "dead times, shorter pulses lost", "ms", _OPENING, _free("valve_closing_ratio", 0.6, 2.2, 1.4),
           fixed={"valve_short_lost": 1.0}, usual=(2.0, 6.0), source="solenoid's current has to build up"),
     _form("supply_droop", "supply stands lower", "bar", _free("supply_drop_bar", 0.0, 0.4, 0.05, 0.13),
@@ -155,11 +159,12 @@ FORMS: tuple[EffectForm, ...] = (
           source="F.67"),
     _form("angle_sensor_lag", "one pole", "ms", _free("angle_lag_ms", 0.0, 80.0, 8.0, 16.0), usual=(5.0, 20.0),
           source="first-order filter"),
-    _form("angle_sensor_lag", "two poles", "ms", _free("angle_lag_ms", 0.0, 80.0, 8.0, 16.0), fixed={"lag_order": 2.0},
+    _form("angle_sensor_lag", "two poles", "ms", _free("angle_lag_ms", 0.0, 80.0, 8.0, 16.0), _DAMPING,
+          fixed={"lag_order": 2.0},
           usual=(5.0, 20.0), source="second-order filter"),
     _form("pressure_sensor_lag", "one pole", "ms", _free("pressure_lag_ms", 0.0, 200.0, 20.0, 50.0), usual=(10.0, 60.0),
           source="first-order filter"),
-    _form("pressure_sensor_lag", "two poles", "ms", _free("pressure_lag_ms", 0.0, 200.0, 20.0, 50.0),
+    _form("pressure_sensor_lag", "two poles", "ms", _free("pressure_lag_ms", 0.0, 200.0, 20.0, 50.0), _DAMPING,
           fixed={"lag_order": 2.0}, usual=(10.0, 60.0), source="second-order filter"),
     _form("backlash", "play before the sensor", "deg", _free("backlash_deg", 0.0, 5.0, 0.4, 0.8), usual=(0.25, 1.0),
           source="play operator"),

@@ -255,23 +255,22 @@ def start(c: Array, x: Array, m: Array) -> None:
     for j in range(3):
         m[CREEP_A + j] = h_a - model.nominal_length(c, c[e.TWO_L_A], x[1])
         m[CREEP_B + j] = h_b - model.nominal_length(c, c[e.TWO_L_B], x[2])
-    for j in range(2):
-        m[ANGLE_LAG + j], m[LAG_A + j], m[LAG_B + j] = x[3], x[1], x[2]
+    m[ANGLE_LAG], m[LAG_A], m[LAG_B] = x[3], x[1], x[2]
     m[PLAY] = x[3]
 
 
 @in_line
-def lagged(m: Array, first: int, value: float, lag_s: float, order: float, tick_s: float) -> float:
-    """A sensor's answer a tick later: one pole, or two equal ones of half the delay each."""
+def lagged(c: Array, m: Array, first: int, value: float, lag_s: float, tick_s: float) -> float:
+    """A sensor's answer a tick later: one pole, or two of a damping, with `lag_s` of delay at low frequency."""
     if lag_s == 0.0:
         return value
-    each = lag_s if order < 2.0 else 0.5 * lag_s
-    share = tick_s / (tick_s + each)
-    m[first] += share * (value - m[first])
-    if order < 2.0:
+    if c[e.LAG_ORDER] < 2.0:
+        m[first] += tick_s / (tick_s + lag_s) * (value - m[first])
         return m[first]
-    m[first + 1] += share * (m[first] - m[first + 1])
-    return m[first + 1]
+    turn = 2.0 * c[e.LAG_DAMPING] / lag_s * tick_s  # Euler's implicit step keeps the delay and is always stable
+    m[first + 1] = (m[first + 1] + turn * turn * (value - m[first])) / (1.0 + turn * (2.0 * c[e.LAG_DAMPING] + turn))
+    m[first] += m[first + 1]
+    return m[first]
 
 
 @in_line
@@ -290,6 +289,6 @@ def played(c: Array, m: Array, angle: float) -> float:
 @called
 def sensed(c: Array, x: Array, m: Array, tick_s: float) -> tuple[float, float, float]:
     """Angle and pressures as the sensors give them before noise and converters (rad, Pa, Pa)."""
-    angle = lagged(m, ANGLE_LAG, played(c, m, x[3]), c[e.ANGLE_LAG], c[e.LAG_ORDER], tick_s)
-    p_a = lagged(m, LAG_A, x[1], c[e.PRESSURE_LAG], c[e.LAG_ORDER], tick_s)
-    return angle, p_a, lagged(m, LAG_B, x[2], c[e.PRESSURE_LAG], c[e.LAG_ORDER], tick_s)
+    angle = lagged(c, m, ANGLE_LAG, played(c, m, x[3]), c[e.ANGLE_LAG], tick_s)
+    p_a = lagged(c, m, LAG_A, x[1], c[e.PRESSURE_LAG], tick_s)
+    return angle, p_a, lagged(c, m, LAG_B, x[2], c[e.PRESSURE_LAG], tick_s)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from loopshape.kernels import pwm
 from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm.model import called, in_line
 from loopshape.units import Array
 
+OPENS = 0.5  # share of a solenoid's current at which its valve opens
 #: a schedule (16,): sign, opening and closing times of the present pulse and of the one before, of A and then of B,
 #: in s from the period's start; then how many edges follow
 SIGN, OPEN, CLOSE, LAST_SIGN, LAST_OPEN, LAST_CLOSE, EACH = 0, 1, 2, 3, 4, 5, 6
@@ -19,10 +22,14 @@ def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_z
     s[first + LAST_OPEN] = s[first + OPEN] - period_s
     s[first + LAST_CLOSE] = s[first + CLOSE] - period_s
     length = pwm.pulse_s(u, period_s, dead_zone)
-    lost = length == 0.0 or length < c[e.SHORTEST]
+    lost, closing = length == 0.0 or length < c[e.SHORTEST], c[e.CLOSING]
+    if c[e.CURRENT] > 0.0 and not lost and length < period_s:  # a short pulse builds up less current, and less to decay
+        current = 1.0 - math.exp(-length / c[e.CURRENT])
+        lost = current < OPENS
+        closing += c[e.CURRENT] * math.log(current)
     s[first + SIGN] = 0.0 if lost else (1.0 if u > 0.0 else -1.0)
     s[first + OPEN] = c[e.OPENING]
-    s[first + CLOSE] = length + c[e.CLOSING]
+    s[first + CLOSE] = length + closing
     whole = s[first + LAST_CLOSE] > c[e.CLOSING] - 1e-9 and s[first + LAST_SIGN] == s[first + SIGN]
     if whole:  # a valve that was open to the period's end and goes on does not move
         s[first + LAST_CLOSE] = s[first + OPEN]
