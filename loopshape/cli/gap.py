@@ -197,7 +197,7 @@ def answer(found: GapReport) -> dict[str, Any]:
 def _rank_json(r: Ranked) -> dict[str, Any]:
     row: dict[str, Any] = {"effect": r.effect, "probability": r.probability}
     if r.magnitude is not None:
-        row |= {"magnitude": r.magnitude, "interval": list(r.interval or ()), "unit": r.unit, "form": r.form}
+        row |= {"magnitude": r.magnitude, "interval": r.interval and list(r.interval), "unit": r.unit, "form": r.form}
     if r.parts:
         row["form"] = r.form
         row["parts"] = {

@@ -86,7 +86,7 @@ def energies(evidence: Evidence, none: Candidate, scored: Mapping[str, Candidate
     return out
 
 
-_EXPLAINED, _NOT_FITTED = 3.0, 3.0
+_EXPLAINED, _NOT_FITTED = 3.0, 5.0
 
 
 def unknown_excess(evidence: Evidence, none: Candidate) -> float:

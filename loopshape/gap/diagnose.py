@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from loopshape.gap import attribute, decide, locate, shrink
 from loopshape.gap.decide import Candidate
@@ -176,13 +177,15 @@ def ranked(plant: Followable, a: Attribution) -> list[Ranked]:
         if found is None or not forms:
             out.append(Ranked(name, probability))
             continue
+        n = len(a.evidence.recordings)
+        width = float(student.ppf(0.975, n - 1)) if n > 1 else float("nan")
         parts = {
-            f.effect: (m, (m - 1.96 * d, m + 1.96 * d), f.unit)
+            f.effect: (m, (m - width * d, m + width * d), f.unit)
             for f, m, d in zip(forms, found.fitted.magnitudes, found.deviations, strict=True)
         }
         if len(forms) == 1:
             m, interval, unit = parts[name]
-            out.append(Ranked(name, probability, m, interval, unit, forms[0].form))
+            out.append(Ranked(name, probability, m, interval if n > 1 else None, unit, forms[0].form))
         else:
             out.append(Ranked(name, probability, form=found.fitted.hypothesis.form, parts=parts))
     return out

@@ -96,7 +96,7 @@ def _draw(rng: np.random.Generator, before: Array, after: Array) -> float | None
     n, _, w = before.shape
     drawn = rng.integers(0, n, n)
     windows = rng.integers(0, w, (n, w))
-    pick = [(before[r][:, windows[k]], after[r][:, windows[k]]) for k, r in enumerate(drawn.tolist())]
+    pick = [(before[drawn[k]][:, windows[k]], after[drawn[k]][:, windows[k]]) for k in range(n)]
     return shrink_of(np.array([b for b, _ in pick]), np.array([a for _, a in pick]))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loopshape.channel import sum_terms
 from loopshape.experiment import LoopSetup
 from loopshape.kernels import biquads
 from loopshape.recording import Recording
@@ -32,7 +33,7 @@ def software_check(run: Run) -> list[str]:
 def difference(recording: Recording, loop: LoopSetup) -> float | None:
     """Rms of logged z less z recomputed, over z's rms; None where it cannot be told."""
     c = recording.columns
-    needed = (loop.reference, loop.injected, loop.control)
+    needed = (loop.reference, loop.injected, loop.control, *sum_terms(loop.output))
     if loop.controller is None or not recording.info.closed_loop or any(n is None or n not in c for n in needed):
         return None
     error = recording.column(str(loop.reference)) - recording.output(loop.output)
