@@ -52,10 +52,17 @@ def size(s: EffectSheet, path: str, recording: str = "middle", where: tuple[floa
     return 100.0 * band(s, path, where, recording).size
 
 
+def quotient(one: float, two: float) -> float:
+    """One size over another, no size being taken for less than 0.1 %."""
+    return max(one, 0.1) / max(two, 0.1)
+
+
 def by_amplitude(s: EffectSheet, path: str) -> float:
     """Rms difference of the change at small and at large excitation, over the larger of both changes."""
     small, large = band(s, path, BROAD, "small"), band(s, path, BROAD, "large")
     shared = np.intersect1d(small.frequency_hz, large.frequency_hz)
+    if not shared.size:
+        return float("nan")
     a, b = (x.ratio[np.isin(x.frequency_hz, shared)] for x in (small, large))
     noise = sum(float(np.mean(x.noise**2)) for x in (small, large))
     apart = float(np.sqrt(max(float(np.mean(np.abs(a - b) ** 2)) - noise, 0.0)))
@@ -104,18 +111,23 @@ def only(path: str, quiet: str) -> tuple[str, str, str, Callable[[EffectSheet], 
     """Shows in one path and hardly in another: less than a third."""
     return (
         "shows in", f"{path}, not {quiet}", "1",
-        lambda s: (v := size(s, quiet, where=RESONANCE) / size(s, path, where=RESONANCE), v < 0.33),
+        lambda s: (v := quotient(size(s, quiet, where=RESONANCE), size(s, path, where=RESONANCE)), v < 0.33),
     )  # fmt: skip
 
 
 def more_at(one: str, two: str, path: str, words: str) -> tuple[str, str, str, Callable[[EffectSheet], Answer]]:
     """Larger at one operating point than at another, by a quarter at least."""
-    return ("depends on", words, "1", lambda s: (v := size(s, path, one) / size(s, path, two), v > 1.25))
+    return ("depends on", words, "1", lambda s: (v := quotient(size(s, path, one), size(s, path, two)), v > 1.25))
 
 
 def alike(one: str, two: str, path: str, words: str) -> tuple[str, str, str, Callable[[EffectSheet], Answer]]:
     """As large at one operating point as at another, within a third."""
-    return ("depends on", words, "1", lambda s: (v := size(s, path, one) / size(s, path, two), 0.75 < v < 1.33))
+    return (
+        "depends on",
+        words,
+        "1",
+        lambda s: (v := quotient(size(s, path, one), size(s, path, two)), 0.75 < v < 1.33),
+    )
 
 
 def below(words: str, path: str, where: tuple[float, float], db: float, recording: str = "middle") -> tuple:
@@ -148,7 +160,7 @@ def linear_phase(path: str) -> tuple:
 
     def test(s: EffectSheet) -> Answer:
         one, two = band(s, path, RESONANCE), band(s, path, HIGH)
-        delays = [float(np.median(-x.phase_deg / (0.36 * x.frequency_hz))) for x in (one, two)]
+        delays = [float(np.median(-x.phase_deg / (0.36 * x.frequency_hz))) for x in (one, two)]  # deg/(deg/ms)
         return delays[0], delays[0] > 0.5 and abs(delays[1] / delays[0] - 1.0) < 0.2
 
     return ("FRF", "linear phase", "ms", test)

@@ -93,9 +93,7 @@ def write(name: str, columns: tuple[str, ...], rows: list[list]) -> None:
 
 def own_digits() -> Array:
     """Shares of half a digit (6,), small ones, with which the printed model gives the source's own 5.8 and 4.7 Hz."""
-    return least_squares(
-        lambda q: np.r_[10.0 * own_misfits(q), 0.1 * q], np.zeros(6), bounds=(-1.0, 1.0), diff_step=1e-3
-    ).x
+    return least_squares(lambda q: np.r_[own_misfits(q), 0.1 * q], np.zeros(6), bounds=(-1.0, 1.0), diff_step=1e-3).x
 
 
 def acts(form: EffectForm) -> bool:

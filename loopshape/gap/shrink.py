@@ -94,9 +94,9 @@ def summary(before: Levels, after: Levels, rival: tuple[str, Levels] | None, fil
 
 def _draw(rng: np.random.Generator, before: Array, after: Array) -> float | None:
     n, _, w = before.shape
-    drawn = rng.integers(0, n, n)
     windows = rng.integers(0, w, (n, w))
-    pick = [(before[drawn[k]][:, windows[k]], after[drawn[k]][:, windows[k]]) for k in range(n)]
+    rows = [int(rng.integers(0, n)) for _ in range(n)]
+    pick = [(before[row][:, windows[k]], after[row][:, windows[k]]) for k, row in enumerate(rows)]
     return shrink_of(np.array([b for b, _ in pick]), np.array([a for _, a in pick]))
 
 

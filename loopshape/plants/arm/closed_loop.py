@@ -254,7 +254,7 @@ def run(
     converters clip.
     """
     period_s = period_ticks * tick_s
-    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(16)
+    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
     held[model.COULOMB] = c[e.COULOMB]
     n_edges = 0
     u_a = u_b = 0.0
@@ -318,7 +318,7 @@ def follow(
     with the sensors' answers before each pull.
     """
     period_s, row_s = period_ticks * tick_s, stride * tick_s
-    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(16)
+    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
     held[model.COULOMB] = c[e.COULOMB]
     delay = c[e.LOOP_DELAY] / tick_s
     n_edges = 0

@@ -29,7 +29,8 @@ EFFECT_ROWS = (
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
         ("valve_closing_ratio", 1.5, "1", 0.0, 4.0, "shapes valve_opening_delay_ms: closing delay over it"),
         ("valve_short_lost", 0.0, "1", 0.0, 3.0, "shapes valve_opening_delay_ms: pulses shorter than so many are lost"),
-        ("valve_current", 0.0, "1", 0.0, 1.0, "shapes valve_opening_delay_ms: 1 is a solenoid's first-order current"),
+        ("valve_travel_ms", 0.0, "ms", 0.0, 30.0, "neutral 0: an armature's travel; short pulses turn back on it"),
+        ("valve_current", 0.0, "1", 0.0, 20.0, "shapes valve_opening_delay_ms: a solenoid's current, 1 opens at half"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
     + _rows(
@@ -104,6 +105,14 @@ EFFECT_ROWS = (
         ("stribeck_rad_s", 0.2, "rad/s", 0.02, 10.0, "shapes coulomb_nm: Stribeck's velocity"),
         ("presliding_nm", 0.0, "N m", 0.0, 5.0, "neutral 0: Dahl (LuGre) friction; effect joint_friction"),
         ("presliding_deg", 0.2, "deg", 0.005, 20.0, "shapes presliding_nm: angle of yielding"),
+        (
+            "presliding_damping_s",
+            0.0,
+            "s",
+            0.0,
+            0.2,
+            "shapes presliding_nm: LuGre's bristle damping over its stiffness",
+        ),
         ("presliding_elements", 0.0, "1", 0.0, 1.0, "shapes presliding_nm: 0 Dahl, 1 slip elements"),
         ("friction_load_share", 0.0, "1", 0.0, 1.0, "shapes both frictions: share that goes with the muscles' pull"),
         ("hose_stiffness_nm_rad", 0.0, "N m/rad", 0.0, 50.0, "neutral 0; effect hose_stiffness"),
@@ -144,8 +153,9 @@ EFFECT_ROWS = (
     TILT_SINE, TILT_COSINE, FLEX_K, FLEX_D, FLEX_INERTIA, FLEX_GRAVITY, LINE, MEMORY, CREEP, CREEP_1, CREEP_2, CREEP_3,
     BRAID, BRAID_SLIP, BRAID_ELEMENTS, BRAID_SHARE, DAHL, DAHL_ANGLE, LOAD_SHARE, LINE_R, LINE_V, LINE_LAG,
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
-    TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT,
-) = range(34, 94)  # fmt: skip
+    TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
+    TRAVEL, TRAVEL_BACK, DAHL_DAMPING,
+) = range(34, 98)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -153,7 +163,7 @@ _SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 93 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 97 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
@@ -226,7 +236,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         float(rad(p["backlash_deg"])),
         p["backlash_soft"],
         float(_torques(p)),
-        float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] > 0.0),
+        float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] + p["valve_travel_ms"] > 0.0),
         p["presliding_elements"],
         p["hose_turbulence"],
         1e5 * p["splitter_droop_bar"],
@@ -234,6 +244,10 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         1e-3 * p["valve_opening_delay_ms"] * p["valve_short_lost"],
         p["lag_damping"],
         1e-3 * p["valve_opening_delay_ms"] * p["valve_current"] / np.log(2.0),
+        1e-3 * p["valve_opening_delay_ms"],
+        1e-3 * p["valve_travel_ms"],
+        1e-3 * p["valve_travel_ms"] * p["valve_closing_ratio"],
+        p["presliding_damping_s"],
     ]
 
 

@@ -57,7 +57,9 @@ _SPEED = _free("coulomb_rad_s", 0.01, 0.15, 0.03)
 _DAHL = _free("presliding_nm", 0.0, 1.0, 0.06, 0.18)
 _BRAID = _free("braid_force_n", 0.0, 40.0, 2.5, 6.0)
 _SLIP = _free("braid_slip_mm", 0.02, 5.0, 0.3)
-_SHARE = _free("braid_pressure_share", 0.7, 1.0, 0.95)
+_YIELD = _free("presliding_deg", 0.01, 4.0, 0.2)
+_BRISTLE = _free("presliding_damping_s", 0.0, 0.05, 0.004)
+_SHARE = _free("braid_pressure_share", 0.6, 1.0, 0.9)
 _CREEP = _free("creep_share", 0.0, 0.7, 0.2)
 _LOAD = _free("friction_load_share", 0.0, 0.6, 0.3)
 _OPENING = _free("valve_opening_delay_ms", 0.0, 9.0, 2.5, 5.0)
@@ -77,7 +79,7 @@ FORMS: tuple[EffectForm, ...] = (
     _form("valve_delay", "dead times and ramps", "ms", _OPENING, _free("valve_ramp_ms", 0.0, 8.0, 2.0),
           usual=(2.0, 6.0), source="on/off solenoid valves, armature's travel"),
     _form("valve_delay", "solenoid's current, short pulses lost", "ms", _OPENING,
-          _free("valve_closing_ratio", 0.6, 2.2, 1.4), fixed={"valve_current": 1.0}, usual=(2.0, 6.0),
+          _free("valve_closing_ratio", 0.6, 2.2, 1.4), _free("valve_current", 0.2, 1.6, 0.8), usual=(2.0, 6.0),
           source="current of first order, opening at half of it"),
     _form("valve_delay", "dead times, shorter pulses lost", "ms", _OPENING, _free("valve_closing_ratio", 0.6, 2.2, 1.4),
           fixed={"valve_short_lost": 1.0}, usual=(2.0, 6.0), source="solenoid's current has to build up"),
@@ -133,15 +135,14 @@ FORMS: tuple[EffectForm, ...] = (
           usual=(2.0, 8.0), source="spread of five muscles, appendix G"),
     _form("stiffness_error", "both stiffer", "1", _free("stiffness_error", -0.6, 1.0, -0.17, 0.17),
           usual=(0.1, 0.25), source="table 4.1's digits"),
+    _form("joint_friction", "LuGre under load", "N m", _DAHL, _YIELD, _LOAD, _BRISTLE, usual=(0.04, 0.25),
+          source="Canudas de Wit 1995, bearing under load"),
+    _form("joint_friction", "slip elements under load", "N m", _DAHL, _YIELD, _LOAD,
+          fixed={"presliding_elements": 1.0}, usual=(0.04, 0.25), source="Iwan 1966, bearing under load"),
+    _form("joint_friction", "LuGre with Stribeck", "N m", _DAHL, _YIELD, _BRISTLE,
+          _free("stribeck_share", 0.0, 1.0, 0.1), usual=(0.04, 0.25), source="Canudas de Wit 1995, Stribeck 1902"),
     _form("joint_friction", "tanh Coulomb with Stribeck", "N m", _FRICTION, _SPEED,
           _free("stribeck_share", 0.0, 2.0, 0.3), usual=(0.04, 0.25), source="Stribeck 1902"),
-    _form("joint_friction", "presliding, LuGre", "N m", _DAHL, _free("presliding_deg", 0.01, 4.0, 0.15),
-          usual=(0.04, 0.25), source="Dahl 1968, Canudas de Wit 1995"),
-    _form("joint_friction", "presliding, goes with the load", "N m", _DAHL, _free("presliding_deg", 0.01, 4.0, 0.15),
-          _LOAD, _free("stribeck_share", 0.0, 1.0, 0.1), usual=(0.04, 0.25), source="Dahl 1968, bearing under load"),
-    _form("joint_friction", "slip elements, go with the load", "N m", _DAHL, _free("presliding_deg", 0.01, 4.0, 0.15),
-          _LOAD, _free("stribeck_share", 0.0, 1.0, 0.1), fixed={"presliding_elements": 1.0}, usual=(0.04, 0.25),
-          source="Iwan 1966, bearing under load"),
     _form("hose_stiffness", "spring about an angle", "N m/rad", _free("hose_stiffness_nm_rad", 0.0, 15.0, 1.0, 3.0),
           _free("hose_angle_deg", -60.0, 60.0, 8.0, -8.0), usual=(0.6, 4.0), source="bent hose"),
     _form("hose_stiffness", "hardening spring about an angle", "N m/rad",

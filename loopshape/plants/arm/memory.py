@@ -132,7 +132,7 @@ def hold(
     if c[e.DAHL] > 0.0:
         pull, slope = friction(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], side)
         level = load * c[e.DAHL] * model.stribeck(c, velocity)
-        held[model.TORQUE] -= level * pull
+        held[model.TORQUE] -= level * (pull + c[e.DAHL_DAMPING] * velocity * slope)
         held[model.SLOPE] -= level * slope
     hold_flows(c, x, m, held, h, in_a, in_b, out_a, out_b)
 

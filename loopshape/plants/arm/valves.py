@@ -9,7 +9,7 @@ from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm.model import called, in_line
 from loopshape.units import Array
 
-OPENS = 0.5  # share of a solenoid's current at which its valve opens
+MOST_EDGES = 24
 #: a schedule (16,): sign, opening and closing times of the present pulse and of the one before, of A and then of B,
 #: in s from the period's start; then how many edges follow
 SIGN, OPEN, CLOSE, LAST_SIGN, LAST_OPEN, LAST_CLOSE, EACH = 0, 1, 2, 3, 4, 5, 6
@@ -24,9 +24,9 @@ def next_pulse(c: Array, s: Array, first: int, u: float, period_s: float, dead_z
     length = pwm.pulse_s(u, period_s, dead_zone)
     lost, closing = length == 0.0 or length < c[e.SHORTEST], c[e.CLOSING]
     if c[e.CURRENT] > 0.0 and not lost and length < period_s:  # a short pulse builds up less current, and less to decay
-        current = 1.0 - math.exp(-length / c[e.CURRENT])
-        lost = current < OPENS
-        closing += c[e.CURRENT] * math.log(current)
+        lost = length < c[e.ALONE]
+        closing += c[e.CURRENT] * math.log(1.0 - math.exp(-length / c[e.CURRENT]))
+        closing = max(closing, c[e.OPENING] - length)
     s[first + SIGN] = 0.0 if lost else (1.0 if u > 0.0 else -1.0)
     s[first + OPEN] = c[e.OPENING]
     s[first + CLOSE] = length + closing
@@ -49,6 +49,10 @@ def plan_period(c: Array, s: Array, edges: Array, u_a: float, u_b: float, period
                     n = put(edges, n, s[at + k] - half, period_s)
                     if half > 0.0:
                         n = put(edges, n, s[at + k] + half, period_s)
+                if c[e.TRAVEL] > 0.0:
+                    up = min(c[e.TRAVEL], s[at + 2] - s[at + 1])
+                    n = put(edges, n, s[at + 1] + up, period_s)
+                    n = put(edges, n, s[at + 2] + up / c[e.TRAVEL] * c[e.TRAVEL_BACK], period_s)
     return n
 
 
@@ -66,12 +70,17 @@ def put(edges: Array, n: int, time_s: float, period_s: float) -> int:
 
 
 @in_line
-def pulse_area(opens: float, closes: float, ramp: float, now: float) -> float:
-    """Open area of one pulse at `now`; ramps are centred on its edges."""
-    if ramp == 0.0:
+def pulse_area(c: Array, opens: float, closes: float, now: float) -> float:
+    """Open area of one pulse at `now`: sharp, ramps centred on its edges, or an armature's travel there and back."""
+    if c[e.TRAVEL] > 0.0:
+        if now < closes:
+            return min(max((now - opens) / c[e.TRAVEL], 0.0), 1.0)
+        reached = min((closes - opens) / c[e.TRAVEL], 1.0)
+        return max(reached - (now - closes) / c[e.TRAVEL_BACK], 0.0)
+    if c[e.RAMP] == 0.0:
         return 1.0 if opens <= now < closes else 0.0
-    up = min(max((now - opens) / ramp + 0.5, 0.0), 1.0)
-    return max(up - min(max((now - closes) / ramp + 0.5, 0.0), 1.0), 0.0)
+    up = min(max((now - opens) / c[e.RAMP] + 0.5, 0.0), 1.0)
+    return max(up - min(max((now - closes) / c[e.RAMP] + 0.5, 0.0), 1.0), 0.0)
 
 
 @in_line
@@ -79,9 +88,9 @@ def area(c: Array, s: Array, first: int, side: float, now: float) -> float:
     """Open area 0..1 of a muscle's in (side 1) or out (side -1) valve at `now` s of the period."""
     total = 0.0
     if s[first + SIGN] == side:
-        total += pulse_area(s[first + OPEN], s[first + CLOSE], c[e.RAMP], now)
+        total += pulse_area(c, s[first + OPEN], s[first + CLOSE], now)
     if s[first + LAST_SIGN] == side:
-        total += pulse_area(s[first + LAST_OPEN], s[first + LAST_CLOSE], c[e.RAMP], now)
+        total += pulse_area(c, s[first + LAST_OPEN], s[first + LAST_CLOSE], now)
     return min(total, 1.0)
 
 
