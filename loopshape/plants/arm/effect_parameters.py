@@ -94,6 +94,14 @@ EFFECT_ROWS = (
             "neutral 0: friction of one muscle at 0.5 bar; effect braid_hysteresis",
         ),
         ("braid_slip_mm", 0.5, "mm", 0.02, 20.0, "shapes braid_force_n: length of yielding"),
+        (
+            "braid_unloading",
+            1.0,
+            "1",
+            0.0,
+            1.0,
+            "shapes braid_force_n: 0 unloads straight (Bouc-Wen), 1 steeper (Dahl)",
+        ),
         ("braid_elements", 0.0, "1", 0.0, 1.0, "shapes braid_force_n: 0 Bouc-Wen, 1 slip elements"),
         ("braid_pressure_share", 1.0, "1", 0.0, 1.0, "shapes braid_force_n: share that goes with pressure"),
     )
@@ -154,8 +162,8 @@ EFFECT_ROWS = (
     BRAID, BRAID_SLIP, BRAID_ELEMENTS, BRAID_SHARE, DAHL, DAHL_ANGLE, LOAD_SHARE, LINE_R, LINE_V, LINE_LAG,
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
     TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
-    TRAVEL, TRAVEL_BACK, DAHL_DAMPING,
-) = range(34, 98)  # fmt: skip
+    TRAVEL, TRAVEL_BACK, DAHL_DAMPING, BRAID_STEEPER,
+) = range(34, 99)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -163,7 +171,7 @@ _SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 97 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 98 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
@@ -248,6 +256,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         1e-3 * p["valve_travel_ms"],
         1e-3 * p["valve_travel_ms"] * p["valve_closing_ratio"],
         p["presliding_damping_s"],
+        p["braid_unloading"],
     ]
 
 

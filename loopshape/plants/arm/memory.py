@@ -55,10 +55,26 @@ def braid_level(c: Array, p: float) -> float:
 
 
 @in_line
-def friction(m: Array, single: int, first: int, elements: float, slip: float, side: float) -> tuple[float, float]:
+def unloading(z: float, step: float, steeper: float) -> float:
+    """As `slipping`, where back to nothing the slope is 1 + steeper |z|: 1 is Dahl's, 0 Bouc and Wen's usual one."""
+    if steeper == 1.0 or z * step >= 0.0:
+        return slipping(z, step)
+    side, way, size = math.copysign(1.0, step), abs(step), abs(z)
+    back = math.log(1.0 + steeper * size) / steeper if steeper > 0.0 else size
+    if way >= back:
+        return slipping(0.0, side * (way - back))
+    left = ((1.0 + steeper * size) * math.exp(-steeper * way) - 1.0) / steeper if steeper > 0.0 else size - way
+    return -side * left
+
+
+@in_line
+def friction(
+    m: Array, single: int, first: int, elements: float, slip: float, side: float, steeper: float
+) -> tuple[float, float]:
     """Share of its level at which a sliding friction pulls, and its slope over the way; `side` of motion."""
     if elements == 0.0:
-        return m[single], (1.0 - side * m[single]) / slip
+        loaded = side * m[single]
+        return m[single], (1.0 - (loaded if loaded > 0.0 else steeper * loaded)) / slip
     pull = slope = 0.0
     for j in range(ELEMENTS):
         z = m[first + j]
@@ -69,10 +85,10 @@ def friction(m: Array, single: int, first: int, elements: float, slip: float, si
 
 
 @in_line
-def slide(m: Array, single: int, first: int, elements: float, slip: float, way: float) -> None:
+def slide(m: Array, single: int, first: int, elements: float, slip: float, way: float, steeper: float) -> None:
     """The same friction's elements after a way."""
     if elements == 0.0:
-        m[single] = slipping(m[single], way / slip)
+        m[single] = unloading(m[single], way / slip, steeper)
         return
     for j in range(ELEMENTS):
         m[first + j] = sticking(m[first + j], way / element_slip(slip, j))
@@ -119,7 +135,7 @@ def hold(
         for lever, p, single, first in ((lever_a, x[1], WEN_A, SLIP_A), (lever_b, x[2], WEN_B, SLIP_B)):
             level = braid_level(c, p)
             along = side if lever < 0.0 else -side
-            pull, slope = friction(m, single, first, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], along)
+            pull, slope = friction(m, single, first, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], along, c[e.BRAID_STEEPER])
             held[model.TORQUE] += level * pull * lever
             held[model.SLOPE] -= level * slope * lever * lever
     held[model.CREEP_A], held[model.CREEP_B] = creep(c, m, CREEP_A), creep(c, m, CREEP_B)
@@ -130,7 +146,7 @@ def hold(
         load += c[e.LOAD_SHARE] * ((abs(pull_a) + abs(pull_b)) / TYPICAL_PULL_N - 1.0)
     held[model.COULOMB] = load * c[e.COULOMB]
     if c[e.DAHL] > 0.0:
-        pull, slope = friction(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], side)
+        pull, slope = friction(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], side, 1.0)
         level = load * c[e.DAHL] * model.stribeck(c, velocity)
         held[model.TORQUE] -= level * (pull + c[e.DAHL_DAMPING] * velocity * slope)
         held[model.SLOPE] -= level * slope
@@ -230,7 +246,7 @@ def line(c: Array, p: float, mass: float) -> tuple[float, float]:
 def move_on(c: Array, x: Array, m: Array, held: Array, h: float) -> None:
     """Bring creep and friction after a step of h s that began as `held` says and ended in `x`."""
     if c[e.DAHL] > 0.0:
-        slide(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], x[3] - held[model.FROM])
+        slide(m, DAHL, SLIP_JOINT, c[e.DAHL_ELEMENTS], c[e.DAHL_ANGLE], x[3] - held[model.FROM], 1.0)
     if c[e.CREEP] == 0.0 and c[e.BRAID] == 0.0:
         return
     was_a, was_b = held[model.LENGTH_A], held[model.LENGTH_B]
@@ -243,8 +259,8 @@ def move_on(c: Array, x: Array, m: Array, held: Array, h: float) -> None:
             m[CREEP_A + j] = branch_on(m[CREEP_A + j], stretch_a, c[e.CREEP_1 + j], h)
             m[CREEP_B + j] = branch_on(m[CREEP_B + j], stretch_b, c[e.CREEP_1 + j], h)
     if c[e.BRAID] > 0.0:
-        slide(m, WEN_A, SLIP_A, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_a - was_a)
-        slide(m, WEN_B, SLIP_B, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_b - was_b)
+        slide(m, WEN_A, SLIP_A, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_a - was_a, c[e.BRAID_STEEPER])
+        slide(m, WEN_B, SLIP_B, c[e.BRAID_ELEMENTS], c[e.BRAID_SLIP], h_b - was_b, c[e.BRAID_STEEPER])
 
 
 @called
