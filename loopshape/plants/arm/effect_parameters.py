@@ -29,7 +29,14 @@ EFFECT_ROWS = (
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
         ("valve_closing_ratio", 1.5, "1", 0.0, 4.0, "shapes valve_opening_delay_ms: closing delay over it"),
         ("valve_short_lost", 0.0, "1", 0.0, 3.0, "shapes valve_opening_delay_ms: pulses shorter than so many are lost"),
-        ("valve_travel_ms", 0.0, "ms", 0.0, 30.0, "neutral 0: an armature's travel; short pulses turn back on it"),
+        (
+            "valve_travel_share",
+            0.0,
+            "1",
+            0.0,
+            1.9,
+            "shapes valve_opening_delay_ms: armature's travel over it; half open then",
+        ),
         ("valve_current", 0.0, "1", 0.0, 20.0, "shapes valve_opening_delay_ms: a solenoid's current, 1 opens at half"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
@@ -163,7 +170,8 @@ EFFECT_ROWS = (
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
     TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
     TRAVEL, TRAVEL_BACK, DAHL_DAMPING, BRAID_STEEPER,
-) = range(34, 99)  # fmt: skip
+    WHOLE_LATE,
+) = range(34, 100)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -171,12 +179,14 @@ _SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 98 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 99 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
     share = p["flexible_share"]
-    closing_ms = p["valve_opening_delay_ms"] * p["valve_closing_ratio"]
+    travel_ms = p["valve_opening_delay_ms"] * p["valve_travel_share"]
+    opening_ms = p["valve_opening_delay_ms"] - 0.5 * travel_ms  # an armature sets out; half open after the delay
+    closing_ms = opening_ms * p["valve_closing_ratio"]
     reduced = share * (1.0 - share) * inertia_kgm2
     turn = 2.0 * np.pi * p["flexible_hz"]
     two_l = 2e-3 * p["braid_length_mm"]
@@ -235,7 +245,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         1e5 * p["supply_droop_bar"],
         p["supply_droop_time_s"],
         1e-3 * p["loop_delay_ms"],
-        1e-3 * max(p["valve_opening_delay_ms"] + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
+        1e-3 * max(opening_ms + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
         1e-3 * max(closing_ms + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
         1e-3 * p["valve_ramp_ms"],
         1e-3 * p["angle_lag_ms"],
@@ -244,7 +254,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         float(rad(p["backlash_deg"])),
         p["backlash_soft"],
         float(_torques(p)),
-        float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] + p["valve_travel_ms"] > 0.0),
+        float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] > 0.0),
         p["presliding_elements"],
         p["hose_turbulence"],
         1e5 * p["splitter_droop_bar"],
@@ -253,10 +263,11 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         p["lag_damping"],
         1e-3 * p["valve_opening_delay_ms"] * p["valve_current"] / np.log(2.0),
         1e-3 * p["valve_opening_delay_ms"],
-        1e-3 * p["valve_travel_ms"],
-        1e-3 * p["valve_travel_ms"] * p["valve_closing_ratio"],
+        1e-3 * travel_ms,
+        1e-3 * travel_ms * p["valve_closing_ratio"],
         p["presliding_damping_s"],
         p["braid_unloading"],
+        1e-3 * p["pulse_delay_ms"],
     ]
 
 
