@@ -85,8 +85,16 @@ class EffectForm:
 
 @dataclass(frozen=True)
 class Spread:
-    """What differs from machine to machine and is no gap: parameters that scale together, uniformly by up to `half`."""
+    """What differs from machine to machine and is no gap: parameters that scale together, uniformly by up to `half`.
+
+    With `adds` they are moved by up to `half` in their own unit instead.
+    """
 
     name: str
     parameters: tuple[str, ...]
     half: float
+    adds: bool = False
+
+    def moved(self, value: float, share: float) -> float:
+        """A parameter of this value where the spread stands at `share` (-1..1)."""
+        return value + self.half * share if self.adds else value * (1.0 + self.half * share)

@@ -22,7 +22,7 @@ def plant(name: str) -> Rig:
     if name == "servo-axis":
         from loopshape.plants.servo_axis.axis import ServoAxis
 
-        return ServoAxis()
+        return ServoAxis(zero_is_ordinary=True)
     raise WrongUseError("a plant is not known", f"{name!r}", f"use one of {', '.join(PLANTS)}")
 
 

@@ -62,7 +62,7 @@ class Hypothesis:
         for s, value in zip(self.plant.spread, phi[at:].tolist(), strict=True):
             for name in s.parameters:
                 nominal = self.plant.parameters.rows[self.plant.parameters.index(name)].value
-                out[name] = out.get(name, nominal) * (1.0 + s.half * value)
+                out[name] = s.moved(out.get(name, nominal), value)
         return out
 
     def steps(self, phi: Array) -> Array:

@@ -1,5 +1,6 @@
 """The README's commands run as they stand, in a copy of the project's examples."""
 
+import json
 import os
 import re
 import shutil
@@ -18,7 +19,7 @@ def blocks() -> dict[str, str]:
     return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
 
 
-@pytest.mark.parametrize("name", ["tour", "own", "arm"])
+@pytest.mark.parametrize("name", ["tour", "own", "arm", "gap"])
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent
@@ -31,7 +32,12 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         check=False, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    assert done.stdout.rstrip().endswith("verdict: pass")
+    if name == "gap":
+        answer = json.loads((tmp_path / "out" / "gap" / "gap.json").read_text())
+        assert answer["verdict"] == "gas_law"
+        assert answer["gap"]["shrink"] > 0.9
+    else:
+        assert done.stdout.rstrip().endswith("verdict: pass")
 
 
 def _shorten(study: Path) -> None:

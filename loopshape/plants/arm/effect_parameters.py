@@ -29,14 +29,7 @@ EFFECT_ROWS = (
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
         ("valve_closing_ratio", 1.5, "1", 0.0, 4.0, "shapes valve_opening_delay_ms: closing delay over it"),
         ("valve_short_lost", 0.0, "1", 0.0, 3.0, "shapes valve_opening_delay_ms: pulses shorter than so many are lost"),
-        (
-            "valve_travel_share",
-            0.0,
-            "1",
-            0.0,
-            1.9,
-            "shapes valve_opening_delay_ms: armature's travel over it; half open then",
-        ),
+        ("valve_travel_share", 0.0, "1", 0.0, 1.9, "shapes valve_opening_delay_ms: armature's travel over it"),
         ("valve_current", 0.0, "1", 0.0, 20.0, "shapes valve_opening_delay_ms: a solenoid's current, 1 opens at half"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
@@ -47,14 +40,7 @@ EFFECT_ROWS = (
         ("splitter_droop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: drop behind the capacity at one open in-valve"),
         ("supply_droop_time_s", 0.05, "s", 0.001, 10.0, "shapes both droops: time constant"),
         ("critical_ratio", 0.0, "1", 0.0, 0.95, "neutral 0: (3.16); else ISO 6358-1's ellipse; effect choked_flow"),
-        (
-            "choked_conductance",
-            1.0,
-            "1",
-            0.3,
-            3.0,
-            "shapes critical_ratio: conductance over the one equal at small drops",
-        ),
+        ("choked_conductance", 1.0, "1", 0.3, 3.0, "shapes critical_ratio: over the one equal at small drops"),
     )
     + _rows(
         "line",
@@ -76,39 +62,12 @@ EFFECT_ROWS = (
         ("nominal_length_b_mm", 0.0, "mm", -30.0, 30.0, "neutral 0: B's h0 is longer; effect nominal_length_offset"),
         ("creep_share", 0.0, "1", 0.0, 0.9, "neutral 0: relaxing share of the stiffness; effect muscle_creep"),
         ("creep_time_s", 1.0, "s", 0.01, 1000.0, "shapes creep_share: time constant of its middle branch"),
-        (
-            "creep_decades",
-            0.0,
-            "1",
-            0.0,
-            2.0,
-            "shapes creep_share: decades between its three branches, 0 is one branch",
-        ),
-        (
-            "creep_slow_nominal",
-            0.0,
-            "1",
-            0.0,
-            1.0,
-            "shapes creep_share: 1 where the nominal stiffness is the relaxed one",
-        ),
-        (
-            "braid_force_n",
-            0.0,
-            "N",
-            0.0,
-            200.0,
-            "neutral 0: friction of one muscle at 0.5 bar; effect braid_hysteresis",
-        ),
+        ("creep_decades", 0.0, "1", 0.0, 2.0, "shapes creep_share: between three branches, 0 is one"),
+        ("creep_slow_nominal", 0.0, "1", 0.0, 1.0, "shapes creep_share: 1 where the nominal one is relaxed"),
+        ("creep_of_length", 0.0, "1", 0.0, 1.0, "shapes creep_share: 1 relaxes to the length, nominal when relaxed"),
+        ("braid_force_n", 0.0, "N", 0.0, 200.0, "neutral 0: of one muscle at 0.5 bar; effect braid_hysteresis"),
         ("braid_slip_mm", 0.5, "mm", 0.02, 20.0, "shapes braid_force_n: length of yielding"),
-        (
-            "braid_unloading",
-            1.0,
-            "1",
-            0.0,
-            1.0,
-            "shapes braid_force_n: 0 unloads straight (Bouc-Wen), 1 steeper (Dahl)",
-        ),
+        ("braid_unloading", 1.0, "1", 0.0, 1.0, "shapes braid_force_n: 0 straight (Bouc-Wen), 1 Dahl's"),
         ("braid_elements", 0.0, "1", 0.0, 1.0, "shapes braid_force_n: 0 Bouc-Wen, 1 slip elements"),
         ("braid_pressure_share", 1.0, "1", 0.0, 1.0, "shapes braid_force_n: share that goes with pressure"),
     )
@@ -120,14 +79,7 @@ EFFECT_ROWS = (
         ("stribeck_rad_s", 0.2, "rad/s", 0.02, 10.0, "shapes coulomb_nm: Stribeck's velocity"),
         ("presliding_nm", 0.0, "N m", 0.0, 5.0, "neutral 0: Dahl (LuGre) friction; effect joint_friction"),
         ("presliding_deg", 0.2, "deg", 0.005, 20.0, "shapes presliding_nm: angle of yielding"),
-        (
-            "presliding_damping_s",
-            0.0,
-            "s",
-            0.0,
-            0.2,
-            "shapes presliding_nm: LuGre's bristle damping over its stiffness",
-        ),
+        ("presliding_damping_s", 0.0, "s", 0.0, 0.2, "shapes presliding_nm: LuGre's sigma_1 over sigma_0"),
         ("presliding_elements", 0.0, "1", 0.0, 1.0, "shapes presliding_nm: 0 Dahl, 1 slip elements"),
         ("friction_load_share", 0.0, "1", 0.0, 1.0, "shapes both frictions: share that goes with the muscles' pull"),
         ("hose_stiffness_nm_rad", 0.0, "N m/rad", 0.0, 50.0, "neutral 0; effect hose_stiffness"),
@@ -141,14 +93,7 @@ EFFECT_ROWS = (
         ("flexible_share", 0.0, "1", 0.0, 0.9, "neutral 0: share of the inertia beyond; effect coupling_flexibility"),
         ("flexible_hz", 15.0, "Hz", 2.0, 60.0, "shapes flexible_share: free-free frequency"),
         ("flexible_damping", 0.02, "1", 0.0, 0.5, "shapes flexible_share: relative damping, free-free"),
-        (
-            "flexible_gravity",
-            1.0,
-            "1",
-            0.0,
-            1.0,
-            "shapes flexible_share: share of that inertia's part of gravity beyond",
-        ),
+        ("flexible_gravity", 1.0, "1", 0.0, 1.0, "shapes flexible_share: of its part of gravity beyond"),
         ("base_tilt_deg", 0.0, "deg", -45.0, 45.0, "neutral 0: gravity acts as at theta2 + tilt; effect base_tilt"),
     )
     + _rows(
@@ -170,8 +115,8 @@ EFFECT_ROWS = (
     DROP, DROP_TIME, LOOP_DELAY, OPENING, CLOSING, RAMP, ANGLE_LAG, PRESSURE_LAG, LAG_ORDER, PLAY, PLAY_SOFT,
     TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
     TRAVEL, TRAVEL_BACK, DAHL_DAMPING, BRAID_STEEPER,
-    WHOLE_LATE,
-) = range(34, 100)  # fmt: skip
+    WHOLE_LATE, CREEP_LENGTH,
+) = range(34, 101)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -179,7 +124,7 @@ _SOUND_M_S = 343.0
 
 
 def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 99 of the kernel, SI, from parameters by name; places as named above.
+    """Constants 34 to 100 of the kernel, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
@@ -214,7 +159,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         orifice * p["leak_a_mm"] ** 2,
         orifice * p["leak_b_mm"] ** 2,
         p["leak_laminar"],
-        1.0 + p["creep_share"] * p["creep_slow_nominal"],
+        1.0 + p["creep_share"] * p["creep_slow_nominal"] * (1.0 - p["creep_of_length"]),
         p["coulomb_nm"],
         p["coulomb_rad_s"],
         p["stribeck_share"],
@@ -268,6 +213,7 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
         p["presliding_damping_s"],
         p["braid_unloading"],
         1e-3 * p["pulse_delay_ms"],
+        p["creep_share"] * p["creep_of_length"],
     ]
 
 

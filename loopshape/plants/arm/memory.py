@@ -103,6 +103,12 @@ def creep(c: Array, m: Array, first: int) -> float:
 
 
 @in_line
+def creeping(c: Array, two_l: float, h: float, p: float) -> float:
+    """What creep follows: a muscle's length, or its stretch over the nominal length, m."""
+    return h if c[e.CREEP_LENGTH] > 0.0 else h - model.nominal_length(c, two_l, p)
+
+
+@in_line
 def branch_on(state: float, target: float, time_s: float, h: float) -> float:
     """A first-order branch h s later."""
     return state + (target - state) * (h / (time_s + 0.5 * h))
@@ -253,8 +259,7 @@ def move_on(c: Array, x: Array, m: Array, held: Array, h: float) -> None:
     place(c, held, x[3])
     h_a, h_b = held[model.LENGTH_A], held[model.LENGTH_B]
     if c[e.CREEP] > 0.0:
-        stretch_a = h_a - model.nominal_length(c, c[e.TWO_L_A], x[1])
-        stretch_b = h_b - model.nominal_length(c, c[e.TWO_L_B], x[2])
+        stretch_a, stretch_b = creeping(c, c[e.TWO_L_A], h_a, x[1]), creeping(c, c[e.TWO_L_B], h_b, x[2])
         for j in range(1 if c[e.CREEP_2] == 0.0 else 3):
             m[CREEP_A + j] = branch_on(m[CREEP_A + j], stretch_a, c[e.CREEP_1 + j], h)
             m[CREEP_B + j] = branch_on(m[CREEP_B + j], stretch_b, c[e.CREEP_1 + j], h)
@@ -269,8 +274,8 @@ def start(c: Array, x: Array, m: Array) -> None:
     m[:] = 0.0
     h_a, h_b, _, _ = model.geometry(c, math.sin(x[3]), math.cos(x[3]))
     for j in range(3):
-        m[CREEP_A + j] = h_a - model.nominal_length(c, c[e.TWO_L_A], x[1])
-        m[CREEP_B + j] = h_b - model.nominal_length(c, c[e.TWO_L_B], x[2])
+        m[CREEP_A + j] = creeping(c, c[e.TWO_L_A], h_a, x[1])
+        m[CREEP_B + j] = creeping(c, c[e.TWO_L_B], h_b, x[2])
     m[ANGLE_LAG], m[LAG_A], m[LAG_B] = x[3], x[1], x[2]
     m[PLAY] = x[3]
 

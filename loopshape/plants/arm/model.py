@@ -152,7 +152,7 @@ def muscle(
     bar = 1e-5 * p
     # stiffness (4.5) as one polynomial in h whose coefficients depend on p
     stiffness = (c[k.BK0] + bar * c[k.K0]) + h * ((c[k.BK1] + bar * c[k.K1]) + h * (c[k.BK2] + bar * c[k.K2]))
-    stretch = c[e.CREEP_GAIN] * (h - nominal_length(c, two_l, p)) - creep
+    stretch = c[e.CREEP_GAIN] * (h - nominal_length(c, two_l, p)) + (c[e.CREEP_LENGTH] * h - creep)
     return factor * stiffness * stretch + (c[k.D0] + c[k.D1] * bar) * dh, volume, slope
 
 

@@ -101,7 +101,7 @@ ABSOLUTE, EXPONENT = 32, 33
 
 
 def constants(vector: Array) -> Array:
-    """The kernel's constants (100,), SI, from a parameter vector of `ARM1_PARAMETERS`."""
+    """The kernel's constants (101,), SI, from a parameter vector of `ARM1_PARAMETERS`."""
     p = dict(zip(ARM1_PARAMETERS.names, vector.tolist(), strict=True))
     gas = 1.0 / (2.0 * p["gas_constant_j_kgk"] * p["temperature_k"])
     beta = {

@@ -51,8 +51,10 @@ class ServoAxis:
         effects: tuple[EffectForm, ...] | None = None,
         spread: tuple[Spread, ...] | None = None,
         pass_hz: float | None = None,
+        zero_is_ordinary: bool = False,
     ) -> None:
         self.parameters = parameters
+        self._zero_is_ordinary = zero_is_ordinary  # a diagnosis takes a small offset of the drive for no gap
         self.effects = forms() if effects is None else effects
         known = {row.name: row.value for row in parameters.rows if row.name in nominal.NOMINAL}
         self.spread = nominal.spread(known, known) if spread is None else spread
@@ -75,7 +77,9 @@ class ServoAxis:
         quiet = [following.quieter(f, with_nominal(first).vector()) for f in ready]
         found = nominal.estimated(quiet, known)
         lowest = min(quiet, key=lambda f: f.pass_hz)
-        own = ServoAxis(with_nominal(found), forms(nominal.scales(quiet)), nominal.spread(known, found), lowest.pass_hz)
+        scales = nominal.scales(quiet)
+        spread = nominal.spread(known, found, scales.peak_n if self._zero_is_ordinary else 0.0)
+        own = ServoAxis(with_nominal(found), forms(scales), spread, lowest.pass_hz)
         own._kept_hz = lowest.rate_hz / lowest.keep
         return own
 
