@@ -111,7 +111,7 @@ class Followable(Plant, Protocol):
     needs: tuple[str, ...]
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
-        """This plant with the run's own nominal numbers, the run and the recordings named as it wants to follow them."""
+        """This plant with the run's own nominal numbers, and the run and recordings as it wants to follow them."""
 
     def stays_in_range(self, recording: Recording, run: Run) -> bool:
         """Whether what was measured lies where the model holds."""

@@ -44,7 +44,8 @@ def table(paths: list[Path]) -> None:
             a = json.loads(path.read_text())
             first, second, third = a["ranking"][:3]
             gap = a["gap"] or {}
-            sizes = first.get("magnitude") or ", ".join(f"{p['magnitude']:.3g}" for p in first.get("parts", {}).values())
+            parts = first.get("parts", {}).values()
+            sizes = first.get("magnitude") or ", ".join(f"{p['magnitude']:.3g}" for p in parts)
             row = [path.stem, first["effect"], first["probability"], second["effect"], second["probability"]]
             row += [third["effect"], third["probability"], sizes, gap.get("before"), gap.get("after")]
             out.writerow([f"{v:.4g}" if isinstance(v, float) else v for v in row])

@@ -132,9 +132,33 @@ def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
     return LeftOut(fitting.cost(left), np.array(moved))
 
 
-def spread_of_magnitude(fitted: Fitted, left: LeftOut, place: int) -> float:
-    """Standard deviation of a form's magnitude by the jackknife over recordings (Efron 1982)."""
+def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, place: int) -> float:
+    """Standard deviation of a form's magnitude: recordings, the ordinary spread, and forms that are never quite right.
+
+    Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
+    prior; for the form FORM_ERROR of the magnitude, as measured on development arms.
+    """
     at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
-    values = fitted.hypothesis.forms[place].scale * left.phi[:, at]
+    scale = fitted.hypothesis.forms[place].scale
+    values = scale * left.phi[:, at]
     n = len(values)
-    return float(np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)))
+    jackknife = (n - 1) / n * float(np.sum((values - values.mean()) ** 2))
+    form = FORM_ERROR * scale * float(fitted.phi[at])
+    return float(np.sqrt(jackknife + scale**2 * _prior_variance(evidence, fitted, at) + form**2))
+
+
+FORM_ERROR = 0.04
+_WORTH = 20.0  # independent observations that a cell is taken for
+
+
+def _prior_variance(evidence: Evidence, fitted: Fitted, at: int) -> float:
+    """Variance of one number where the spread is uniform in -1..1 and a cell counts for a few observations."""
+    free = np.any(fitted.slopes != 0.0, axis=0)
+    if not free[at]:
+        return 0.0
+    w = fitting.weights(evidence, fitted.mean_squares)
+    slopes = fitted.slopes[:, free]
+    information = _WORTH * (slopes.T @ (slopes * w[:, None]))
+    spread = np.flatnonzero(free) >= fitted.hypothesis.n_free
+    information[spread, spread] += 3.0
+    return float(np.linalg.pinv(information)[np.sum(free[:at]), np.sum(free[:at])])

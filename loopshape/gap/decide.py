@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.effect import EffectForm
-from loopshape.gap.attribute import LeftOut, left_out, spread_of_magnitude
+from loopshape.gap.attribute import LeftOut, deviation_of_magnitude, left_out
 from loopshape.gap.evidence import Evidence
 from loopshape.gap.fitting import Fitted
 from loopshape.gap.hypothesis import Hypothesis
@@ -64,7 +64,7 @@ def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
     """A fitted hypothesis with its energy."""
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
-    deviations = tuple(spread_of_magnitude(fitted, left, k) for k in range(len(forms)))
+    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, k) for k in range(len(forms)))
     cost = (0.0, ONE_EFFECT, TWO_EFFECTS + SECOND / evidence.independent)[len(forms)]
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
     cost += sum(EXTENDS / evidence.independent for f in forms if f.extends)
