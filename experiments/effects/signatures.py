@@ -1,8 +1,8 @@
 """What each effect should do, claim by claim, from the table of signatures; and whether a sheet shows it.
 
-A claim gives one number and whether it holds. Bounds are common rules, made before scoring: a gain counts from 0.3 dB, a
-phase from 1 deg, a static shift from 1 mbar, a distortion that rises by 6 dB; "none" in amplitude is less than a quarter of
-the change itself between the small and the large excitation (1 to 7.5), "strong" more than half.
+A claim gives one number and whether it holds. Bounds are common rules, made before scoring: a gain counts from 0.3 dB,
+a phase from 1 deg, a static shift from 1 mbar, a distortion that rises by 6 dB; "none" in amplitude is less than a
+quarter of the change itself between the small and the large excitation (1 to 7.5), "strong" more than half.
 """
 
 from __future__ import annotations

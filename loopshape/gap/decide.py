@@ -23,7 +23,8 @@ SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added whe
 ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
 PER_NUMBER = 0.3  # beyond the first of each effect
 EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
-UNKNOWN, UNKNOWN_LEAVES = 2.5, 0.2
+UNKNOWN, UNKNOWN_LEAVES = 3.2, 0.2
+HEALTHY_EXCESS = 2.5  # no healthy arm left more; beyond it `none` is not believed
 _UNUSUAL, _SLACK = 6.0, 0.15
 
 
@@ -80,9 +81,10 @@ def energies(evidence: Evidence, none: Candidate, scored: Mapping[str, Candidate
     best = max(min(c.excess for c in scored.values()), 0.0)
     sharpness = SHARPNESS + SHARPER * float(np.exp(-best / _EXPLAINED))
     out = {name: sharpness * c.excess + c.price for name, c in scored.items()}
+    out["none"] = sharpness * none.excess + max(none.excess - HEALTHY_EXCESS, 0.0)
     out["unknown"] = UNKNOWN + sharpness * unknown_excess(evidence, none)
     for form in evidence.plant.effects:  # what was not worth fitting explains no more than nothing does
-        out.setdefault(form.effect, out["none"] + ONE_EFFECT + _NOT_FITTED)
+        out.setdefault(form.effect, sharpness * none.excess + ONE_EFFECT + _NOT_FITTED)
     return out
 
 
