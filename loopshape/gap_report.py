@@ -20,7 +20,7 @@ class Ranked:
     interval: tuple[float, float] | None = None
     unit: str | None = None
     form: str | None = None
-    parts: Mapping[str, tuple[float, tuple[float, float], str]] = field(default_factory=dict)
+    parts: Mapping[str, tuple[float, tuple[float, float] | None, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,18 @@ class Submodel:
 
 @dataclass(frozen=True)
 class Where:
-    """The place: block with probabilities of all, channel, band, operating points, and the structural groups."""
+    """The place: block with probabilities of all, channel, band, operating points.
+
+    `places`: what a free disturbance at one equation would leave of the gap, rms over the floor in the channels that
+    it does not reach; the place is where the least is left.
+    """
 
     block: str
     blocks: Mapping[str, float]
     channel: str
     band_hz: tuple[float, float]
     operating_points: Sequence[Mapping[str, float]]
+    places: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -43,6 +43,10 @@ class ParameterTable:
     def names(self) -> tuple[str, ...]:
         """Names in order."""
         return tuple(row.name for row in self.rows)
+
+    def holding(self, values: Mapping[str, float]) -> ParameterTable:
+        """The table with these nominal values; names that it does not have are left aside."""
+        return ParameterTable(tuple(replace(r, value=values[r.name]) if r.name in values else r for r in self.rows))
 
     def index(self, name: str) -> int:
         """Place of a parameter in the vector; refuses an unknown name."""
@@ -109,6 +113,9 @@ class Followable(Plant, Protocol):
     spread: tuple[Spread, ...]
     trace_channel: str
     needs: tuple[str, ...]
+    #: equation -> channels of `residuals` that a free disturbance there would explain whole, since each submodel
+    #: follows what was measured everywhere else
+    places: Mapping[str, tuple[str, ...]]
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
         """This plant with the run's own nominal numbers, and the run and recordings as it wants to follow them."""
@@ -122,7 +129,7 @@ class Followable(Plant, Protocol):
     def residuals(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled by channel, equally spaced means, from parameters moved as given."""
 
-    def residual_rate_hz(self, channel: str) -> float:
+    def residual_rate_hz(self, prepared: Any, channel: str) -> float:
         """How many values a second `residuals` gives of a channel."""
 
     def traces(self, prepared: Any, moves: Mapping[str, float]) -> tuple[float, Array, Array]:

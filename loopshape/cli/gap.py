@@ -110,6 +110,11 @@ def show(found: GapReport, output: Output) -> None:
         if rows:
             cells = [gap_cells(found.table, row) for row in rows]
             output.table("Closed loop, nominal model against recorded", COLUMNS, cells)
+    control = control_json(found)
+    if control:
+        nu = [[c["loop"], c["recording"], point(c["operating_point"]), *(c[k] for k in _NU_KEYS)] for c in control]
+        heads = ["loop", "recording", "operating point", "nominal", "with the effect", "to the nearest real point"]
+        output.table("For control: nu-gap of the loop-shaped plants to the recorded ones", heads, nu)
     columns = ["recording", "role", "path", "nominal", "with the effect", "with the rival"]
     rows_ = [[s.recording, s.role, s.path, s.before, s.after, s.rival] for s in found.submodels]
     output.table("Submodels, rms over the noise floor", columns, rows_)
@@ -127,9 +132,32 @@ def show(found: GapReport, output: Output) -> None:
             ]
         ],
     )
-    for line in found.software or ["software: z is what the controllers answer, in every recording that tells"]:
+    if place.places:
+        output.table("A free disturbance would leave, rms over the floor", ["at", "left"], place.places.items())
+    for line in found.software or ["software: nothing speaks against the controllers as they are stated"]:
         output.say(line)
     output.warn(found.notes)
+
+
+_NU_KEYS = ("nu_gap_before", "nu_gap_after", "nu_gap_to_nearest_point")
+
+
+def control_json(found: GapReport) -> list[dict[str, Any]]:
+    """What the gap means for control, recording by recording: nu-gaps before and after, and their scale."""
+    if found.table is None:
+        return []
+    after = {(r.loop, r.recording): r.value for r in (found.table_after.nu_gaps if found.table_after else ())}
+    return [
+        {
+            "loop": r.loop,
+            "recording": r.recording,
+            "operating_point": dict(r.operating_point),
+            "nu_gap_before": r.value,
+            "nu_gap_after": after.get((r.loop, r.recording)),
+            "nu_gap_to_nearest_point": r.scale,
+        }
+        for r in found.table.nu_gaps
+    ]
 
 
 def ranking_rows(ranking: Sequence[Ranked]) -> list[list[Any]]:
@@ -168,6 +196,7 @@ def answer(found: GapReport) -> dict[str, Any]:
             "channel": found.where.channel,
             "band_hz": list(found.where.band_hz),
             "operating_points": [dict(p) for p in found.where.operating_points],
+            "places": dict(found.where.places),
         },
         "gap": None
         if gap is None
@@ -187,6 +216,7 @@ def answer(found: GapReport) -> dict[str, Any]:
             for s in found.submodels
         ],
         "next_experiment": next_json(found.proposal),
+        "control": control_json(found),
         "parameters": dict(found.moves),
         "software": list(found.software),
         "notes": list(found.notes),
@@ -201,7 +231,7 @@ def _rank_json(r: Ranked) -> dict[str, Any]:
     if r.parts:
         row["form"] = r.form
         row["parts"] = {
-            effect: {"magnitude": m, "interval": list(i), "unit": u} for effect, (m, i, u) in r.parts.items()
+            effect: {"magnitude": m, "interval": i and list(i), "unit": u} for effect, (m, i, u) in r.parts.items()
         }
     return row
 

@@ -110,13 +110,13 @@ def sizes(r: Ranked) -> str:
     """Magnitudes with intervals and units, "" where there are none."""
     parts = list(r.parts.values())
     if r.magnitude is not None:
-        parts = [(r.magnitude, r.interval or (r.magnitude, r.magnitude), r.unit or "")]
+        parts = [(r.magnitude, r.interval, r.unit or "")]
     return ";  ".join(_size(*part) for part in parts)
 
 
-def _size(value: float, interval: tuple[float, float], unit: str) -> str:
+def _size(value: float, interval: tuple[float, float] | None, unit: str) -> str:
     text = f"{value:.3g}{'' if unit in ('', '1') else ' ' + unit}"
-    if interval[1] > interval[0]:  # one recording alone gives none
+    if interval is not None and interval[1] > interval[0]:  # one recording alone gives none
         text += f" ({interval[0]:.3g} to {interval[1]:.3g})"
     return text.replace("-", "\N{MINUS SIGN}")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
@@ -127,7 +127,7 @@ def diagnose(
     estimation = [r for r in usable if r.info.role == "estimation"]
     validation = [r for r in usable if r.info.role == "validation"]
     say("software")
-    software = software_check(run)
+    software = software_check(replace(run, recordings=tuple(usable)))
     names = [r.info.name for r in estimation]
     a = attribute_effect(plant, run, names, threads=threads, say=say)
     plant = a.evidence.plant  # with the run's own nominal numbers
@@ -142,7 +142,7 @@ def diagnose(
         after = held[1] if healed else held[0]
         files = [r.info.file for r in validation]
         gap = shrink.summary(held[0], after, (rival.name, held[2]) if rival and healed else None, files)
-    tables = _tables(plant, run, usable, many, say) if table else (None, None)
+    tables = _tables(plant, run, usable, many, say, notes) if table else (None, None)
     say("next experiment")
     other = (rival.name, many[2]) if rival else (a.none.name, many[0])
     proposal = propose(plant, run, (a.leading.name, many[1]), other, threads)
@@ -180,12 +180,12 @@ def ranked(plant: Followable, a: Attribution) -> list[Ranked]:
         n = len(a.evidence.recordings)
         width = float(student.ppf(0.975, n - 1)) if n > 1 else float("nan")
         parts = {
-            f.effect: (m, (m - width * d, m + width * d), f.unit)
+            f.effect: (m, (m - width * d, m + width * d) if n > 1 else None, f.unit)
             for f, m, d in zip(forms, found.fitted.magnitudes, found.deviations, strict=True)
         }
         if len(forms) == 1:
             m, interval, unit = parts[name]
-            out.append(Ranked(name, probability, m, interval if n > 1 else None, unit, forms[0].form))
+            out.append(Ranked(name, probability, m, interval, unit, forms[0].form))
         else:
             out.append(Ranked(name, probability, form=found.fitted.hypothesis.form, parts=parts))
     return out

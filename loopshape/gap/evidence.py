@@ -65,7 +65,7 @@ class Evidence:
     ) -> Evidence:
         """Evidence of the recordings named: `periodic_s` of those that repeat themselves, `brief_s` of the others."""
         chosen = [run.recording(n) for n in names]
-        longest = [min(brief_s, periodic_s if r.info.period_s is not None else float("inf")) for r in chosen]
+        longest = [min(brief_s, max(periodic_s, r.info.period_s or float("inf"))) for r in chosen]
         prepared = [plant.prepare(r, run, s if np.isfinite(s) else None) for r, s in zip(chosen, longest, strict=True)]
         evidence = cls(plant, prepared, threads or os.cpu_count() or 1, independent=independent or len(names))
         evidence.cells = _cells(prepared, plant, [plant.residuals(p, {}) for p in prepared])

@@ -33,17 +33,33 @@ def where(run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[
         block="+".join(sorted(block_of(plant, part) for part in verdict.split("+"))),
         blocks=blocks,
         channel=channel,
-        band_hz=_band(clear, none.fitted.residual, plant.residual_rate_hz(channel)),
+        band_hz=_band(clear, none.fitted.residual, plant.residual_rate_hz(evidence.prepared[0], channel)),
         operating_points=[dict(p) for p in points],
+        places=free_disturbances(evidence, none),
     )
 
 
+def free_disturbances(evidence: Evidence, none: Candidate) -> dict[str, float]:
+    """What a free disturbance at each place would leave: rms over the floor in the channels that it does not reach.
+
+    A submodel follows what was measured everywhere but in its own channel, so a disturbance that makes its state do
+    so too explains that channel and leaves the others as they are.
+    """
+    squares = none.fitted.mean_squares
+    out = {}
+    for place, freed in evidence.plant.places.items():
+        rest = [0.0] + [ms for cell, ms in zip(evidence.cells, squares, strict=True) if cell.channel not in freed]
+        out[place] = float(np.sqrt(np.sum(rest) / max(len(rest) - 1, 1)))
+    return dict(sorted(out.items(), key=lambda item: item[1]))
+
+
 def _point(run: Run, recording: str) -> Mapping[str, float]:
-    """The operating point of a recording, or of the one that it is a piece of."""
-    for r in run.recordings:
-        if recording == r.info.name or recording.startswith(f"{r.info.name}-"):
-            return r.info.operating_point
-    return {}
+    """The operating point of a recording, or of the longest-named one that it is a piece of."""
+    whole = {r.info.name: r.info.operating_point for r in run.recordings}
+    if recording in whole:
+        return whole[recording]
+    parents = [name for name in whole if recording.startswith(f"{name}-")]
+    return whole[max(parents, key=len)] if parents else {}
 
 
 def block_of(plant: Followable, effect: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopshape.errors import LoopshapeError
 from loopshape.experiment import Experiment
 from loopshape.gap.evidence import Moves
 from loopshape.gap.table import compare
@@ -20,24 +21,51 @@ LEAD_S = 4.0  # the rig was under control before: so long the model stands at th
 
 
 def tables(
-    plant: Followable, run: Run, recordings: Sequence[Recording], many: Sequence[Moves], say: Callable[[str], None]
+    plant: Followable,
+    run: Run,
+    recordings: Sequence[Recording],
+    many: Sequence[Moves],
+    say: Callable[[str], None],
+    notes: list[str],
 ) -> tuple[GapTable | None, GapTable | None]:
-    """The gap table against the nominal model, and against the model with the effect, replayed in closed loop."""
-    real = replace(run, recordings=tuple(r for r in recordings if r.info.closed_loop))
-    if not real.recordings or any(loop.controller is None for loop in run.loops):
+    """The gap table against the nominal model, and against the model with the effect, replayed in closed loop.
+
+    Where the run cannot be replayed there are none, and `notes` says why.
+    """
+    loops = tuple(loop for name in plant.loops for loop in run.loops if loop.name == name)
+    real = replace(run, loops=loops, recordings=tuple(r for r in recordings if r.info.closed_loop))
+    why = _cannot(plant, real)
+    if why:
+        notes.append(f"no closed-loop table: {why}")
         return None, None
     out: list[GapTable | None] = []
     for moves, name in zip(many[:2], ("nominal model", "model with the effect"), strict=True):
         say(f"closed loop, {name}")
-        sim = replayed(plant, real, moves)
-        whole = {r.info.file for r in sim.recordings if r.info.ended_early is None}
-        if not whole:
+        try:
+            sim = replayed(plant, real, moves)
+            whole = {r.info.file for r in sim.recordings if r.info.ended_early is None}
+            mine = replace(real, recordings=tuple(r for r in real.recordings if r.info.file in whole))
+            sim = replace(sim, recordings=tuple(r for r in sim.recordings if r.info.file in whole))
+            out.append(compare(mine, sim, bands="octave", real_name="recorded", sim_name=name) if whole else None)
+        except LoopshapeError as error:
+            notes.append(f"no closed-loop table against the {name}: {error}")
             out.append(None)
-            continue
-        mine = replace(real, recordings=tuple(r for r in real.recordings if r.info.file in whole))
-        sim = replace(sim, recordings=tuple(r for r in sim.recordings if r.info.file in whole))
-        out.append(compare(mine, sim, bands="octave", real_name="recorded", sim_name=name))
     return out[0], out[1]
+
+
+def _cannot(plant: Followable, run: Run) -> str:
+    """Why a run cannot be replayed; empty where it can."""
+    if [loop.name for loop in run.loops] != list(plant.loops):
+        return f"{plant.name} has the loops {', '.join(plant.loops)}"
+    if any(loop.controller is None or loop.reference is None for loop in run.loops):
+        return "a loop has no controller, or no reference"
+    if not run.recordings:
+        return "no closed-loop recording"
+    missing = [r.info.file for r in run.recordings for x in run.loops if x.reference not in r.columns]
+    if missing:
+        return f"{missing[0]} has no reference"
+    nowhere = [r.info.file for r in run.recordings if not r.info.operating_point]
+    return f"{nowhere[0]} names no operating point" if nowhere else ""
 
 
 def replayed(plant: Followable, run: Run, moves: Moves) -> Run:

@@ -12,6 +12,7 @@ from loopshape.run import Run
 from loopshape.units import Array
 
 SHORTEST_S = 3.0
+RUN = 10  # equal samples in a row
 SATURATED = 0.02  # share of samples at a measured signal's ends
 
 
@@ -44,33 +45,44 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
 
 
 def _usable(plant: Followable, run: Run, recording: Recording, notes: list[str]) -> bool:
+    try:
+        fault = _fault(plant, run, recording)
+    except BadSignalError as error:
+        fault = f"left out: {error}"
+    if fault:
+        notes.append(f"{recording.info.file}: {fault}" if fault.startswith("left out") else fault)
+    return not fault
+
+
+def _fault(plant: Followable, run: Run, recording: Recording) -> str:
+    """What keeps a recording from being used, in a sentence; empty where nothing does."""
     file, missing = recording.info.file, [c for c in plant.needs if c not in recording.columns]
     if missing:
-        notes.append(f"{file} has no {', '.join(missing)}: it is left out; record them")
-        return False
-    seconds = len(recording.columns[plant.needs[0]]) / recording.rate_hz
+        return f"{file} has no {', '.join(missing)}: it is left out; record them"
+    values = {c: recording.column(c) for c in plant.needs}
+    seconds = len(values[plant.needs[0]]) / recording.rate_hz
     if seconds < SHORTEST_S:
-        notes.append(f"{file} lasts {seconds:.2g} s: too short, left out; record at least {SHORTEST_S:g} s")
-        return False
+        return f"{file} lasts {seconds:.2g} s: too short, left out; record at least {SHORTEST_S:g} s"
     if not plant.stays_in_range(recording, run):
-        notes.append(f"{file} leaves the model's range: it is left out; keep inside what the model describes")
-        return False
-    for column in (c for loop in run.loops for c in sum_terms(loop.output)):
-        stuck = at_its_ends(recording.column(column))
+        return f"{file} leaves the model's range: it is left out; keep inside what the model describes"
+    outputs = {c for loop in run.loops for c in sum_terms(loop.output)} & set(plant.needs)
+    for column in sorted(outputs):
+        if np.ptp(values[column]) == 0.0:
+            return f"{file}: {column} never moves: a dead sensor, left out"
+        stuck = at_its_ends(values[column])
         if stuck > SATURATED:
-            notes.append(f"{file}: {column} rests at its end in {stuck:.0%} of the samples: saturated, left out")
-            return False
-    return True
+            return f"{file}: {column} rests at its end in {stuck:.0%} of the samples: saturated, left out"
+    return ""
 
 
 def at_its_ends(values: Array) -> float:
-    """Share of samples in runs of at least ten equal values at the largest or smallest."""
-    share = 0.0
-    for end in (values.max(), values.min()):
-        if values.max() == values.min():
-            return 0.0
-        there = np.concatenate([[0], (values == end).astype(int), [0]])
-        edges = np.flatnonzero(np.diff(there))
-        lengths = edges[1::2] - edges[::2]
-        share += float(lengths[lengths >= 10].sum()) / values.size
-    return share
+    """Share of samples in runs of at least ten equal values at the largest or smallest.
+
+    0 where as many such runs lie elsewhere: then it is a coarse sensor and not a saturated one.
+    """
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    lengths = np.diff(np.concatenate([starts, [values.size]]))
+    long = lengths >= RUN
+    ends = np.isin(values[starts], (values.min(), values.max()))
+    there, elsewhere = int(lengths[long & ends].sum()), int(lengths[long & ~ends].sum())
+    return there / values.size if there > elsewhere else 0.0

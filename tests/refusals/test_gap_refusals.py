@@ -187,3 +187,49 @@ def test_one_recording_alone_is_diagnosed_with_a_note(good, tmp_path) -> None:
         "one estimation recording: intervals by leaving recordings out do not exist" in n for n in found["notes"]
     )
     assert sum(row["probability"] for row in found["ranking"]) == pytest.approx(1.0)
+
+
+def notes_of(run: Run, folder) -> list[str]:
+    """What the command notes of a run that it can use in part; exit code 0."""
+    write_run(folder / "run", run)
+    assert loopshape("gap", folder / "run", "--json", folder / "gap.json", "--quiet") == 0
+    return json.loads((folder / "gap.json").read_text())["notes"]
+
+
+def test_a_dead_sensor_leaves_its_recording_out(good, tmp_path) -> None:
+    dead = changed(good.recordings[0], "r03", p_b_bar=np.full(len(good.recordings[0].columns["t_s"]), 0.5))
+    notes = notes_of(replace(good, recordings=(*good.recordings, dead)), tmp_path)
+    assert any("r03.parquet: p_b_bar never moves" in note for note in notes)
+
+
+def test_numbers_that_are_none_leave_their_recording_out(good, tmp_path) -> None:
+    torn = np.array(good.recordings[0].column("p_a_bar"))
+    torn[1000] = np.nan
+    usable = replace(good, recordings=(*good.recordings, changed(good.recordings[0], "r03", p_a_bar=torn)))
+    from loopshape.gap.suitable import suitable  # a run folder with such a table is refused when it is read
+
+    notes, kept = suitable(Arm1(), usable)
+    assert [r.info.name for r in kept] == ["r01", "r02"]
+    assert any("r03.parquet" in note for note in notes)
+
+
+def test_without_an_operating_point_there_is_an_answer_and_no_table(good, tmp_path) -> None:
+    nowhere = tuple(replace(r, info=replace(r.info, operating_point={})) for r in good.recordings)
+    notes = notes_of(replace(good, recordings=nowhere), tmp_path)
+    assert any("no closed-loop table" in note and "operating point" in note for note in notes)
+
+
+def test_the_pwm_of_the_plant_holds_where_the_run_names_none(good, tmp_path) -> None:
+    notes_of(replace(good, pwm={}), tmp_path)
+
+
+def test_settings_that_a_run_states_are_no_gap(good) -> None:
+    """A heavier body that the run states is the nominal one: the spread goes about it, not about the table's."""
+    from loopshape.gap.hypothesis import Hypothesis
+
+    stated = replace(good, extra=dict(good.extra) | {"parameters": {"m2_kg": 1.0}})
+    plant, _, _ = Arm1().readied(stated, ["r01"])
+    phi = np.zeros(len(plant.spread))
+    assert Hypothesis(plant).moves(phi)["m2_kg"] == 1.0
+    phi[[s.name for s in plant.spread].index("mass")] = 1.0
+    assert Hypothesis(plant).moves(phi)["m2_kg"] == pytest.approx(1.01)

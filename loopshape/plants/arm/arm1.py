@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 
 import numpy as np
 
@@ -55,6 +56,12 @@ class Arm1:
     effects = FORMS
     spread = SPREAD
     trace_channel = "theta2 [deg]"
+    places: Mapping[str, tuple[str, ...]] = {
+        "flow A": ("p_a",),
+        "flow B": ("p_b",),
+        "both flows": ("p_a", "p_b"),
+        "torque": ("theta2",),
+    }
     needs: tuple[str, ...] = ("theta2_rad", "p_a_bar", "p_b_bar", "u_a_v", "u_b_v")
     channels: tuple[Channel, ...] = (
         Channel("theta2", "rad"),
@@ -85,8 +92,10 @@ class Arm1:
         )
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[Arm1, Run, list[str]]:
-        """The arm has its own numbers, and follows recordings as they are."""
-        return self, run, list(names)
+        """An arm whose nominal numbers are those that the run states; recordings are followed as they are."""
+        own = copy(self)
+        own.parameters = self.parameters.holding(dict(run.extra.get("parameters", {})))
+        return own, run, list(names)
 
     def stays_in_range(self, recording: Recording, run: Run) -> bool:
         """Whether the measured angle and pressures lie where the model holds, with a little room for noise."""
@@ -106,10 +115,10 @@ class Arm1:
         """Measured minus modelled: `p_a`, `p_b` in mbar (u -> p), `theta2` in deg (p -> theta)."""
         return following.residuals(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
-    def residual_rate_hz(self, channel: str) -> float:
+    def residual_rate_hz(self, prepared: following.Followed, channel: str) -> float:
         """How many values a second `residuals` gives of a channel."""
         rows = following.ANGLE_BLOCK if channel == "theta2" else following.P_BLOCK
-        return 1.0 / (following.STRIDE_S * rows)
+        return 1.0 / (prepared.row_s * rows)
 
     def traces(self, prepared: following.Followed, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
         """Time step in s, measured and simulated theta2 in deg (u -> theta2), for the eye."""

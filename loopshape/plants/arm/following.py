@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from loopshape.errors import BadSignalError
 from loopshape.plants.arm import closed_loop, memory
 from loopshape.plants.arm import effect_parameters as e
 from loopshape.plants.arm import parameters as p
@@ -57,7 +58,15 @@ def followed(recording: Recording, run: Run, longest_s: float | None = None) -> 
         n = min(n, round((LEAD_S + longest_s) * recording.rate_hz))
     columns = [recording.column(c)[:n] for c in ("theta2_rad", "p_a_bar", "p_b_bar", "u_a_v", "u_b_v")]
     raw = np.stack(columns[:3], axis=1) * np.array([1.0, 1e5, 1e5])
-    period = round(recording.rate_hz / run.pwm["frequency_hz"])
+    known = dict(zip(p.ARM1_PARAMETERS.names, p.ARM1_PARAMETERS.vector().tolist(), strict=True))
+    ticks = recording.rate_hz / run.pwm.get("frequency_hz", known["pwm_frequency_hz"])
+    period = round(ticks)
+    if period < 1 or abs(ticks - period) > 1e-6:
+        raise BadSignalError(
+            f"recording {recording.info.file} has no whole number of samples in a PWM period",
+            f"{ticks:g}",
+            "record at a multiple of the PWM's frequency",
+        )
     longest = max(1, round(STRIDE_S * recording.rate_hz))
     stride = max(k for k in range(1, longest + 1) if period % k == 0)
     return Followed(
@@ -68,7 +77,7 @@ def followed(recording: Recording, run: Run, longest_s: float | None = None) -> 
         tick_s=1.0 / recording.rate_hz,
         stride=stride,
         period_ticks=period,
-        dead_zone=run.pwm["dead_zone"],
+        dead_zone=run.pwm.get("dead_zone", known["pwm_dead_zone"]),
         parameters=dict(run.extra.get("parameters", {})) | dict(recording.info.parameters),
     )
 
@@ -202,4 +211,6 @@ def trace(f: Followed, vector: Array) -> tuple[float, Array, Array]:
 def noise_rms(values: Array) -> float:
     """White noise's rms from third differences, in which a smooth signal vanishes; the median of blocks (Rice 1984)."""
     squares = blocks(np.diff(values, 3) ** 2, 50)
-    return float(np.sqrt(np.median(squares) / 20.0))
+    steps = np.diff(np.unique(values))
+    grid = float(steps.min()) / np.sqrt(12.0) if steps.size else 0.0
+    return max(float(np.sqrt(np.median(squares) / 20.0)), grid)

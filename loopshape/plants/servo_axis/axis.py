@@ -44,6 +44,7 @@ class ServoAxis:
     channels: tuple[Channel, ...] = (Channel("position", "m"), Channel("force", "n"))
     needs: tuple[str, ...] = ("force_n", "position_m")
     trace_channel = "force [N]"
+    places: Mapping[str, tuple[str, ...]] = {}  # one equation, one channel: it is the place
 
     def __init__(
         self,
@@ -181,7 +182,7 @@ class ServoAxis:
         """Always: the model holds wherever the axis can go; `range_m` only ends simulations."""
         return True
 
-    def residual_rate_hz(self, channel: str) -> float:
+    def residual_rate_hz(self, prepared: following.Followed, channel: str) -> float:
         """How many values a second `residuals` gives."""
         return self._kept_hz
 
