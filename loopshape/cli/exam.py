@@ -262,6 +262,7 @@ def library_run(labels: Mapping[str, float], variant: int, seed: int) -> Run:
     phi = [x for f, m in forms for x in (m / f.scale, *(free.starts[0] for free in f.free[1:]))]
     phi += rng.uniform(-1.0, 1.0, len(plant.spread)).tolist()
     moves = Hypothesis(plant, tuple(f for f, _ in forms)).moves(np.array(phi))
+    moves |= {"range_angle_deg": 60.0, "range_low_bar": 0.05, "range_high_bar": 1.5}  # as wide as the generator's own
     lead = round(LEAD_S * session.rate_hz)
     again = [_again(session, r, lead, int(rng.integers(2**31))) for r in session.recordings]
     done = plant.simulate(again, changes=moves, threads=1)

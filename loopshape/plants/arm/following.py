@@ -104,16 +104,20 @@ def answers(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Arra
 
 
 def _follow(f: Followed, c: Array, x: Array, m: Array, out: Array, lead: int, mode: str) -> None:
+    lag_s = float(c[e.PRESSURE_LAG])
     closed_loop.follow(
-        c, x, m, f.commands, f.measured[: len(out)], gains("both", f.row_s), gains(mode, f.row_s), lead,
+        c, x, m, f.commands, f.measured[: len(out)], gains("both", f.row_s, lag_s), gains(mode, f.row_s, lag_s), lead,
         f.tick_s, f.stride, f.period_ticks, f.dead_zone, out,
     )  # fmt: skip
 
 
-def gains(mode: str, row_s: float) -> Array:
-    """How much per row the pressures, the angle and the velocity (1/s) are drawn to the measured ones."""
+def gains(mode: str, row_s: float, lag_s: float = 0.0) -> Array:
+    """How much per row the pressures, the angle and the velocity (1/s) are drawn to the measured ones.
+
+    Pressures behind a lag are followed no faster than the lag, or following would not be stable.
+    """
     angle = [1.4 * _ANGLE_TURN * row_s, _ANGLE_TURN**2 * row_s]
-    slow, fast = _SLOW * row_s, _FAST * row_s
+    slow, fast = _SLOW * row_s, min(_FAST, 1.0 / max(lag_s, 1e-3)) * row_s
     table = {"both": [fast, *angle], "valves": [slow, *angle], "muscles": [fast, 0.0, 0.0], "whole": [slow, 0.0, 0.0]}
     return np.array(table[mode])
 

@@ -288,9 +288,12 @@ def lagged(c: Array, m: Array, first: int, value: float, lag_s: float, tick_s: f
     if c[e.LAG_ORDER] < 2.0:
         m[first] += tick_s / (tick_s + lag_s) * (value - m[first])
         return m[first]
-    turn = 2.0 * c[e.LAG_DAMPING] / lag_s * tick_s  # Euler's implicit step keeps the delay and is always stable
-    m[first + 1] = (m[first + 1] + turn * turn * (value - m[first])) / (1.0 + turn * (2.0 * c[e.LAG_DAMPING] + turn))
-    m[first] += m[first + 1]
+    # the trapezoidal rule adds no damping of its own; held at its end, the input leads by half a tick
+    damping, turn = c[e.LAG_DAMPING], 2.0 * c[e.LAG_DAMPING] / (lag_s + 0.5 * tick_s) * tick_s
+    was = m[first + 1]
+    kept = was * (1.0 - damping * turn - 0.25 * turn * turn)
+    m[first + 1] = (kept + turn * turn * (value - m[first])) / (1.0 + damping * turn + 0.25 * turn * turn)
+    m[first] += 0.5 * (was + m[first + 1])
     return m[first]
 
 

@@ -245,6 +245,9 @@ def derivatives(
     """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2; nothing remembered, a stiff coupling."""
     held = np.zeros(HELD)
     held[COULOMB] = c[e.COULOMB]
+    if c[e.CREEP_LENGTH] > 0.0:  # what creeps with the length has long come to rest
+        h_a, h_b, _, _ = geometry(c, math.sin(angle), math.cos(angle))
+        held[CREEP_A], held[CREEP_B] = c[e.CREEP_LENGTH] * h_a, c[e.CREEP_LENGTH] * h_b
     d_c, d_a, d_b, turn, outer = moving(
         c, held, p_c, p_a, p_b, angle, velocity, angle, velocity,
         1.0 if in_a else 0.0, 1.0 if in_b else 0.0, 1.0 if out_a else 0.0, 1.0 if out_b else 0.0,
