@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -111,8 +111,3 @@ def submodels(before: Levels, after: Levels | None, rival: Levels | None) -> lis
         for k, name in enumerate(before.names)
         for j, path in enumerate(before.paths)
     ]
-
-
-def by_path(of: Levels) -> Mapping[str, float]:
-    """Size over all recordings, path by path."""
-    return {path: float(np.sqrt(of.squares[:, j].mean())) for j, path in enumerate(of.paths)}
