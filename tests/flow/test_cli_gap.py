@@ -12,8 +12,8 @@ from loopshape.store.study import read_study
 
 KEYS = {
     "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "where": dict,
-    "gap": dict, "submodels": list, "next_experiment": dict, "control": list, "parameters": dict, "software": list, "notes": list,
-    "sentence": str,
+    "gap": dict, "submodels": list, "next_experiment": dict, "control": list, "parameters": dict,
+    "software": list, "notes": list, "sentence": str,
 }  # fmt: skip
 
 
