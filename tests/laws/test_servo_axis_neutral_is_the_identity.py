@@ -78,4 +78,6 @@ def test_every_effect_of_the_list_has_a_form():
 def test_the_vector_of_every_form_s_bounds_is_within_the_table(axis):
     for form in axis.effects:
         for values in ([f.low for f in form.free], [f.high for f in form.free]):
-            axis.parameters.vector(form.moves(values))
+            moves = form.moves(values)
+            vector = axis.parameters.vector(moves)  # refuses what is out of bounds
+            assert all(vector[axis.parameters.index(name)] == value for name, value in moves.items())

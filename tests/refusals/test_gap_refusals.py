@@ -220,7 +220,8 @@ def test_without_an_operating_point_there_is_an_answer_and_no_table(good, tmp_pa
 
 
 def test_the_pwm_of_the_plant_holds_where_the_run_names_none(good, tmp_path) -> None:
-    notes_of(replace(good, pwm={}), tmp_path)
+    assert not any("PWM" in note for note in notes_of(replace(good, pwm={}), tmp_path))
+    assert json.loads((tmp_path / "gap.json").read_text())["verdict"] == "payload"
 
 
 def test_settings_that_a_run_states_are_no_gap(good) -> None:
