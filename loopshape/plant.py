@@ -33,6 +33,11 @@ class Parameter:
     source: str
 
 
+def rows(block: str, *entries: tuple[str, float, str, float, float, str]) -> tuple[Parameter, ...]:
+    """Parameters of one block from name, value, unit, bounds and source each."""
+    return tuple(Parameter(n, v, u, lo, hi, block, source) for n, v, u, lo, hi, source in entries)
+
+
 @dataclass(frozen=True, eq=False)
 class ParameterTable:
     """A plant's parameters in the order of its flat vector."""

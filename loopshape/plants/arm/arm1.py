@@ -230,19 +230,8 @@ def _biquads(loop: LoopSetup, e: Experiment) -> Array:
 
 
 def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
-    return RecordingInfo(
-        file=f"{e.name}.parquet",
-        kind=e.kind,
-        injection=e.injection,
-        role=e.role,
-        excites=e.excites,
-        closed_loop=e.closed_loop,
-        operating_point=dict(e.operating_point),
-        period_s=e.period_s,
-        periodic_from_s=e.periodic_from_s,
-        parameters=dict(e.parameters),
-        ended_early=None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s",
-    )
+    early = None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s"
+    return RecordingInfo.of(e, early)
 
 
 def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:

@@ -10,20 +10,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from loopshape.plant import Parameter
+from loopshape.plant import rows
 from loopshape.units import rad
 
-
-def _rows(block: str, *rows: tuple[str, float, str, float, float, str]) -> tuple[Parameter, ...]:
-    return tuple(Parameter(n, v, u, lo, hi, block, source) for n, v, u, lo, hi, source in rows)
-
-
 EFFECT_ROWS = (
-    _rows(
+    rows(
         "controller",
         ("loop_delay_ms", 0.0, "ms", 0.0, 100.0, "neutral 0: age of the command that a PWM period takes; loop_delay"),
     )
-    + _rows(
+    + rows(
         "valve",
         ("pulse_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: whole pulses come late; loop_delay, hose_lag"),
         ("valve_opening_delay_ms", 0.0, "ms", 0.0, 15.0, "neutral 0; effect valve_delay"),
@@ -33,7 +28,7 @@ EFFECT_ROWS = (
         ("valve_current", 0.0, "1", 0.0, 20.0, "shapes valve_opening_delay_ms: a solenoid's current, 1 opens at half"),
         ("valve_ramp_ms", 0.0, "ms", 0.0, 15.0, "neutral 0: time from shut to open, about the delayed edge"),
     )
-    + _rows(
+    + rows(
         "supply",
         ("supply_drop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: the supply stands lower; effect supply_droop"),
         ("supply_droop_bar", 0.0, "bar", 0.0, 0.9, "neutral 0: drop at one open in-valve; effect supply_droop"),
@@ -42,7 +37,7 @@ EFFECT_ROWS = (
         ("critical_ratio", 0.0, "1", 0.0, 0.95, "neutral 0: (3.16); else ISO 6358-1's ellipse; effect choked_flow"),
         ("choked_conductance", 1.0, "1", 0.3, 3.0, "shapes critical_ratio: over the one equal at small drops"),
     )
-    + _rows(
+    + rows(
         "line",
         ("hose_length_m", 0.0, "m", 0.0, 30.0, "neutral 0: volume and laminar restriction of a 2.5 mm bore; hose_lag"),
         ("hose_turbulence", 0.0, "1", 0.0, 10.0, "shapes hose_length_m: loss over the laminar one at 0.1 g/s"),
@@ -54,7 +49,7 @@ EFFECT_ROWS = (
         ("dead_volume_a_ml", 0.0, "ml", 0.0, 1000.0, "neutral 0; effect dead_volume"),
         ("dead_volume_b_ml", 0.0, "ml", 0.0, 1000.0, "neutral 0; effect dead_volume"),
     )
-    + _rows(
+    + rows(
         "muscle",
         ("stiffness_error", 0.0, "1", -0.9, 5.0, "neutral 0: share by which both are stiffer; effect stiffness_error"),
         ("stiffness_mismatch", 0.0, "1", -1.5, 1.5, "neutral 0: (k_A - k_B)/k; effect muscle_mismatch"),
@@ -71,7 +66,7 @@ EFFECT_ROWS = (
         ("braid_elements", 0.0, "1", 0.0, 1.0, "shapes braid_force_n: 0 Bouc-Wen, 1 slip elements"),
         ("braid_pressure_share", 1.0, "1", 0.0, 1.0, "shapes braid_force_n: share that goes with pressure"),
     )
-    + _rows(
+    + rows(
         "joint",
         ("coulomb_nm", 0.0, "N m", 0.0, 5.0, "neutral 0: tanh Coulomb friction; effect joint_friction"),
         ("coulomb_rad_s", 0.05, "rad/s", 0.01, 10.0, "shapes coulomb_nm: velocity of the transition"),
@@ -86,7 +81,7 @@ EFFECT_ROWS = (
         ("hose_angle_deg", 0.0, "deg", -90.0, 90.0, "shapes hose_stiffness_nm_rad: where it pulls no way"),
         ("hose_cubic_nm_rad3", 0.0, "N m/rad3", 0.0, 200.0, "neutral 0: its hardening; effect hose_stiffness"),
     )
-    + _rows(
+    + rows(
         "body",
         ("payload_kg", 0.0, "kg", 0.0, 2.0, "neutral 0: point mass; effect payload"),
         ("payload_radius_m", 0.34, "m", 0.0, 1.0, "shapes payload_kg: distance from joint 2"),
@@ -96,7 +91,7 @@ EFFECT_ROWS = (
         ("flexible_gravity", 1.0, "1", 0.0, 1.0, "shapes flexible_share: of its part of gravity beyond"),
         ("base_tilt_deg", 0.0, "deg", -45.0, 45.0, "neutral 0: gravity acts as at theta2 + tilt; effect base_tilt"),
     )
-    + _rows(
+    + rows(
         "sensor",
         ("angle_lag_ms", 0.0, "ms", 0.0, 300.0, "neutral 0: low-frequency delay; effect angle_sensor_lag"),
         ("pressure_lag_ms", 0.0, "ms", 0.0, 300.0, "neutral 0: low-frequency delay; effect pressure_sensor_lag"),

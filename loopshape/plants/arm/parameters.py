@@ -9,22 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.plant import Parameter, ParameterTable
+from loopshape.plant import ParameterTable, rows
 from loopshape.plants.arm.effect_parameters import EFFECT_ROWS, effect_constants
 from loopshape.units import Array, rad
 
-
-def _rows(block: str, *rows: tuple[str, float, str, float, float, str]) -> tuple[Parameter, ...]:
-    return tuple(Parameter(n, v, u, lo, hi, block, source) for n, v, u, lo, hi, source in rows)
-
-
 ARM1_PARAMETERS = ParameterTable(
-    _rows(
+    rows(
         "valve",
         ("pwm_frequency_hz", 50.0, "Hz", 1.0, 1000.0, "3.13, appendix C"),
         ("pwm_dead_zone", 0.01, "1", 0.0, 0.5, "figure C.6"),
     )
-    + _rows(
+    + rows(
         "supply",
         ("supply_bar", 1.0, "bar", 0.1, 10.0, "section 3.3, gauge"),
         ("atmosphere_bar", 1.01325, "bar", 0.5, 1.2, "section 3.3"),
@@ -34,7 +29,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("throttle_out_mm", 0.72, "mm", 0.05, 5.0, "table 3.3, radius"),
         ("capacity_m3", 0.01, "m3", 1e-4, 1.0, "table 3.3"),
     )
-    + _rows(
+    + rows(
         "gas",
         ("gas_constant_j_kgk", 287.0, "J/(kg K)", 100.0, 1000.0, "table 3.3"),
         ("temperature_k", 293.0, "K", 200.0, 400.0, "table 3.3"),
@@ -42,7 +37,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("polytropic_exponent", 1.0, "1", 1.0, 1.67, "neutral 1: isothermal; effect gas_law"),
         ("compression_exponent", 1.0, "1", 1.0, 1.67, "neutral 1: as above, in the p dV/dt term alone; effect gas_law"),
     )
-    + _rows(
+    + rows(
         "muscle",
         ("braid_length_mm", 127.4, "mm", 10.0, 1000.0, "section 3.4, L"),
         ("braid_turns", 1.25, "1", 0.1, 10.0, "section 3.4, n"),
@@ -60,7 +55,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("stiffness_factor_a", 1.0, "1", 0.1, 10.0, "neutral 1: spread of muscle A"),
         ("stiffness_factor_b", 1.0, "1", 0.1, 10.0, "neutral 1: spread of muscle B"),
     )
-    + _rows(
+    + rows(
         "body",
         ("l11x_mm", 453.3, "mm", 0.0, 2000.0, "tables 3.4, F.1"),
         ("l11y_mm", 26.3, "mm", -2000.0, 2000.0, "tables 3.4, F.1"),
@@ -75,7 +70,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("jzz2_kgm2", 0.00570, "kg m2", 0.0, 100.0, "tables 3.4, F.1"),
         ("gravity_m_s2", 9.81, "m/s2", 0.0, 100.0, "F.67"),
     )
-    + _rows(
+    + rows(
         "sensor",
         ("angle_noise_deg", 0.02, "deg", 0.0, 10.0, "ordinary spread, rms"),
         ("pressure_noise_bar", 0.001, "bar", 0.0, 1.0, "ordinary spread, rms"),
@@ -83,7 +78,7 @@ ARM1_PARAMETERS = ParameterTable(
         ("angle_span_deg", 270.0, "deg", 1.0, 3600.0, "potentiometer's span, centred"),
         ("pressure_span_bar", 2.0, "bar", 0.1, 100.0, "pressure sensor's span, from 0"),
     )
-    + _rows(
+    + rows(
         "range",
         ("range_angle_deg", 45.0, "deg", 1.0, 90.0, "where the model holds; a simulation stops there"),
         ("range_low_bar", 0.15, "bar", 0.0, 10.0, "where the model holds; a simulation stops there"),

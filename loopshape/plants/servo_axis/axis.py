@@ -89,7 +89,8 @@ class ServoAxis:
 
         A diagnosis leaves recordings out to see what predicts them; of one recording there is nothing to leave out.
         """
-        own = self.of_run(run)
+        fitted = [r for r in run.recordings if r.info.role != "estimation" or {r.info.name, r.info.file} & set(names)]
+        own = self.of_run(replace(run, recordings=tuple(fitted)))
         if len(names) >= ENOUGH:
             return own, run, list(names)
         cut = [piece for name in names for piece in following.pieces(run.recording(name), PIECE_S)]
@@ -228,19 +229,8 @@ def _loop(run: Run) -> LoopSetup | None:
 
 
 def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
-    return RecordingInfo(
-        file=f"{e.name}.parquet",
-        kind=e.kind,
-        injection=e.injection,
-        role=e.role,
-        excites=e.excites,
-        closed_loop=e.closed_loop,
-        operating_point=dict(e.operating_point),
-        period_s=e.period_s,
-        periodic_from_s=e.periodic_from_s,
-        parameters=dict(e.parameters),
-        ended_early=None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s",
-    )
+    early = None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s"
+    return RecordingInfo.of(e, early)
 
 
 def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:

@@ -13,25 +13,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.plant import Parameter, ParameterTable
+from loopshape.plant import ParameterTable, rows
 from loopshape.units import TWO_PI, Array
 
 #: what run.toml may give under [parameters]
 NOMINAL = ("mass_kg", "viscous_ns_m", "stiffness_n_m")
 
 
-def _rows(block: str, *rows: tuple[str, float, str, float, float, str]) -> tuple[Parameter, ...]:
-    return tuple(Parameter(n, v, u, lo, hi, block, source) for n, v, u, lo, hi, source in rows)
-
-
 AXIS_PARAMETERS = ParameterTable(
-    _rows(
+    rows(
         "body",
         ("mass_kg", 100.0, "kg", 1e-6, 1e9, "all that moves, seen at the force"),
         ("viscous_ns_m", 200.0, "N s/m", 0.0, 1e12, "guide and motor"),
         ("stiffness_n_m", 0.0, "N/m", 0.0, 1e15, "spring to the ground, 0 where there is none"),
     )
-    + _rows(
+    + rows(
         "guide",
         ("coulomb_n", 0.0, "N", 0.0, 1e9, "neutral 0: mean of both directions; the friction effects"),
         ("coulomb_m_s", 1e-3, "m/s", 1e-9, 1e3, "shapes coulomb_n: speed of the transition"),
@@ -51,18 +47,18 @@ AXIS_PARAMETERS = ParameterTable(
             "neutral 0: drag with the square of the speed; a rival, no effect",
         ),
     )
-    + _rows(
+    + rows(
         "spring",
         ("cubic_n_m3", 0.0, "N/m3", 0.0, 1e18, "neutral 0; effect hardening_stiffness"),
         ("cubic_centre_m", 0.0, "m", -1e3, 1e3, "shapes cubic_n_m3: where it pulls no way"),
     )
-    + _rows(
+    + rows(
         "drive",
         ("force_offset_n", 0.0, "N", -1e9, 1e9, "neutral 0: added to the force; effect force_offset"),
         ("force_limit_n", 0.0, "N", 0.0, 1e9, "neutral 0: no limit; effect force_saturation"),
         ("force_limit_soft", 0.0, "1", 0.0, 1.0, "shapes force_limit_n: 0 cuts, 1 bends as tanh"),
     )
-    + _rows(
+    + rows(
         "transmission",
         ("sensor_play_m", 0.0, "m", 0.0, 1e3, "neutral 0: whole play before the sensor; effect backlash"),
         ("drive_play_m", 0.0, "m", 0.0, 1e3, "shapes flexible_share: whole play of the coupling; effect backlash"),
@@ -70,12 +66,12 @@ AXIS_PARAMETERS = ParameterTable(
         ("flexible_hz", 20.0, "Hz", 0.1, 1e4, "shapes flexible_share: free-free frequency"),
         ("flexible_damping", 0.02, "1", 0.0, 2.0, "shapes flexible_share: relative damping, free-free"),
     )
-    + _rows(
+    + rows(
         "controller",
         ("loop_delay_ms", 0.0, "ms", 0.0, 1000.0, "neutral 0: the force comes late; effect loop_delay"),
         ("force_lag_ms", 0.0, "ms", 0.0, 1000.0, "neutral 0: first-order lag of the force; effect loop_delay"),
     )
-    + _rows(
+    + rows(
         "sensor",
         ("position_noise_m", 1e-6, "m", 0.0, 1.0, "an encoder's, rms"),
         ("position_step_m", 0.0, "m", 0.0, 1.0, "resolution; 0 switches it off"),
