@@ -20,6 +20,9 @@ _ARRAYS = (
     "input_power",
     "output_power",
     "cross_power",
+    "noise_covariance",
+    "multiple_coherence",
+    "partial_coherence",
 )
 
 
@@ -34,6 +37,10 @@ class FRF:
     use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
     periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance, which
     `variance_pooled` neighbouring lines share.
+    `noise_covariance`, shaped as `covariance`, is the part that noise leaves; the rest is what a nonlinear plant
+    answers differently to each draw of the excitation. None where one cannot be told from the other.
+    `multiple_coherence` (nf, ny) and `partial_coherence` (nf, ny, nu) are those of several inputs; `averages` is the
+    effective number of averages behind them, without which a coherence says nothing (it is biased by inputs/averages).
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
     which the loop stood, where it is known. `method` says in one line how it
     was measured; `notes` are warnings.
@@ -61,6 +68,10 @@ class FRF:
     parameters: Mapping[str, float] = field(default_factory=dict)
     held_by: Controller | None = None
     notes: tuple[str, ...] = ()
+    noise_covariance: ComplexArray | None = None
+    multiple_coherence: Array | None = None
+    partial_coherence: Array | None = None
+    averages: float = float("nan")
 
     def __post_init__(self) -> None:
         nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
@@ -87,10 +98,14 @@ class FRF:
             raise WrongUseError("the variances of a FRF are not negative, and its line overlap is 1 at least")
         if np.asarray(self.trusted).dtype != bool:
             raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
-        for name in ("trusted", *_ARRAYS[3:]):
+        ny, nu = len(self.outputs), len(self.inputs)
+        shapes = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
+        shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
+        shapes |= {"multiple_coherence": (nf, ny), "partial_coherence": (nf, ny, nu)}
+        for name, shape in shapes.items():
             value = getattr(self, name)
-            if value is not None and np.shape(value) != (nf,):
-                raise WrongUseError(f"{name} of a FRF is one number a line", f"{np.shape(value)} for {nf} lines")
+            if value is not None and np.shape(value) != shape:
+                raise WrongUseError(f"{name} of a FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
 
     @property
     def digest(self) -> str:

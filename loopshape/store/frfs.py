@@ -21,7 +21,15 @@ from loopshape.units import Array
 FORMAT = "loopshape-frf/1"
 FOLDER = "frf"
 _ARRAYS = ("frequency_hz", "response", "covariance", "trusted")
-_PERHAPS = ("coherence", "input_power", "output_power", "cross_power")
+_PERHAPS = (
+    "coherence",
+    "input_power",
+    "output_power",
+    "cross_power",
+    "noise_covariance",
+    "multiple_coherence",
+    "partial_coherence",
+)
 _WORDS = (
     "inputs",
     "outputs",
@@ -34,6 +42,7 @@ _WORDS = (
     "line_overlap",
     "variance_freedom",
     "variance_pooled",
+    "averages",
     "parameters",
     "notes",
 )
@@ -130,6 +139,7 @@ def _words(header: dict[str, Any]) -> dict[str, Any]:
         "line_overlap": float(header.get("line_overlap", 1.0)),
         "variance_freedom": float(header.get("variance_freedom", "inf")),
         "variance_pooled": int(header.get("variance_pooled", 1)),
+        "averages": float(header.get("averages", "nan")),
         "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
         "notes": tuple(map(str, header["notes"])),
     }
