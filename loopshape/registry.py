@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from loopshape.plant import Followable
     from loopshape.rigs.simulated import Rig
 
-PLANTS = ("arm-1dof", "servo-axis")
+PLANTS = ("arm-1dof", "servo-axis", "arm-2dof")
 
 
 def plant(name: str) -> Rig:
@@ -19,6 +19,10 @@ def plant(name: str) -> Rig:
         from loopshape.plants.arm.arm1 import Arm1
 
         return Arm1()
+    if name == "arm-2dof":
+        from loopshape.plants.arm.arm2 import Arm2
+
+        return Arm2()
     if name == "servo-axis":
         from loopshape.plants.servo_axis.axis import ServoAxis
 

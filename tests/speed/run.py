@@ -103,6 +103,60 @@ def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     return go
 
 
+def c_arm2(folder: Path) -> Callable[[], object]:
+    """The plain C arm of two joints, compiled here with cc -O3, on its workload."""
+    import arm2_workload as work
+
+    library = folder / "arm2.so"
+    compiler = os.environ.get("CC", "cc")
+    command = [compiler, "-O3", "-std=c99", "-shared", "-fPIC", "-o", str(library), str(HERE / "arm2.c"), "-lm"]
+    subprocess.run(command, check=True)
+    run = ctypes.CDLL(str(library)).arm2_run
+    run.restype = ctypes.c_int
+    r, sections, rested = work.references(), work.biquads(), work.start()
+    injected, out = np.zeros_like(r), np.zeros((len(r), 14))
+
+    def pointer(a: np.ndarray) -> ctypes.c_void_p:
+        return a.ctypes.data_as(ctypes.c_void_p)
+
+    def go() -> None:
+        x = rested.copy()
+        ended = run(
+            len(r), pointer(r), pointer(injected), pointer(sections), sections.shape[1], pointer(x),
+            ctypes.c_longlong(12345678901), 1, pointer(out),
+        )  # fmt: skip
+        assert ended == 0, "the C arm left its range"
+
+    return go
+
+
+def our_arm2() -> Callable[[], object]:
+    """Our kernel of two joints on the same workload, one call, no Python inside."""
+    import arm2_workload as work
+
+    from loopshape.kernels.noise import start_state
+    from loopshape.plants.arm import closed_loop2 as kernel
+    from loopshape.plants.arm.closed_loop import COMPLETE, CONTROLLER_INPUT
+    from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
+
+    vector = ARM2_PARAMETERS.vector()
+    c, sensors = constants2(vector), sensor_constants2(vector)
+    r, sections, rested = work.references(), work.biquads(), work.start()
+    injected, out = np.zeros_like(r), np.zeros((len(r), kernel.MEASURED))
+    injected.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
+    seed = start_state(1)
+
+    def go() -> None:
+        state = np.zeros((4, sections.shape[1], 2))
+        ended, _ = kernel.run2(
+            c, sensors, rested.copy(), sections[0], sections[1], sections[2][:1], sections[3][:1], state, r, injected,
+            CONTROLLER_INPUT, True, 1e-3, 20, 0.01, 1, seed, out,
+        )  # fmt: skip
+        assert ended == COMPLETE, "the arm left its range"
+
+    return go
+
+
 def batch(threads: int) -> Callable[[], object]:
     """Eight arms through the plant, recordings and all."""
     from loopshape.plants.arm.arm1 import Arm1
@@ -176,6 +230,14 @@ def tuning() -> tuple[float, float]:
     return taken, best(bare, 2)
 
 
+def two_joints() -> None:
+    """Print how fast the 2-DoF arm runs, and how that compares with plain C."""
+    with tempfile.TemporaryDirectory() as folder:
+        ours, peer = interleaved(our_arm2(), c_arm2(Path(folder)), clock=time.process_time)
+    line("2-DoF arm, closed loop, exact edges, one core", SECONDS / ours, "simulated s/s")
+    line("  plain C (-O3), same workload", SECONDS / peer, f"simulated s/s, ours {peer / ours:.2f} of it")
+
+
 def main() -> None:
     """Run all and print a table."""
     print(f"{os.cpu_count()} cores; arm workload: {SECONDS:.0f} s of tracking steps, noise and converters on")
@@ -186,6 +248,7 @@ def main() -> None:
     line("arm, closed loop, exact edges, one core", speed, "simulated s/s")
     line("  plain C (-O3), same workload", SECONDS / peer, f"simulated s/s, ours {peer / ours:.2f} of it")
     line("  all 21 effects on", SECONDS / effects, f"simulated s/s, {nominal / effects:.2f} of the nominal arm's")
+    two_joints()
     one, two = interleaved(batch(1), batch(2), 3)
     line("8 recordings through the plant, 1 thread", 8 * SECONDS / one, "simulated s/s")
     line("  2 threads", 8 * SECONDS / two, f"simulated s/s, {one / two:.2f} times as fast")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 
 import numpy as np
@@ -19,22 +17,12 @@ from loopshape.plants.arm import following, memory
 from loopshape.plants.arm.effects import FORMS, SPREAD
 from loopshape.plants.arm.equilibrium import pressures, rest
 from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
-from loopshape.recording import Recording, RecordingInfo
+from loopshape.plants.arm.simulation import INJECTIONS, check_request, each, info, period_ticks, sections
+from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.units import Array, deg, rad
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
-_INJECTIONS = {
-    "controller_input": kernel.CONTROLLER_INPUT,
-    "plant_input": kernel.PLANT_INPUT,
-    "reference": kernel.CONTROLLER_INPUT,
-    "control": kernel.CONTROL,
-}
-_ENDED = {
-    kernel.LEFT_ANGLE: "the angle left the model's range",
-    kernel.LEFT_PRESSURE: "a muscle's pressure left the model's range",
-    kernel.NOT_FINITE: "the state is no longer a number",
-}
 _DEFAULTS: dict[str, tuple[Block, ...]] = {
     "theta2": (
         Block("gain", {"gain": 11.0}),
@@ -157,7 +145,7 @@ class Arm1:
 
     def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
         """Refuse unknown or out-of-bounds parameters, and a PWM period that is no whole number of samples."""
-        _period_ticks(rate_hz, self._value(self.parameters.vector(changes), "pwm_frequency_hz"))
+        period_ticks(rate_hz, self._value(self.parameters.vector(changes), "pwm_frequency_hz"))
 
     def _value(self, vector: Array, name: str) -> float:
         return float(vector[self.parameters.index(name)])
@@ -178,29 +166,22 @@ class Arm1:
         why. `states` adds the true states as columns. Same experiments and seeds, same recordings, whatever
         the number of threads.
         """
-        if solver not in SOLVERS:
-            raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(SOLVERS)}")
-        if steps_per_tick < 1:
-            raise WrongUseError("a tick is integrated in one step or more", f"{steps_per_tick!r}")
-        workers = min(len(experiments), threads or os.cpu_count() or 1)
+        check_request(solver, self.solvers, steps_per_tick)
 
         def one(experiment: Experiment) -> Recording:
             return self._run(experiment, SOLVERS[solver], dict(changes or {}), steps_per_tick, states)
 
-        if workers <= 1:
-            return [one(e) for e in experiments]
-        with ThreadPoolExecutor(workers) as pool:
-            return list(pool.map(one, experiments))
+        return each(experiments, one, threads)
 
     def _run(self, e: Experiment, solver: int, changes: dict[str, float], steps: int, states: bool) -> Recording:
         moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters)
         vector = self.parameters.vector(moves)
         c, sensors = constants(vector), sensor_constants(vector)
-        period_ticks = _period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
+        ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
         m = np.empty(memory.SIZE)
         memory.start(c, x, m)
-        controllers = [_biquads(loop, e) for loop in e.loops]
+        controllers = [sections(loop, e) for loop in e.loops]
         state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
         references = np.ascontiguousarray(e.references * np.array([1.0, 1e5]))
         injected = np.ascontiguousarray(e.injected)
@@ -208,30 +189,10 @@ class Arm1:
         out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
         ended, n = kernel.run(
             c, sensors, x, m, controllers[0], controllers[1], state, references, injected,
-            _INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, period_ticks,
+            INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, ticks,
             self._value(vector, "pwm_dead_zone"), solver, steps, start_state(e.seed), out,
         )  # fmt: skip
-        return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
-
-
-def _period_ticks(rate_hz: float, pwm_hz: float) -> int:
-    ticks = rate_hz / pwm_hz
-    if abs(ticks - round(ticks)) > 1e-9 or ticks < 1:
-        raise WrongUseError(
-            "a PWM period must be a whole number of controller samples", f"{pwm_hz:g} Hz at {rate_hz:g} Hz"
-        )
-    return round(ticks)
-
-
-def _biquads(loop: LoopSetup, e: Experiment) -> Array:
-    if loop.controller is None or loop.controller.rate_hz != e.rate_hz:
-        raise WrongUseError(f"loop {loop.name} needs a controller at the rig's rate {e.rate_hz:g} Hz")
-    return loop.controller.biquads()
-
-
-def _info(e: Experiment, ended: int, n: int) -> RecordingInfo:
-    early = None if ended == kernel.COMPLETE else f"{_ENDED[ended]} at {n / e.rate_hz:.3f} s"
-    return RecordingInfo.of(e, early)
+        return Recording(info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
 
 
 def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:

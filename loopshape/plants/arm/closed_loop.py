@@ -22,6 +22,7 @@ from loopshape.units import Array
 
 EDGES, GRID = 0, 1
 COMPLETE, LEFT_ANGLE, LEFT_PRESSURE, NOT_FINITE = 0, 1, 2, 3
+LEFT_THETA1, LEFT_THETA2 = 4, 5  # where there are two joints
 CONTROLLER_INPUT, PLANT_INPUT, CONTROL = 0, 1, 2
 
 #: columns of the log, pressures in Pa: measured angle and pressures, z and u; true states after them if asked
