@@ -99,7 +99,7 @@ class FRF:
         if np.asarray(self.trusted).dtype != bool:
             raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
         ny, nu = len(self.outputs), len(self.inputs)
-        shapes = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
+        shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
         shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
         shapes |= {"multiple_coherence": (nf, ny), "partial_coherence": (nf, ny, nu)}
         for name, shape in shapes.items():

@@ -11,11 +11,13 @@ from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.exam import exam
+from loopshape.cli.export import export
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
 from loopshape.cli.gap import gap
 from loopshape.cli.import_file import import_file
+from loopshape.cli.import_frf import import_frf
 from loopshape.cli.measure import measure
 from loopshape.cli.simulate import simulate
 from loopshape.cli.tune import tune
@@ -33,6 +35,8 @@ app = typer.Typer(
 for command in (measure, simulate, frf, fit, tune, check, gap, exam, effects, figures, equilibria, demo):
     app.command()(command)
 app.command("import")(import_file)
+app.command("import-frf")(import_frf)
+app.command()(export)
 
 
 @app.callback()

@@ -5,47 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from loopshape.controller import Controller
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.frf import FRF
-from loopshape.store.files import inside, json_ready, make_folder, reading, write_text_whole, write_whole
+from loopshape.store.files import inside, make_folder, reading, write_whole
+from loopshape.store.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
+from loopshape.store.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
 from loopshape.store.run_folder import excited_names, recording_digests
-from loopshape.store.run_tables import controller_table, read_controller
-from loopshape.store.words import Words, refuse_doubles
-from loopshape.units import Array
+from loopshape.store.words import refuse_doubles
 
 FORMAT = "loopshape-frf/1"
 FOLDER = "frf"
-_ARRAYS = ("frequency_hz", "response", "covariance", "trusted")
-_PERHAPS = (
-    "coherence",
-    "input_power",
-    "output_power",
-    "cross_power",
-    "noise_covariance",
-    "multiple_coherence",
-    "partial_coherence",
-)
-_WORDS = (
-    "inputs",
-    "outputs",
-    "method",
-    "recording",
-    "loop",
-    "rate_hz",
-    "operating_point",
-    "power_per",
-    "line_overlap",
-    "variance_freedom",
-    "variance_pooled",
-    "averages",
-    "parameters",
-    "notes",
-)
 
 
 def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
@@ -67,10 +39,8 @@ def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
 
 
 def _write(path: Path, frf: FRF, source: str) -> None:
-    held = None if frf.held_by is None else controller_table(frf.held_by) | {"rate_hz": frf.held_by.rate_hz}
-    header = {"format": FORMAT, "source": source, "held_by": held} | {word: getattr(frf, word) for word in _WORDS}
-    arrays = {name: getattr(frf, name) for name in (*_ARRAYS, *_PERHAPS) if getattr(frf, name) is not None}
-    text = np.array(json.dumps(json_ready(header)))
+    text = np.array(json.dumps({"format": FORMAT, "source": source} | frf_header(frf)))
+    arrays = frf_arrays(frf)
 
     def write(part: Path) -> None:
         with part.open("wb") as file:
@@ -111,55 +81,8 @@ def _read(path: Path) -> tuple[FRF, str]:
     with reading(path, "FRF"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
         found = header["format"]
-        arrays = {name: file[name] for name in (*_ARRAYS, *_PERHAPS) if name in file.files}
+        arrays = {name: file[name] for name in (*ARRAYS, *PERHAPS) if name in file.files}
     if found != FORMAT:
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(found), "estimate it again")
     with reading(path, "FRF", WrongUseError):
-        return FRF(**arrays, **_words(header), held_by=_held_by(header, str(path))), str(header.get("source", ""))
-
-
-def _held_by(header: dict[str, Any], where: str) -> Controller | None:
-    held = header.get("held_by")
-    if not held:
-        return None
-    table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
-    return read_controller(Words(table, where), float(held["rate_hz"]))
-
-
-def _words(header: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "inputs": tuple(map(str, header["inputs"])),
-        "outputs": tuple(map(str, header["outputs"])),
-        "method": str(header["method"]),
-        "recording": str(header["recording"]),
-        "loop": str(header["loop"]),
-        "rate_hz": float(header["rate_hz"]),
-        "operating_point": {str(k): float(v) for k, v in header["operating_point"].items()},
-        "power_per": str(header.get("power_per", "Hz")),
-        "line_overlap": float(header.get("line_overlap", 1.0)),
-        "variance_freedom": float(header.get("variance_freedom", "inf")),
-        "variance_pooled": int(header.get("variance_pooled", 1)),
-        "averages": float(header.get("averages", "nan")),
-        "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
-        "notes": tuple(map(str, header["notes"])),
-    }
-
-
-def frf_csv(path: Path, frf: FRF) -> None:
-    """Write a FRF as a table: frequency_hz, re, im, std, coherence, trusted (1 or 0).
-
-    `std` is sqrt(E|d|²) of the complex error, in the response's unit. A larger FRF than 1 x 1 has re, im
-    and std of each element, named by output and input; coherence is empty where there is none.
-    """
-    columns: dict[str, Array] = {"frequency_hz": frf.frequency_hz}
-    for row, output in enumerate(frf.outputs):
-        for column, source in enumerate(frf.inputs):
-            tail = "" if frf.response.shape[1:] == (1, 1) else f"_{output}_{source}"
-            element = frf.response[:, row, column]
-            columns |= {f"re{tail}": element.real, f"im{tail}": element.imag}
-            columns[f"std{tail}"] = np.sqrt(frf.variance[:, row, column])
-    rows = [",".join([*columns, "coherence", "trusted"])]
-    for k, values in enumerate(zip(*columns.values(), strict=True)):
-        coherence = "" if frf.coherence is None else repr(float(frf.coherence[k]))
-        rows.append(",".join([*(repr(float(v)) for v in values), coherence, str(int(frf.trusted[k]))]))
-    write_text_whole(path, "\n".join(rows) + "\n")
+        return FRF(**arrays, **frf_words(header, str(path))), str(header.get("source", ""))

@@ -1,0 +1,33 @@
+"""`loopshape export`: a run's FRFs as files for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+
+
+def export(
+    run: RunFolder,
+    to: Annotated[str, typer.Option(help="mat (MATLAB), csv, or uff (universal file 58; needs the extra uff).")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write into; default: export in the run.")] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write each FRF of a run as a file, all of them or none; import-frf reads them back."""
+    from loopshape.store.frf_exchange import export_frfs
+    from loopshape.store.frfs import read_frfs
+
+    output, frfs = Output(as_json, quiet), read_frfs(run)
+    paths, lost = export_frfs(frfs, to, out or run / "export")
+    columns = ["file", "recording", "loop", "outputs", "inputs", "lines"]
+    rows = [
+        [path.name, one.recording, one.loop, ", ".join(one.outputs), ", ".join(one.inputs), one.frequency_hz.size]
+        for path, one in zip(paths, frfs, strict=True)
+    ]
+    output.table(f"FRFs in {out or run / 'export'}", columns, rows)
+    output.warn(lost)
+    output.json({"run": str(run), "format": to, "files": [str(path) for path in paths], "warnings": list(lost)})
