@@ -1,0 +1,118 @@
+"""FRFs that do not go together: the sentence a user gets."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
+from algebra_nouns import any_frf
+
+from loopshape.algebra import (
+    add,
+    channels,
+    controller_frf,
+    feedback,
+    held,
+    inverse,
+    lower_closure,
+    product,
+    regrid,
+    upper_closure,
+)  # fmt: skip
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+
+RNG = np.random.default_rng(1)
+A, B = any_frf(RNG, 2, 2), any_frf(RNG, 2, 2)
+CHAIN = replace(B, outputs=A.inputs)
+GAIN = Controller("x", (Block("gain", {"gain": 1.0}),), 100.0)
+
+
+def no(words, do, *given, **more):
+    with pytest.raises(WrongUseError, match=words):
+        do(*given, **more)
+
+
+def test_other_lines_are_named_and_never_regridded():
+    moved = any_frf(RNG, 2, 2, f=np.array([1.0, 2.0, 3.5, 4.0, 5.0, 6.0, 7.0]))
+    no(r"different lines.*line 3 at 3 Hz and 3\.5 Hz; .*regrid\(frf", add, A, moved)
+    no("line 4 at 4 Hz and nothing", add, A, A.select(slice(0, 3)))
+    no("different lines", feedback, A, replace(moved, inputs=A.outputs, outputs=A.inputs))
+    nearly = replace(B, frequency_hz=B.frequency_hz * (1.0 + 1e-12))
+    assert add(A, nearly).frequency_hz[3] == A.frequency_hz[3]
+
+
+def test_one_frf_twice_has_errors_that_are_not_independent():
+    square = replace(A, inputs=A.outputs)
+    for do in (add, product):
+        no("stands twice.*feedback, lower_closure", do, square, square)
+    assert np.allclose(add(A, A, independent=True).covariance, 2.0 * A.covariance)
+    exact = replace(A, covariance=0.0 * A.covariance)
+    assert not add(exact, exact).covariance.any()
+    one, two = replace(A, recording="r01"), replace(B, recording="r02+r01")
+    assert "two parts come from r01: their errors were taken as independent" in add(one, two).notes
+    assert not add(one, replace(B, recording="r02")).notes
+
+
+def test_channels_that_do_not_meet():
+    no("inner channels of a product are not as many", product, A, any_frf(RNG, 3, 2))
+    no(r"inner channels of a product go by their names.*y0, y1 and u0, u1.*connect=\"order\"", product, A, B)
+    no("by names or by order", product, A, B, connect="somehow")
+    assert product(A, B, connect="order").outputs == ("y0", "y1")
+    no("outputs of a FRF go by their names.*use the names y0, y1", channels, A, ["y2"])
+    no("each once", channels, A, ["y0", "y0"])
+    no("controller outputs and plant inputs", feedback, A, B)
+    no("only a square FRF has an inverse; received 1 x 2", inverse, any_frf(RNG, 1, 2))
+    no(r"a FRF has no inverse at every line; received 1 Hz", inverse, replace(A, response=np.ones((7, 2, 2)) + 0j))
+
+
+def test_closures_that_close_nothing_or_all():
+    no("outputs of M that a lower closure closes go by their names", lower_closure, A, B)
+    K = replace(A, inputs=A.outputs, outputs=A.inputs)
+    no("leaves at least one input", lower_closure, B, K)
+    no("bare controllers have no channels", lower_closure, A, GAIN)
+    no("bare controllers have no channels.*controller_frf", upper_closure, A, [GAIN, GAIN], connect="order")
+    assert upper_closure(A, GAIN, connect="order").outputs == ("y1",)
+
+
+def test_rates_and_controllers():
+    no("different rates", add, replace(A, rate_hz=10.0), replace(B, rate_hz=20.0))
+    no("different rates", feedback, any_frf(RNG, 1, 1, rate_hz=50.0), GAIN)
+    other = replace(GAIN, rate_hz=200.0)
+    no(r"controllers of one rate.*\[100.0, 200.0\]", controller_frf, [GAIN, other], [1.0], ["a", "b"], ["c", "d"])
+    no("2 controllers at", controller_frf, [GAIN, GAIN], [1.0], ["a"], ["c", "d"])
+    no("0 controllers", controller_frf, [], [1.0], [], [])
+    no("at or above 50 Hz", controller_frf, GAIN, [60.0], ["a"], ["b"])
+
+
+def test_the_hold_is_multiplied_in_once():
+    one = held(A, 100.0, 0.001)
+    assert "zero-order hold at 100 Hz and 0.001 s of delay" in one.method
+    no("the hold and the delay already", held, one, 100.0)
+    no("already", held, product(one, replace(B, outputs=A.inputs)), 100.0)
+    no(
+        "recorded at the controller's own rate contains the hold.*continuous=True",
+        held,
+        replace(A, rate_hz=100.0),
+        100.0,
+    )
+    assert held(replace(A, rate_hz=100.0), 100.0, continuous=True).rate_hz == 100.0
+    no("lines below half its rate", held, A, 10.0)
+    no("lines below half its rate", held, A, 100.0, -1.0)
+    no("lines below half its rate", held, A, float("nan"))
+
+
+def test_regridding_never_extrapolates():
+    no(r"never beyond; received 0\.5 to 3 Hz; stay within 1 to 7 Hz", regrid, A, [0.5, 3.0])
+    no("never beyond", regrid, A, [3.0, 8.0])
+    no("never beyond; received no line", regrid, A, [])
+    no("never beyond", regrid, A, [2.0, np.nan])
+    no("rise", regrid, A, [3.0, 2.0])
+    made = regrid(A, np.arange(1.5, 7.0, 0.25))
+    assert "interpolated from 7 onto 22 lines" in made.notes[-1]
+    assert made.line_overlap > 3.0
+    assert list(made.trusted[:3]) == [False, False, True]  # the first line is not trusted, nor what leans on it
+    assert regrid(A.select([2]), [3.0]).response == pytest.approx(A.response[2:3])
