@@ -42,21 +42,35 @@ def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArra
             noise = np.einsum("akf,bkf->fab", residual, residual.conj()) / k
             each = 2.0 * max(k * t.independent - 1.0, 0.5)
             width = int(np.ceil(POOLED / each)) if t.power_per == "line" else 1
-            noise[t.excited] = _smooth(noise[t.excited], width // 2)
+            noise[t.excited] = smoothed(noise[t.excited], width // 2)
             pooled = 2 * (width // 2) + 1
             scatter, freedom = noise * nn.sum(0)[:, None, None], each * pooled
         else:
             averages = t.independent * nn.sum(0) ** 2 / (nn**2).sum(0)
-            scatter = _smooth(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
-            median = float(np.median(averages[t.excited])) if t.excited.any() else 1.5
-            pooled = 5
-            freedom = 2.0 * max(median - 1.0, 0.5) * pooled / t.line_overlap
+            scatter = smoothed(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
+            squared = t.independent * nn.sum(0) ** 2
+            return line_covariance(scatter, averages, squared, t.excited, t.line_overlap)
         unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
         scale = unbiased / (t.independent * nn.sum(0) ** 2)
         return np.asarray(scatter * scale[:, None, None]), freedom, pooled
 
 
-def _smooth(power: ComplexArray, half: int) -> ComplexArray:
+def line_covariance(
+    scatter: ComplexArray, averages: Array, squared: Array, excited: np.ndarray, overlap: float
+) -> tuple[ComplexArray, float, int]:
+    """Covariance (nf, m, m) of a passing sweep's answers, its degrees of freedom, and over how many lines it is pooled.
+
+    `scatter` (nf, m, m) is the sum of |N|² E E^H, smoothed over five lines, `averages` (nf,) the effective number of
+    segments that carry a line, `squared` (nf,) the squared sum of |N|² times the averages a segment counts for.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        median = float(np.median(averages[excited])) if excited.any() else 1.5
+        freedom = 2.0 * max(median - 1.0, 0.5) * 5 / overlap
+        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
+        return np.asarray(scatter * (unbiased / squared)[:, None, None]), freedom, 5
+
+
+def smoothed(power: ComplexArray, half: int) -> ComplexArray:
     """Moving mean over `half` neighbouring lines on each side."""
     if half == 0 or power.shape[0] < 2:
         return power

@@ -21,8 +21,9 @@ from scipy.stats import f as fisher
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.averages import against_instrument
+from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import loop_signals
-from loopshape.estimate.transforms import Settings, Transforms, transform
+from loopshape.estimate.transforms import Transforms, transform
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray, db

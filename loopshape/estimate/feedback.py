@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.estimate.averages import against_instrument
+from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, has_instrument, loop_signals
-from loopshape.estimate.transforms import Settings, transform
+from loopshape.estimate.transforms import transform
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
 from loopshape.units import db

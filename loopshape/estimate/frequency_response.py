@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.errors import BadSignalError
-from loopshape.estimate.averages import against_instrument, coherence, error_covariance, trusted_lines
+from loopshape.estimate.answers import ordinary_coherence, plant_of
+from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.feedback import direct_signals
+from loopshape.estimate.respond import respond
+from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import held_note, loop_signals, wiring_notes
-from loopshape.estimate.transforms import Settings, transform
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
 from loopshape.recording import Recording
@@ -52,46 +54,44 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         s, notes = direct_signals(recording, loop, settings)
     else:
         s, notes = loop_signals(recording, loop), ()
-    t = transform(recording, [s.y, s.u], s.instrument, settings)
-    to_instrument = against_instrument(t)
-    Y, U = t.signals
-    with np.errstate(divide="ignore", invalid="ignore"):
-        G = to_instrument[:, 0] / to_instrument[:, 1]
-        error, freedom, pooled = error_covariance(t, (Y - G * U)[None])
-        covariance = error[:, 0, 0] / np.abs(to_instrument[:, 1]) ** 2
-    rows = _kept(t.excited) & np.isfinite(G) & np.isfinite(covariance)
+    answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
+    plant = plant_of([answers], 1)
+    finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
+    rows = _kept(answers.excited) & finite
     if not rows.any():
         raise BadSignalError(
-            f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", t.method
+            f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", answers.method
         )
-    variance = np.real(covariance[rows])
+    a, f = answers.select(rows), answers.frequency_hz[rows]
+    G, covariance = plant.response[rows], plant.covariance[rows]
     if settings.estimator == "reference":
-        z = to_instrument[rows, 1] - (1.0 if recording.info.injection == "plant_input" else 0.0)
-        notes += wiring_notes(recording, loop, t.frequency_hz[rows], z, to_instrument[rows, 0])
-    trusted = trusted_lines(t.frequency_hz[rows], np.sqrt(variance) / np.abs(G[rows]), t.excited[rows])
+        z = a.response[:, 1, 0] - (1.0 if recording.info.injection == "plant_input" else 0.0)
+        notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
+    trusted = trusted_lines(f, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), a.excited)
     return FRF(
-        frequency_hz=t.frequency_hz[rows],
-        response=G[rows, None, None],
-        covariance=variance[:, None, None].astype(complex),
+        frequency_hz=f,
+        response=G,
+        covariance=covariance,
         trusted=trusted,
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
-        method=f"{settings.estimator} estimator, {t.method}",
+        method=f"{settings.estimator} estimator, {a.method}",
         recording=recording.info.name,
         loop=loop.name,
         rate_hz=recording.rate_hz,
         operating_point=dict(recording.info.operating_point),
-        coherence=coherence(Y, U)[rows],
-        input_power=t.density * (np.abs(U) ** 2).mean(0)[rows],
-        output_power=t.density * (np.abs(Y) ** 2).mean(0)[rows],
-        cross_power=t.density * (Y * U.conj()).mean(0)[rows],
-        power_per=t.power_per,
-        line_overlap=t.line_overlap,
-        variance_freedom=freedom,
-        variance_pooled=pooled,
+        coherence=np.clip(ordinary_coherence(a.power, 0, 1), 0.0, 1.0),
+        input_power=a.power[:, 1, 1].real,
+        output_power=a.power[:, 0, 0].real,
+        cross_power=a.power[:, 0, 1],
+        power_per=a.power_per,
+        line_overlap=a.line_overlap,
+        variance_freedom=a.freedom,
+        variance_pooled=a.pooled,
+        averages=a.averages,
         parameters=dict(recording.info.parameters),
         held_by=loop.controller if recording.info.closed_loop else None,
-        notes=notes + _band_note(t.frequency_hz[rows], trusted) + _early_note(recording) + held_note(recording, loop),
+        notes=notes + a.notes + _band_note(f, trusted) + _early_note(recording) + held_note(recording, loop),
     )
 
 

@@ -1,92 +1,272 @@
-"""Several loops: the plant's matrix from sensitivities measured column by column, P = S_P S_I^-1 (H.6)."""
+"""Several loops: the plant's matrix from what all signals answer to each loop's instrument, P = S_P S_I^-1 (H.6)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
+from itertools import zip_longest
 
 import numpy as np
 
-from loopshape.errors import WrongUseError
-from loopshape.estimate.averages import against_instrument, error_covariance, trusted_lines
-from loopshape.estimate.signals import instrument, output_channel, plant_input
-from loopshape.estimate.transforms import Settings, Transforms, transform
+from loopshape.channel import Channel, sum_terms
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.answers import Answers, PlantEstimate, plant_of
+from loopshape.estimate.averages import trusted_lines
+from loopshape.estimate.coherence import coherences
+from loopshape.estimate.periods import by_periods
+from loopshape.estimate.respond import respond
+from loopshape.estimate.settings import Settings
+from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input
+from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
 from loopshape.recording import Recording
 from loopshape.run import Run
-from loopshape.units import ComplexArray
+from loopshape.units import Array
 
 
 def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Settings | None = None) -> FRF:
-    """FRF (loops x loops) from one recording for each excited loop, made alike, at one operating point.
+    """FRF (outputs x loops) of the plant, from recordings at one operating point that together excite every loop.
 
-    Column i of S_I and S_P comes from the recording that excites loop i; P = S_P S_I^-1 on the lines that
-    all share. The covariance follows from each column's residuals, taken as independent between recordings.
+    One loop at a time, all at once by noise of one's own in each, or all at once by orthogonal multisines in as many
+    recordings as loops; several such sets of multisines are realisations, whose scatter tells distortion from noise.
+    The covariance is that of vec(P), from each recording's own residuals, independent between recordings. `run.outputs`
+    are the rows where these are not the loops' outputs. Loops that no recording excites have no column, and stay as
+    they are in the recordings: with interaction P is then the plant with those loops closed.
+
+    Refuses recordings at different operating points or settings, sets that leave a column open, and different lines.
     """
-    order = [loop.name for loop in run.loops]
-    by_loop = {str(r.info.excites): r for r in recordings}
-    if set(by_loop) != set(order) or len(recordings) != len(order):
-        raise WrongUseError(
-            "a plant's matrix needs one recording for each loop",
-            f"recordings that excite {', '.join(str(r.info.excites) for r in recordings)}",
-            f"the loops are {', '.join(order)}",
-        )
-    columns = [_column(run, by_loop[name], name, settings or Settings()) for name in order]
-    f = columns[0].frequency_hz
-    if any(not np.array_equal(c.frequency_hz, f) for c in columns):
+    settings = settings or Settings()
+    if settings.estimator != "reference":
+        raise WrongUseError("a plant's matrix is estimated by the reference", f"{settings.estimator!r}")
+    _check_alike(recordings)
+    loops = _excited_loops(run, recordings)
+    outputs = run.outputs or tuple(loop.output for loop in run.loops if loop in loops)
+    parts = _parts(run, recordings, loops, outputs, settings)
+    plant = plant_of(parts, len(outputs))
+    finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
+    rows = np.logical_and.reduce([p.excited for p in parts]) & finite
+    if not rows.any():
+        raise BadSignalError("the recordings of a plant's matrix share no excited line", parts[0].method)
+    notes = tuple(dict.fromkeys(n for r in recordings for n in _notes(run, r, loops))) + _left_closed(run, loops)
+    notes += tuple(dict.fromkeys(n for p in parts for n in p.notes))
+    return _frf(run, recordings, loops, outputs, [p.select(rows) for p in parts], _on(plant, rows), notes)
+
+
+def _check_alike(recordings: Sequence[Recording]) -> None:
+    for word in ("operating_point", "parameters"):
+        found = {tuple(sorted(getattr(r.info, word).items())) for r in recordings}
+        if len(found) > 1:
+            raise WrongUseError(
+                f"the recordings of a plant's matrix differ in their {word.replace('_', ' ')}",
+                "; ".join(str(dict(x)) for x in sorted(found)),
+                "take those of one",
+            )
+
+
+def _excited_loops(run: Run, recordings: Sequence[Recording]) -> list[LoopSetup]:
+    """Loops that any recording excites, in the run's order."""
+    names = {name for r in recordings for name in r.info.excited}
+    loops = [loop for loop in run.loops if loop.name in names]
+    if not loops:
+        raise WrongUseError("a plant's matrix needs recordings that excite its loops", f"{len(recordings)} recordings")
+    return loops
+
+
+def _parts(
+    run: Run, recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str], settings: Settings
+) -> list[Answers]:
+    """Answers whose columns are the loops, in their order."""
+    names = [loop.name for loop in loops]
+    if all(r.info.period_s is not None for r in recordings):
+        made = [
+            (r, _signals(r, loops, outputs, alone=False), _instruments(r, loops), names.index(str(r.info.excites)))
+            for r in _in_blocks(recordings, names)
+        ]
+        return [by_periods(made, settings)]
+    ordered = _one_each(recordings, names)
+    columns = [name for r in ordered for name in names if name in r.info.excited]
+    found = _on_common_lines(ordered, loops, outputs, settings)
+    return found if columns == names else [_reordered(found, [columns.index(n) for n in names])]
+
+
+def _one_each(recordings: Sequence[Recording], names: Sequence[str]) -> list[Recording]:
+    """Recordings of noise or sweeps in the order of the loops that they excite; refuses two of one loop."""
+    by_loop: dict[str, Recording] = {}
+    for r in recordings:
+        for name in r.info.excited:
+            if name in by_loop:
+                raise WrongUseError(
+                    "a plant's matrix takes one recording for each loop, of noise and sweeps",
+                    f"{by_loop[name].info.name} and {r.info.name} both excite {name}",
+                    "name the recordings to take; only multisines are averaged over realisations",
+                )
+            by_loop[name] = r
+    return list(dict.fromkeys(by_loop[name] for name in names))
+
+
+def _on_common_lines(
+    ordered: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str], settings: Settings
+) -> list[Answers]:
+    """Each recording's answers; where each record chose lines of its own, again on lines that all can have."""
+
+    def each(wished: Settings) -> list[Answers]:
+        return [_answers(r, loops, outputs, len(ordered) == 1, wished) for r in ordered]
+
+    found = each(settings)
+    if _alike(found):
+        return found
+    step = max(float(np.diff(p.frequency_hz).min()) for p in found)
+    lengths = {r.column(loops[0].control).size for r in ordered}
+    if len(lengths) == 1 and settings.method != "welch" and settings.resolution_hz is None:
+        with suppress(BadSignalError):
+            return _shared(each(replace(settings, method="local", resolution_hz=step)), step)
+    resolution = settings.resolution_hz or max(step, 10.0 * ordered[0].rate_hz / min(lengths))
+    found = each(replace(settings, method="welch", resolution_hz=resolution))
+    if not _alike(found):
         raise WrongUseError("the recordings of a plant's matrix have different lines", "", "record them alike")
-    rows = np.logical_and.reduce([c.excited for c in columns])
-    P, covariance, freedom, pooled = _matrix(columns, rows)
-    std = np.sqrt(np.real(np.einsum("fii->fi", covariance))).max(axis=1)
-    names = [by_loop[name].info.name for name in order]
+    return found
+
+
+def _answers(
+    recording: Recording, loops: Sequence[LoopSetup], outputs: Sequence[str], alone: bool, settings: Settings
+) -> Answers:
+    """What all signals answer to the loops that one recording excites."""
+    sources = [instrument(recording, loop) for loop in loops if loop.name in recording.info.excited]
+    return respond(recording, _signals(recording, loops, outputs, alone), sources, len(outputs), settings)
+
+
+def _alike(parts: Sequence[Answers]) -> bool:
+    return all(np.array_equal(p.frequency_hz, parts[0].frequency_hz) for p in parts)
+
+
+def _shared(parts: Sequence[Answers], step_hz: float) -> list[Answers]:
+    """Answers on the lines that all have, of grids whose lines are multiples of one step."""
+    places = [np.round(p.frequency_hz / step_hz).astype(int) for p in parts]
+    common = reduce(np.intersect1d, places)
+    return [p.select(np.isin(k, common)) for p, k in zip(parts, places, strict=True)]
+
+
+def _reordered(parts: Sequence[Answers], order: Sequence[int]) -> Answers:
+    """One part with the columns of all in another order; errors of different parts are independent."""
+    from scipy.linalg import block_diag
+
+    m = parts[0].response.shape[1]
+    H = np.concatenate([p.response for p in parts], axis=2)[:, :, order]
+    covariance = np.stack([block_diag(*cs) for cs in zip(*(p.covariance for p in parts), strict=True)])
+    place = np.concatenate([np.arange(m) + m * k for k in order])
+    first = parts[0]
+    return Answers(
+        first.frequency_hz, H, covariance[:, place][:, :, place], first.power, first.excited,
+        min(p.averages for p in parts), first.power_per, first.line_overlap, min(p.freedom for p in parts),
+        first.pooled, first.method,
+    )  # fmt: skip
+
+
+def _in_blocks(recordings: Sequence[Recording], names: Sequence[str]) -> list[Recording]:
+    """Periodic recordings in blocks of as many as loops: one for each loop, or sets that excite all at once."""
+    alone = [[r for r in recordings if r.info.excited == (name,)] for name in names]
+    together = [r for r in recordings if len(r.info.excited) > 1]
+    if together and any(alone):
+        raise WrongUseError(
+            "recordings of one loop at a time and of several at once are not taken together",
+            ", ".join(r.info.name for r in recordings),
+            "name those of one kind",
+        )
+    if together:
+        if len(together) % len(names) or any(set(r.info.excited) != set(names) for r in together):
+            raise WrongUseError(
+                f"orthogonal multisines excite all of {', '.join(names)} in as many recordings, or a multiple of it",
+                f"{len(together)} recordings",
+                "record the missing ones",
+            )
+        return together
+    counts = {len(mine) for mine in alone}
+    if len(counts) != 1:
+        raise WrongUseError(
+            "a plant's matrix needs as many recordings of each loop",
+            ", ".join(f"{name}: {len(mine)}" for name, mine in zip(names, alone, strict=True)),
+            "record the missing ones, or name those to take",
+        )
+    return [r for block in zip_longest(*alone) for r in block]
+
+
+def _signals(recording: Recording, loops: Sequence[LoopSetup], outputs: Sequence[str], alone: bool) -> list[Array]:
+    """Outputs, then plant inputs; these are left out where they are the instruments themselves."""
+    y = [recording.output(expression) for expression in outputs]
+    free = recording.info.injection == "control" or not recording.info.closed_loop
+    return y if alone and free else y + [plant_input(recording, loop) for loop in loops]
+
+
+def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array]:
+    """Each loop's instrument in a recording, zero where it does not excite that loop."""
+    excited = recording.info.excited
+    zero = np.zeros(recording.column(loops[0].control).size)
+    return [instrument(recording, loop) if loop.name in excited else zero for loop in loops]
+
+
+def _notes(run: Run, recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
+    notes = tuple(note for loop in loops for note in held_note(recording, loop))
+    early = recording.info.ended_early
+    return notes if early is None else (*notes, f"the recording ended early: {early}")
+
+
+def _left_closed(run: Run, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
+    names = [loop.name for loop in run.loops if loop not in loops and loop.controller is not None]
+    if not names:
+        return ()
+    return (f"no recording excites {', '.join(names)}: the matrix is the plant's with closed there what was closed",)
+
+
+def _on(plant: PlantEstimate, rows: np.ndarray) -> PlantEstimate:
+    noise = None if plant.noise is None else plant.noise[rows]
+    return PlantEstimate(plant.response[rows], plant.covariance[rows], noise)
+
+
+def _frf(
+    run: Run,
+    recordings: Sequence[Recording],
+    loops: Sequence[LoopSetup],
+    outputs: Sequence[str],
+    parts: Sequence[Answers],
+    plant: PlantEstimate,
+    notes: tuple[str, ...],
+) -> FRF:
+    f, info = parts[0].frequency_hz, recordings[0].info
+    power = np.mean([p.power[:, : len(outputs) + len(loops), : len(outputs) + len(loops)] for p in parts], axis=0)
+    averages = float(sum(p.averages for p in parts))
+    multiple, partial = coherences(power, len(outputs), averages)
+    std = np.sqrt(np.real(np.einsum("fii->fi", plant.covariance))).max(axis=1)
+    relative = std / np.linalg.norm(plant.response, 2, axis=(1, 2))
     return FRF(
-        frequency_hz=f[rows],
-        response=P,
-        covariance=covariance,
-        trusted=trusted_lines(f[rows], std / np.linalg.norm(P, 2, axis=(1, 2)), np.ones(rows.sum(), dtype=bool)),
-        inputs=tuple(loop.control for loop in run.loops),
-        outputs=tuple(output_channel(loop).column for loop in run.loops),
-        method=f"P = S_P S_I^-1, {columns[0].method}",
-        recording="+".join(names),
-        loop="+".join(order),
+        frequency_hz=f,
+        response=plant.response,
+        covariance=plant.covariance,
+        noise_covariance=plant.noise,
+        trusted=trusted_lines(f, relative, np.ones(f.size, dtype=bool)),
+        inputs=tuple(loop.control for loop in loops),
+        outputs=tuple(_row(run, expression) for expression in outputs),
+        method=f"P = S_P S_I^-1, {parts[0].method}",
+        recording="+".join(r.info.name for r in recordings),
+        loop="+".join(loop.name for loop in loops),
         rate_hz=run.rate_hz,
-        parameters=dict(recordings[0].info.parameters),
-        line_overlap=columns[0].line_overlap,
-        variance_freedom=freedom,
-        variance_pooled=pooled,
-        operating_point=dict(recordings[0].info.operating_point),
+        operating_point=dict(info.operating_point),
+        parameters=dict(info.parameters),
+        multiple_coherence=multiple,
+        partial_coherence=partial,
+        averages=averages,
+        power_per=parts[0].power_per,
+        line_overlap=parts[0].line_overlap,
+        variance_freedom=min(p.freedom for p in parts),
+        variance_pooled=parts[0].pooled,
+        notes=notes,
     )
 
 
-def _column(run: Run, recording: Recording, excited: str, settings: Settings) -> Transforms:
-    """Transforms of all outputs, then all plant inputs, against the excited loop's instrument."""
-    outputs = [recording.output(loop.output) for loop in run.loops]
-    inputs = [plant_input(recording, loop) for loop in run.loops]
-    return transform(recording, [*outputs, *inputs], instrument(recording, run.loop(excited)), settings)
-
-
-def _matrix(columns: Sequence[Transforms], rows: np.ndarray) -> tuple[ComplexArray, ComplexArray, float, int]:
-    """Plant matrix (nf, m, m), covariance of its vec (nf, m², m²) on the chosen lines, its freedom and pooling."""
-    m = len(columns)
-    responses = np.stack([against_instrument(c)[rows] for c in columns], axis=-1)
-    inverse = np.linalg.inv(responses[:, m:])
-    P = responses[:, :m] @ inverse
-    covariance = np.zeros((P.shape[0], m * m, m * m), dtype=complex)
-    freedom, pooled = np.inf, 1
-    for i, c in enumerate(columns):
-        Y, U = c.signals[:m, :, rows], c.signals[m:, :, rows]
-        residual = Y - np.einsum("fab,bkf->akf", P, U)
-        error, freedom, pooled = error_covariance(_on(c, rows), residual)
-        weight = np.einsum("fj,fk->fjk", inverse[:, i, :], inverse[:, i, :].conj())
-        covariance += np.einsum("fjk,fab->fjakb", weight, error).reshape(covariance.shape)
-    return P, covariance, freedom, pooled
-
-
-def _on(t: Transforms, rows: np.ndarray) -> Transforms:
-    return replace(
-        t,
-        frequency_hz=t.frequency_hz[rows],
-        signals=t.signals[:, :, rows],
-        instrument=t.instrument[:, rows],
-        excited=t.excited[rows],
-    )
+def _row(run: Run, expression: str) -> str:
+    """Name of a row: the loop's channel where the output is a loop's, else the column."""
+    for loop in run.loops:
+        if loop.output == expression:
+            return output_channel(loop).column
+    return Channel.from_column(sum_terms(expression)[0]).column

@@ -8,30 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.settings import Settings
 from loopshape.kernels.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
-ESTIMATORS = ("reference", "direct")
 #: lines whose excitation lies this far below the strongest are not the excitation's (leakage, rounding)
 FLOOR = 1e-5
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How to estimate; None lets the record decide. `resolution_hz` is Welch's distance between lines."""
-
-    estimator: str = "reference"
-    resolution_hz: float | None = None
-    overlap: float = 0.75
-
-    def __post_init__(self) -> None:
-        if self.estimator not in ESTIMATORS:
-            raise WrongUseError("an estimator is not known", f"{self.estimator!r}", f"use {' or '.join(ESTIMATORS)}")
-        if not 0.0 <= self.overlap <= 0.9:
-            raise WrongUseError("the overlap of segments lies between 0 and 0.9", f"{self.overlap!r}")
-        if self.resolution_hz is not None and not self.resolution_hz > 0.0:
-            raise WrongUseError("a resolution must be positive", f"{self.resolution_hz!r} Hz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +36,7 @@ class Transforms:
     line_overlap: float
     excited: np.ndarray
     method: str
+    notes: tuple[str, ...] = ()
 
 
 def transform(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
@@ -70,7 +54,7 @@ def transform(recording: Recording, signals: Sequence[Array], instrument: Array,
 
 def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Array) -> Transforms:
     rate = recording.rate_hz
-    length, start, periods = _periods(recording, instrument.size)
+    length, start, periods, notes = _periods(recording, instrument)
     part = slice(start, start + periods * length)
     N = period_spectra(instrument[part], length)
     X = np.stack([period_spectra(x[part], length) for x in signals])
@@ -90,18 +74,23 @@ def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Arra
         line_overlap=1.0,
         excited=_periodic_lines(N),
         method=f"{N.shape[0]} periods of {length / rate:g} s{note}",
+        notes=notes,
     )
 
 
-def _periods(recording: Recording, n: int) -> tuple[int, int, int]:
-    """Samples of a period, first sample, and number of whole periods; refuses fewer than two."""
-    info, rate = recording.info, recording.rate_hz
+def _periods(recording: Recording, instrument: Array) -> tuple[int, int, int, tuple[str, ...]]:
+    """Samples of a period as the excitation shows it, first sample, number of whole periods, and what was found.
+
+    Refuses fewer than two periods.
+    """
+    info, rate, n = recording.info, recording.rate_hz, instrument.size
     samples = (info.period_s or 0.0) * rate
     if abs(samples - round(samples)) > 1e-6 * samples or samples < 2:
         raise BadSignalError(
             f"the period of recording {info.file} is no whole number of samples", f"{info.period_s} s at {rate:g} Hz"
         )
-    length, start = round(samples), round((info.periodic_from_s or 0.0) * rate)
+    stated, start = round(samples), round((info.periodic_from_s or 0.0) * rate)
+    length = measured_period(instrument[start:], stated)
     periods = max(0, (n - start) // length)
     if periods < 2:
         raise BadSignalError(
@@ -109,7 +98,31 @@ def _periods(recording: Recording, n: int) -> tuple[int, int, int]:
             f"{n / rate:g} s, periodic from {start / rate:g} s",
             "two at least are needed to tell noise from response",
         )
-    return length, start, periods
+    notes = () if length == stated else (_other_period(stated, length, rate),)
+    return length, start, periods, notes
+
+
+def _other_period(stated: int, found: int, rate_hz: float) -> str:
+    return (
+        f"the excitation repeats every {found} samples ({found / rate_hz:.9g} s), not every {stated} as stated: the"
+        " measured period was used; correct period_s"
+    )
+
+
+def measured_period(instrument: Array, stated: int, reach: int = 5) -> int:
+    """Samples after which an excitation (n,) repeats, looked for within `reach` samples of the stated number.
+
+    Another length counts where it leaves less than half of what the stated one leaves unrepeated, and that was more
+    than noise: an excitation that repeats nowhere keeps the stated length, and is refused for it.
+    """
+    if instrument.size < 2 * stated + reach or stated <= 2 * reach:
+        return stated
+    lengths = range(stated - reach, stated + reach + 1)
+    kept = min(instrument.size - stated - reach, 8 * stated)
+    first = instrument[:kept]
+    left = [float(np.mean((instrument[k : k + kept] - first) ** 2)) for k in lengths]
+    best = int(np.argmin(left))
+    return lengths[best] if left[best] < 0.5 * left[reach] else stated
 
 
 def _check_period(recording: Recording, N: ComplexArray) -> None:
@@ -146,14 +159,11 @@ def _first_differs(X: ComplexArray) -> bool:
 
 def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
     rate, n = recording.rate_hz, instrument.size
-    length, step, segments = _segments(recording, n, settings)
+    length, step, segments = segments_of(recording, n, settings)
     window = hann(length)
     share = independent_share(segments, length, step, window)
     N = segment_spectra(instrument, length, step, window)
-    power = (np.abs(N) ** 2).mean(0)
-    fed = power > FLOOR * power[2:].max()
-    fed[:2] = fed[-1] = False  # the window smears the mean into the first line
-    excited = _clear_of_edges(fed, power)
+    excited = excited_lines((np.abs(N) ** 2).mean(0))
     text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Transforms(
         frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
@@ -167,6 +177,13 @@ def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Arr
         excited=excited,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
     )
+
+
+def excited_lines(power: Array) -> np.ndarray:
+    """Lines (nf,) that an instrument of this power feeds by more than a window's leakage."""
+    fed = power > FLOOR * power[2:].max()
+    fed[:2] = fed[-1] = False  # the window smears the mean into the first line
+    return _clear_of_edges(fed, power)
 
 
 def _clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndarray:
@@ -186,7 +203,7 @@ def _clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.nda
     return np.asarray(excited)
 
 
-def _segments(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
+def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
     """Length, step and number of segments; refuses a record with fewer than three averages."""
     rate = recording.rate_hz
     wished = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))

@@ -41,7 +41,7 @@ def habits(run: Run) -> Habits:
 
 def _injected(run: Run, loop: str, column: str | None) -> tuple[float, str, tuple[float, float]] | None:
     """Median peak of the injected signal, where it enters, and its band in Hz; None where nothing was injected."""
-    mine = [r for r in run.recordings if column in r.columns and r.info.excites == loop]
+    mine = [r for r in run.recordings if column in r.columns and loop in r.info.excited]
     mine = [r for r in mine if r.info.injection in ("controller_input", "plant_input")]
     mine = [r for r in mine if r.info.injection == mine[0].info.injection]
     peaks = [float(np.abs(r.column(str(column))).max()) for r in mine]

@@ -15,8 +15,9 @@ from loopshape.channel import Channel
 from loopshape.errors import WrongUseError
 from loopshape.estimate.averages import against_instrument, error_covariance
 from loopshape.estimate.frequency_response import estimate_frf
+from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import instrument, loop_signals
-from loopshape.estimate.transforms import Settings, Transforms, transform
+from loopshape.estimate.transforms import Transforms, transform
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
 from loopshape.recording import Recording
@@ -126,16 +127,16 @@ def common_frfs(runs: tuple[Run, Run], recordings: tuple[Recording, Recording], 
     signal injected, what a window leaks and what a sweep leaves settling is the same in both and cancels, so that the
     variance follows from the segments' residuals, one run's less the other's. Raises what `estimate_frf` does.
     """
-    settings = Settings()
+    settings = [Settings("reference", "auto" if r.info.period_s else "welch") for r in recordings]
     along = [_along(run, r, path) for run, r in zip(runs, recordings, strict=True)]
-    one, two = (estimate_frf(*a) for a in along)
+    one, two = (estimate_frf(*a, s) for a, s in zip(along, settings, strict=True))
     if recordings[0].info.period_s is None and recordings[1].info.period_s is None:
         steps = [float(np.diff(x.frequency_hz).min()) for x in (one, two)]
         if abs(steps[0] - steps[1]) > 1e-9 * steps[0]:
-            settings = Settings(resolution_hz=max(steps))
-            one, two = (estimate_frf(*a, settings) for a in along)
+            settings = 2 * [Settings(resolution_hz=max(steps))]
+            one, two = (estimate_frf(*a, s) for a, s in zip(along, settings, strict=True))
     one, two = on_common_lines(one, two)
-    t = [_transforms(*a, settings) for a in along]
+    t = [_transforms(*a, s) for a, s in zip(along, settings, strict=True)]
     residuals = [(t[0], _residual(t[1]) - _residual(t[0]))] if _same_instrument(*t) else [(x, _residual(x)) for x in t]
     parts = [_variances(x, r, one.frequency_hz) for x, r in residuals]
     variance, own = np.sum(parts, axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from loopshape.kernels.compiled import compiled
 from loopshape.kernels.types import Array, ComplexArray
 
 
@@ -44,3 +45,70 @@ def period_spectra(signal: Array, length: int) -> ComplexArray:
     """Transforms (periods, length//2 + 1) of consecutive whole periods; a sine of amplitude a gives a/2."""
     periods = signal.size // length
     return np.asarray(np.fft.rfft(signal[: periods * length].reshape(periods, length), axis=1) / length)
+
+
+#: bytes of transforms that `cross_spectra` holds at a time
+BLOCK_BYTES = 8_000_000
+#: lines whose products are added at a time
+NEAR = 512
+
+
+def cross_spectra(
+    signals: list[Array], length: int, step: int, weigh: int | None = None
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Sums over Hann segments of x x^H, (s, s, nf), and of w x x^H and w² with w = |x[weigh]|², for signals (n,) each.
+
+    Segments are those of `segment_spectra`, a few at a time, so that memory does not grow with the record. Without
+    `weigh` the weighted sums are zero and one line long.
+    """
+    count, nf = (signals[0].size - length) // step + 1, length // 2 + 1
+    total = np.zeros((len(signals), len(signals), nf), dtype=np.complex128)
+    weighted = np.zeros_like(total) if weigh is not None else np.zeros((1, 1, 1), dtype=np.complex128)
+    squares = np.zeros(nf if weigh is not None else 1)
+    window = hann(length)
+    few = max(1, BLOCK_BYTES // (16 * nf * len(signals)))
+    block = np.empty((len(signals), min(few, count), nf), dtype=np.complex128)
+    for first in range(0, count, few):
+        k = min(few, count - first)
+        for row, signal in enumerate(signals):
+            part = signal[first * step : (first + k - 1) * step + length]
+            _windowed_spectra(part, length, step, window, block[row, :k])
+        add_products(block[:, :k], -1 if weigh is None else weigh, total, weighted, squares)
+    return total, weighted, squares
+
+
+def _windowed_spectra(signal: Array, length: int, step: int, window: Array, out: ComplexArray) -> None:
+    """As `segment_spectra`, into `out`: a segment's mean under a Hann window lies in the lines 0 and 1 alone."""
+    segments = np.lib.stride_tricks.sliding_window_view(signal, length)[::step]
+    np.fft.rfft(segments * window, axis=1, out=out)
+    means = segments.mean(axis=1)
+    out[:, 0] -= (0.5 * length) * means
+    out[:, 1] += (0.25 * length) * means
+
+
+@compiled
+def add_products(block: ComplexArray, weigh: int, total: ComplexArray, weighted: ComplexArray, squares: Array) -> None:
+    """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; if weigh >= 0, weighted by its |x|² too."""
+    signals, segments, lines = block.shape
+    for low in range(0, lines, NEAR):  # as many lines as stay in the nearest cache
+        high = min(low + NEAR, lines)
+        for a in range(signals):
+            for b in range(a, signals):
+                into = total[a, b, low:high]
+                for k in range(segments):
+                    x, y = block[a, k, low:high], block[b, k, low:high]
+                    for f in range(high - low):
+                        into[f] += complex(
+                            x[f].real * y[f].real + x[f].imag * y[f].imag,
+                            x[f].imag * y[f].real - x[f].real * y[f].imag,
+                        )
+    if weigh < 0:
+        return
+    for k in range(segments):
+        n = block[weigh, k]
+        for f in range(lines):
+            w = n[f].real ** 2 + n[f].imag ** 2
+            squares[f] += w * w
+            for a in range(signals):
+                for b in range(a, signals):
+                    weighted[a, b, f] += w * block[a, k, f] * np.conj(block[b, k, f])

@@ -7,7 +7,7 @@ from scipy.signal import csd, freqz, lfilter
 from loopshape.controller import Block, Controller
 from loopshape.estimate.frequency_response import estimate_frf, estimate_run
 from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.excitation import Multisine
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo

@@ -64,6 +64,19 @@ def test_csv_with_blanks_in_its_header(tmp_path):
     assert run.recordings[0].info.closed_loop is False
 
 
+def test_outputs_and_further_excited_loops_of_a_map(tmp_path):
+    file = write_csv(tmp_path / "r7.csv", "u,theta")
+    second = '[[loop]]\nname = "other"\ncontrol = "v_v"\noutput = "theta_rad"\n\n[recording]'
+    columns = COLUMNS + 'v_v = { from = "u", unit = "V" }\n'
+    tail = TAIL.replace("[recording]", second) + 'excites_also = ["other"]\n'
+    run = mapped(tmp_path, file, HEAD + 'outputs = ["theta_rad", "u_v + v_v"]\n' + columns + tail)
+    assert run.outputs == ("theta_rad", "u_v + v_v")
+    assert run.recordings[0].info.excited == ("axis", "other")
+    write_run(tmp_path / "run", run)
+    back = read_run(tmp_path / "run")
+    assert (back.outputs, back.recordings[0].info) == (run.outputs, run.recordings[0].info)
+
+
 @pytest.mark.parametrize(("word", "separator"), [("tab", "\t"), (";", ";"), ("blank", "  ")])
 def test_csv_without_a_header_by_number(tmp_path, word, separator):
     file = write_csv(tmp_path / "r.txt", "a line for people", separator)

@@ -302,6 +302,95 @@ def test_study(tmp_path):
     assert by_name["sweep"].operating_points is None
 
 
+SEVERAL = """
+format = "loopshape-study/1"
+rig = "simulated"
+plant = "arm-2dof"
+seed = 7
+operating_points = [{ theta1_deg = 0.0 }]
+
+[[experiment]]
+name = "both"
+injection = "plant_input"
+role = "validation"
+realisations = 2
+lead_s = 1.0
+[experiment.excitations]
+theta1 = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_mv = 100.0 }
+theta2 = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_v = 0.2, seed = 11 }
+
+[[experiment]]
+name = "three"
+[experiment.excitations]
+theta1 = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_deg = 1.0 }
+theta2 = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_deg = 1.0 }
+p_a = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_mbar = 10.0 }
+
+[[experiment]]
+name = "hiss"
+[experiment.excitations]
+theta1 = { kind = "noise", f_low_hz = 1.0, f_high_hz = 9.0, duration_s = 20.0, amplitude_v = 0.1 }
+p_a = { kind = "noise", f_low_hz = 2.0, f_high_hz = 9.0, duration_s = 20.0, amplitude_v = 0.1 }
+
+[[experiment]]
+name = "again"
+realisations = 3
+excites = "theta1"
+[experiment.excitation]
+kind = "multisine"
+f_low_hz = 1.0
+f_high_hz = 9.0
+period_s = 2.0
+amplitude_v = 0.1
+turn = 0.25
+turns = 4
+"""
+
+
+def test_an_experiment_of_several_loops_comes_as_the_recordings_it_stands_for(tmp_path):
+    (tmp_path / "study.toml").write_text(SEVERAL)
+    study = read_study(tmp_path / "study.toml")
+    assert [e.name for e in study.experiments] == [
+        *("both-r1-s1", "both-r1-s2", "both-r2-s1", "both-r2-s2"),
+        *("three-s1", "three-s2", "three-s3"),
+        "hiss",
+        *("again-r1", "again-r2", "again-r3"),
+    ]
+    by_name = {e.name: e for e in study.experiments}
+    both = by_name["both-r1-s2"]
+    assert (both.kind, both.injection, both.role, both.lead_s) == ("multisine", "plant_input", "validation", 1.0)
+    assert (both.excites, list(both.excites_also)) == ("theta1", ["theta2"])
+    assert both.excitation.amplitude == pytest.approx(0.1)
+    assert both.excites_also["theta2"] == Multisine(1.0, 9.0, 2.0, 0.2, seed=11, turn=0.5)
+    assert by_name["both-r1-s1"].excites_also["theta2"] == Multisine(1.0, 9.0, 2.0, 0.2, seed=11)
+    assert [m.turn for m in by_name["three-s2"].excited.values()] == [0.0, 1 / 3, 2 / 3]
+    hiss = by_name["hiss"]
+    assert (hiss.kind, hiss.excites, list(hiss.excites_also)) == ("noise", "theta1", ["p_a"])
+    assert by_name["again-r2"].excitation.turn == 0.25
+    units = study.extra["units"]
+    assert units["both-r2-s1"]["excitation"] == "v"
+    assert (units["three-s3"]["excitation"], units["three-s3"]["excites_also"]) == (
+        "rad",
+        {"theta2": "rad", "p_a": "bar"},
+    )
+    assert (units["again-r1"]["excitation"], units["again-r1"]["excites_also"]) == ("v", {})
+
+
+def test_seeds_of_several_loops_are_their_own_and_the_same_when_read_again(tmp_path):
+    (tmp_path / "study.toml").write_text(SEVERAL)
+    first, again = (read_study(tmp_path / "study.toml").experiments for _ in range(2))
+    assert [e.excited for e in first] == [e.excited for e in again]
+    by_name = {e.name: {loop: s.seed for loop, s in e.excited.items()} for e in first}
+    assert len({*by_name["both-r1-s1"].values(), *by_name["both-r2-s1"].values()}) == 4
+    assert by_name["both-r1-s1"] == by_name["both-r1-s2"]
+    assert len(set(by_name["three-s1"].values())) == 3
+    assert len(set(by_name["hiss"].values())) == 2
+    assert 7 in by_name["again-r1"].values()  # the study's
+    (tmp_path / "study.toml").write_text(SEVERAL.replace("seed = 7", "seed = 8"))
+    other = {e.name: e.excited["theta1"].seed for e in read_study(tmp_path / "study.toml").experiments}
+    assert all(other[name] != seeds["theta1"] for name, seeds in by_name.items())
+
+
 def test_signals_of_a_study_come_in_stored_units(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY)
     study = read_study(tmp_path / "study.toml")

@@ -7,12 +7,20 @@ import numpy as np
 import pytest
 
 from loopshape.controller import Block, Controller
-from loopshape.errors import BadSignalError
+from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.run import Run
 from loopshape.store import run_folder
-from loopshape.store.run_folder import add_recording, check_recordings, finished, read_run, start_run, write_run
+from loopshape.store.run_folder import (
+    add_recording,
+    check_recordings,
+    finished,
+    read_run,
+    recording_digests,
+    start_run,
+    write_run,
+)
 from loopshape.store.tables import TableColumns, check_rate, write_table
 
 RATE_HZ = 100.0
@@ -114,6 +122,85 @@ def test_everything_in_a_run_comes_back(tmp_path):
         for name, values in mine.columns.items():
             np.testing.assert_array_equal(theirs.column(name), values)
         np.testing.assert_array_equal(theirs.column("t_s"), np.arange(400) / RATE_HZ)
+
+
+def two_loops(*recordings, outputs=()):
+    """A run of two loops whose columns come out of `columns` and of `second`."""
+    loops = (
+        LoopSetup("theta2", "r_theta2_rad", "n_theta2_rad", "z_theta2_v", "theta2_rad", None),
+        LoopSetup("theta1", "r_theta1_rad", "n_theta1_rad", "z_theta1_v", "theta1_rad", None),
+    )
+    return Run(RATE_HZ, loops, recordings, outputs=outputs)
+
+
+def both(**changes):
+    """A recording that excites both loops, with two accelerations and the columns changed by name."""
+    rng = np.random.default_rng(7)
+    names = ("r_theta1_rad", "n_theta1_rad", "z_theta1_v", "theta1_rad", "a01_m_s2", "a02_m_s2")
+    data = columns() | {name: rng.standard_normal(400) for name in names} | changes
+    return replace(recording(excites_also=("theta1",)), columns=data)
+
+
+OUTPUTS = ("a01_m_s2", "theta1_rad + theta2_rad")
+
+
+def test_further_excited_loops_and_outputs_come_back(tmp_path):
+    made = two_loops(both(), outputs=OUTPUTS)
+    write_run(tmp_path / "run", made)
+    back = read_run(tmp_path / "run")
+    assert back.outputs == OUTPUTS
+    assert back.extra == {}
+    assert back.recordings[0].info == made.recordings[0].info
+    assert back.recordings[0].info.excited == ("theta2", "theta1")
+    text = (tmp_path / "run" / "run.toml").read_text()
+    assert 'excites_also = ["theta1"]\n' in text
+    assert 'outputs = ["a01_m_s2", "theta1_rad + theta2_rad"]\n' in text
+    write_run(tmp_path / "plain", run(recording()))
+    assert "excites_also" not in (tmp_path / "plain" / "run.toml").read_text()
+    assert "outputs" not in (tmp_path / "plain" / "run.toml").read_text()
+    assert read_run(tmp_path / "plain").outputs == ()
+
+
+@pytest.mark.parametrize("outputs", [(), OUTPUTS[:1], OUTPUTS[::-1]])
+def test_a_run_of_other_outputs_is_another_run(tmp_path, outputs):
+    write_run(tmp_path / "run", two_loops(both(), outputs=OUTPUTS))
+    start_run(tmp_path / "run", two_loops(outputs=OUTPUTS))
+    with pytest.raises(WrongUseError, match="already holds another run; received different outputs"):
+        start_run(tmp_path / "run", two_loops(outputs=outputs))
+
+
+def test_outputs_belong_to_a_recording_s_mark(tmp_path):
+    marks = []
+    for k, outputs in enumerate([(), OUTPUTS, OUTPUTS[:1]]):
+        write_run(tmp_path / str(k), two_loops(both(), outputs=outputs))
+        marks.append(recording_digests(tmp_path / str(k))["r01"])
+    assert len(set(marks)) == 3
+
+
+@pytest.mark.parametrize("name", ["n_theta1_rad", "z_theta1_v", "theta1_rad", "n_theta2_rad", "a01_m_s2"])
+def test_signals_of_every_excited_loop_and_every_output_must_move(name):
+    assert check_recordings(two_loops(both(), outputs=OUTPUTS)) == []
+    stuck = both(**{name: np.full(400, 2.5)})
+    with pytest.raises(
+        BadSignalError, match=rf"{name} of recording r01\.parquet does not move although loop .* is exc"
+    ):
+        check_recordings(two_loops(stuck, outputs=OUTPUTS))
+
+
+def test_signals_that_nobody_asked_for_may_stand_still():
+    still = np.zeros(400)
+    assert check_recordings(two_loops(both(a01_m_s2=still, r_theta1_rad=still))) == []
+    one = both(n_theta1_rad=still, z_theta1_v=still)
+    alone = replace(one, info=replace(one.info, excites_also=()))
+    assert check_recordings(two_loops(alone)) == []
+
+
+@pytest.mark.parametrize("name", ["z_theta1_v", "theta1_rad", "a01_m_s2"])
+def test_a_clipped_signal_of_a_further_loop_or_output_is_called_saturated(name):
+    values = both().columns[name]
+    clipped_one = both(**{name: np.minimum(values, np.quantile(values, 0.9))})
+    (sentence,) = check_recordings(two_loops(clipped_one, outputs=OUTPUTS[:1]))
+    assert sentence.startswith(f"{name} of recording r01.parquet sits at ")
 
 
 def test_the_documented_example_is_read(tmp_path):

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from loopshape.controller import Block, Controller
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
 

@@ -10,7 +10,7 @@ from loopshape.controller import Block, Controller
 from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.estimate.frequency_response import estimate_frf, estimate_run
 from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
 from loopshape.recording import Recording, RecordingInfo
@@ -168,18 +168,24 @@ def test_a_run_names_its_loops_where_one_is_unknown():
 def test_a_matrix_needs_one_recording_for_each_loop():
     second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
     run = Run(RATE, (LOOP, second), (recording(),))
-    text = refusal(WrongUseError, lambda: estimate_matrix(run, run.recordings))
-    assert "one recording for each loop" in text
-    assert "the loops are axis, elbow" in text
+    empty = refusal(WrongUseError, lambda: estimate_matrix(run, []))
+    assert "recordings that excite its loops" in empty
     twice = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP,), ()), [recording(), recording()]))
-    assert "excite axis, axis" in twice
+    assert "both excite axis" in twice
 
 
-def test_a_matrix_of_recordings_made_differently_is_refused():
+def test_a_loop_that_no_recording_excites_has_no_column_and_that_is_said():
+    second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", LOOP.controller)
+    frf = estimate_matrix(Run(RATE, (LOOP, second), ()), [recording()], Settings(method="welch"))
+    assert frf.loop == "axis"
+    assert "no recording excites elbow" in " ".join(frf.notes)
+
+
+def test_a_matrix_of_recordings_at_two_operating_points_is_refused():
     second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
-    pair = [recording(), recording(3000, excites="elbow")]
+    pair = [recording(operating_point={"x_m": 1.0}), recording(excites="elbow", operating_point={"x_m": 2.0})]
     text = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP, second), pair), pair))
-    assert "different lines" in text
+    assert "differ in their operating point" in text
 
 
 def some_frf(nf=5, ny=1, nu=1, **words):

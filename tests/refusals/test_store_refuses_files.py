@@ -245,6 +245,53 @@ def test_excitations(tmp_path):
     no("f_low_hz = 0.5", 'f_low_hz = 0.5, spacing = "octaves"', "octaves", "logarithmic")
 
 
+SINE = 'kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, amplitude_v = 0.1'
+HISS = 'kind = "noise", f_low_hz = 1.0, f_high_hz = 9.0, duration_s = 20.0, amplitude_v = 0.1'
+
+
+def several(first=SINE, second=SINE, text=""):
+    """A study of one experiment that excites two loops at once."""
+    both = f"excitations = {{ theta2 = {{ {first} }}, p_ab = {{ {second} }} }}\n"
+    return STUDY.split("excites", maxsplit=1)[0] + text + both
+
+
+def test_several_loops_at_once(tmp_path):
+    def no(text, *words, error=WrongUseError):
+        refused(read_study, tmp_path / "s.toml", text, *words, error=error)
+
+    beside = "s.toml, experiment 'e1': excitations already say"
+    no(several(text='excites = "theta2"\n'), beside, "excites beside it", "excites and excitation for one loop")
+    no(several(text=f"excitation = {{ {SINE} }}\n"), beside, "excitation beside it")
+    no(several(text="duration_s = 3.0\n"), "duration_s is for experiments without an excitation")
+    no(several(SINE.replace("0.1", "-0.1")), "experiment 'e1', excitations, theta2: amplitude of a multisine")
+    no(
+        several(second=HISS),
+        "experiment 'e1': loops are excited at once by",
+        "theta2 multisine, p_ab noise",
+        "of its own",
+    )
+    no(several(second=SINE.replace("2.0", "4.0")), "share their period", "theta2 2.0 s, p_ab 4.0 s")
+    no(several(SINE + ", turn = 0.5"), "excitations, theta2: loops", "turned by their number", "turn", "leave it out")
+    no(several(HISS + ", seed = 3", HISS + ", seed = 3"), "identical", "theta2 seed 3, p_ab seed 3")
+    no(STUDY.split("excites", maxsplit=1)[0] + f"excitations = {{ p_ab = {{ {SINE} }} }}\n", "two or more", "p_ab")
+    no(STUDY.split("excites", maxsplit=1)[0] + "excitations = {}\n", "two or more", "none")
+    no(several(text='name2 = "x"\n'), "unknown key", "excitations, realisations")
+
+
+def test_realisations(tmp_path):
+    def no(text, *words, error=WrongUseError):
+        refused(read_study, tmp_path / "s.toml", text, *words, error=error)
+
+    no(several(text="realisations = 0\n"), "experiment 'e1': realisations of an experiment are 1 to 1000", "received 0")
+    no(several(text="realisations = 1.5\n"), "realisations must be a whole number", "1.5")
+    no(several(text="realisations = 5000\n"), "1 to 1000", "5000")
+    no(several(HISS, HISS, "realisations = 2\n"), "experiment 'e1': realisations are of multisines", "theta2 noise")
+    no(STUDY + "realisations = 1\n", "realisations are of multisines", "theta2 sweep", "leave realisations out")
+    no(QUIET + "realisations = 2\n", "realisations are of multisines", "no excitation")
+    again = "[[experiment]]" + several(text="").split("[[experiment]]")[1].replace('"e1"', '"e1-r1"')
+    no(several(text="realisations = 1\n") + again, "two experiments have one name", "'e1-r1-s1'")
+
+
 def test_setpoints(tmp_path):
     good = 'kind = "profile", times_s = [0.0], values_bar = [1.0]'
     good += ", velocity_bar_s = 1.0, acceleration_bar_s2 = 1.0, jerk_bar_s3 = 1.0"

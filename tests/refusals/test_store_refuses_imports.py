@@ -65,6 +65,9 @@ def test_maps_that_do_not_fit(tmp_path):
         tmp_path, "resample needs the stamps", text="resample = true\n" + without('time = { from = "t", unit = "s" }')
     )
     refused(tmp_path, "excites names no loop", "'y'", text=MAP + 'excites = "y"\n')
+    refused(tmp_path, "excites_also goes with excites", "axis alone", text=MAP + 'excites_also = ["axis"]\n')
+    twice = MAP + 'excites = "axis"\nexcites_also = ["axis"]\n'
+    refused(tmp_path, "map.toml, recording: an excited loop is named twice", text=twice)
     refused(tmp_path, "wobble", "multisine", text=MAP.replace("noise", "wobble"))
     refused(tmp_path, "plain name", text=MAP + 'name = "../x"\n', error=UnreadableInputError)
     refused(tmp_path, "no dot", text=MAP + 'name = "a.b"\n')
@@ -82,6 +85,10 @@ def test_columns_that_do_not_fit(tmp_path):
     refused(tmp_path, "must end in its unit", "'u'", text=MAP.replace("u_v = {", "u = {"))
     refused(tmp_path, "t_s is made from rate_hz", text=MAP.replace("u_v = {", "t_s = {"))
     refused(tmp_path, "does not make", "y_m", "u_v, x_m", text=MAP.replace('output = "x_m"', 'output = "y_m"'))
+    sums = 'outputs = ["x_m + y_m"]\n' + MAP
+    refused(tmp_path, "map.toml: outputs name columns that [columns] does not make", "y_m", "u_v, x_m", text=sums)
+    refused(tmp_path, "adds different units", text='outputs = ["x_m + u_v"]\n' + MAP)
+    refused(tmp_path, "list of texts", text='outputs = "x_m"\n' + MAP)
     refused(tmp_path, "counts from 1", text=MAP.replace('"V"', '"V", column = 0'))
     refused(tmp_path, "has one dimension", text=MAP.replace('"V"', '"V", column = 1'))
     refused(tmp_path, "60 x 2", "counted from 1", u=np.ones((N, 2)))

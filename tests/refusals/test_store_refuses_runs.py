@@ -79,6 +79,30 @@ def test_recordings_that_do_not_fit(tmp_path):
     refused(tmp_path, start + ENTRY.replace(".parquet", ".xlsx"), "table's kind", ".csv.gz")
 
 
+def test_further_excited_loops_that_do_not_fit(tmp_path):
+    start = HEAD + LOOP + LOOP.replace('"x"', '"y"')
+    refused(tmp_path, start + ENTRY + 'excites_also = ["y"]\n', "excites_also goes with excites", "y alone", "first")
+    excited = start + ENTRY + 'excites = "x"\n'
+    refused(tmp_path, excited + 'excites_also = ["q"]\n', "recording 'r01.parquet': excites_also names no loop", "x, y")
+    refused(tmp_path, excited + 'excites_also = ["y", "y"]\n', "named twice", "x, y, y", "each once")
+    refused(tmp_path, excited + 'excites_also = ["x"]\n', "named twice", "x, x")
+    for wrong in ('"y"', "3", "[3]", '[""]', "{}"):
+        refused(tmp_path, excited + f"excites_also = {wrong}\n", "excites_also", "list of texts in quotes")
+    folder_with(tmp_path, excited + "excites_also = []\n")
+    assert read_run(tmp_path).recordings[0].info.excited == ("x",)
+
+
+def test_outputs_that_do_not_fit(tmp_path):
+    refused(tmp_path, HEAD + 'outputs = "x_m"\n', "run.toml: outputs must be a list of texts")
+    refused(tmp_path, HEAD + 'outputs = ["x"]\n', "run.toml: a column's name must end in its unit", "'x'", "_m_s2")
+    refused(tmp_path, HEAD + 'outputs = ["x_m", "x_m + p_bar"]\n', "one of outputs adds different units", "x_m + p_bar")
+    refused(tmp_path, HEAD + 'outputs = ["x_m - y_m"]\n', "a column or a sum of columns", "x_m - y_m")
+    refused(tmp_path, HEAD + 'outputs = ["x_m+y_m", "x_m + y_m"]\n', "two outputs have one name", "x_m + y_m")
+    with pytest.raises(WrongUseError, match="the run: one of outputs adds different units"):
+        start_run(tmp_path / "new", replace(run(), outputs=("x_m + z_v",)))
+    assert not (tmp_path / "new").exists()
+
+
 @pytest.mark.parametrize(
     "name", ["../r01.parquet", "/etc/r01.parquet", "a\\\\r01.parquet", "..", "sub/r01.parquet", ""]
 )
@@ -207,6 +231,8 @@ def test_recordings_that_are_not_added(tmp_path):
         add_recording(tmp_path, recording(info=replace(info, file="../r02.parquet")))
     with pytest.raises(WrongUseError, match="excites names no loop"):
         add_recording(tmp_path, recording(info=replace(info, file="r02.parquet", excites="y")))
+    with pytest.raises(WrongUseError, match="excites_also names no loop"):
+        add_recording(tmp_path, recording(info=replace(info, file="r02.parquet", excites_also=("y",))))
     with pytest.raises(WrongUseError, match="equally long"):
         add_recording(tmp_path, recording(info=replace(info, file="r02.parquet"), columns={"a_v": [1.0], "b_v": []}))
     data = {"t_s": np.arange(5.0)}

@@ -9,7 +9,7 @@ from known_loops import LOOP, RATE, estimates, plant, record, run_loop
 from scipy.signal import lfilter
 
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.recording import Recording
 from loopshape.units import db
 

@@ -5,7 +5,7 @@ import pytest
 from known_loops import LOOP, RATE, estimates, plant, record, run_loop
 
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.excitation import BandNoise, Multisine, Sweep
 from loopshape.recording import Recording, RecordingInfo
 

@@ -1,12 +1,15 @@
 """Two coupled loops, one excited at a time: P = S_P S_I^-1 is the plant, and its covariance is the scatter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
 from loopshape.estimate.frequency_response import estimate_frf
 from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.excitation import Multisine
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
@@ -140,3 +143,12 @@ def test_variance_has_the_place_of_its_element(place):
         for row in (0, 1):
             k = 2 * column + row
             np.testing.assert_array_equal(frf.variance[:, row, column], frf.covariance[:, k, k].real)
+
+
+def test_multisines_of_different_periods_are_refused():
+    n = [Multisine(0.5, 30.0, period, 1.0, periods=4, seed=1).signal(RATE) for period in (4.0, 5.0)]
+    size = min(x.size for x in n)
+    run = runs("plant_input", [n[0][:size], n[1][:size]], 0.0, 1, "multisine", period_s=4.0, periodic_from_s=1.0)[0]
+    second = replace(run.recordings[1], info=replace(run.recordings[1].info, period_s=5.0))
+    with pytest.raises(WrongUseError, match="different periods"):
+        estimate_matrix(run, [run.recordings[0], second])

@@ -14,7 +14,7 @@ from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
 from scipy.signal import freqz, lfilter
 
 from loopshape.estimate.averages import POOLED
-from loopshape.estimate.transforms import Settings
+from loopshape.estimate.settings import Settings
 from loopshape.excitation import BandNoise, Multisine, Sweep
 
 RECORDS = 200
@@ -40,7 +40,8 @@ def noise(seed, size):
 @pytest.mark.parametrize("place", ["controller_input", "plant_input"])
 @pytest.mark.parametrize("overlap", [0.75, 0.5, 0.0])
 def test_noise_by_segments(place, overlap):
-    frfs = estimates(place, "noise", noise(1, SAMPLES), 0.05 * noise(2, SAMPLES), Settings(overlap=overlap))
+    settings = Settings(method="welch", overlap=overlap)
+    frfs = estimates(place, "noise", noise(1, SAMPLES), 0.05 * noise(2, SAMPLES), settings)
     ratio, coverage = ratio_and_coverage(frfs)
     # the transient at each segment's ends adds a few percent to the scatter between segments, less to their mean
     assert 0.97 < ratio.mean() < 1.12

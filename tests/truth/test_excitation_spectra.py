@@ -143,6 +143,22 @@ def test_seeds_choose_the_phases_and_nothing_else():
     np.testing.assert_array_equal(lines_of(x, 4000) > 1e-9, lines_of(y, 4000) > 1e-9)
 
 
+def test_half_a_turn_is_exactly_the_other_sign():
+    one, other = (Multisine(0.5, 20.0, 4.0, 0.3, seed=1, turn=turn).signal(RATE_HZ) for turn in (0.0, 0.5))
+    np.testing.assert_array_equal(other, -one)
+
+
+def test_a_turn_is_added_to_the_phase_of_every_line():
+    one, other = (Multisine(0.5, 20.0, 4.0, 0.3, seed=1, turn=turn, turns=8) for turn in (0.0, 0.375))
+    before, after = (np.fft.rfft(m.signal(RATE_HZ)[1000:5000])[2:81] for m in (one, other))
+    np.testing.assert_allclose(after / before, np.exp(2j * np.pi * 0.375), rtol=1e-11)
+    peaks = [
+        np.abs(Multisine(0.5, 20.0, 4.0, 0.3, seed=1, turn=k / 8, turns=8).signal(RATE_HZ)).max() for k in range(8)
+    ]
+    assert max(peaks) == pytest.approx(0.3, rel=1e-12)
+    assert min(peaks) > 0.2
+
+
 @pytest.mark.parametrize("order", [3, 7, 10])
 def test_prbs_is_a_maximum_length_sequence(order):
     one = Prbs(order, 0.005, 0.4, periods=3, seed=2)

@@ -127,3 +127,14 @@ def test_a_rig_that_cannot_be_driven_on_the_model_gets_no_proposal(run) -> None:
     hole[3] = np.nan
     torn = replace(run.recordings[0], columns=dict(run.recordings[0].columns) | {"n_theta2_rad": hole})
     assert nxt.propose(Arm1(), replace(run, recordings=(torn,)), ("payload", PAYLOAD), ("none", {})) is None
+
+
+def test_a_loop_that_is_excited_at_once_with_another_has_habits_too():
+    rng = np.random.default_rng(0)
+    loops = tuple(LoopSetup(x, None, f"n_{x}_v", f"z_{x}_v", f"{x}_rad", None) for x in ("a", "b"))
+    columns = {f"{signal}_{x}_v": rng.standard_normal(2000) for signal in ("n", "z") for x in ("a", "b")}
+    info = RecordingInfo("r01.parquet", "noise", "plant_input", excites="a", excites_also=("b",))
+    found = habits(Run(100.0, loops, (Recording(info, 100.0, columns),))).injected
+    assert {loop: (size, place) for loop, (size, place, _) in found.items()} == {
+        x: (np.abs(columns[f"n_{x}_v"]).max(), "plant_input") for x in ("a", "b")
+    }

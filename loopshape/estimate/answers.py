@@ -1,0 +1,96 @@
+"""What signals answer to instruments: the first half of every estimate, whichever transforms it comes from.
+
+An instrument is a signal that only we moved. With H the responses of output and plant input to it, P = H_y H_u^-1:
+what the instrument did not cause averages out, in closed loop too (van den Hof and Schrama 1993; the source's H.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopshape.units import Array, ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Responses (nf, m, nr) of m signals to nr instruments, with covariance (nf, m nr, m nr) of vec, columns stacked.
+
+    `noise` is the part of the covariance that noise leaves, None where it cannot be told from the rest. `power`
+    (nf, m + nr, m + nr) are cross-powers of signals and instruments, per Hz or per line as `power_per` says, over
+    `averages` effective averages. `excited` (nf,) marks lines that every instrument feeds. The rest as in `FRF`.
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    covariance: ComplexArray
+    power: ComplexArray
+    excited: np.ndarray
+    averages: float
+    power_per: str
+    line_overlap: float
+    freedom: float
+    pooled: int
+    method: str
+    noise: ComplexArray | None = None
+    notes: tuple[str, ...] = ()
+
+    def select(self, lines: np.ndarray) -> Answers:
+        """The same on a mask or index of lines."""
+        names = ("frequency_hz", "response", "covariance", "power", "excited", "noise")
+        return replace(self, **{n: getattr(self, n)[lines] for n in names if getattr(self, n) is not None})
+
+
+@dataclass(frozen=True, eq=False)
+class PlantEstimate:
+    """P (nf, ny, nu), covariance of its vec, and noise's part of it or None."""
+
+    response: ComplexArray
+    covariance: ComplexArray
+    noise: ComplexArray | None
+
+
+def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
+    """P = H_y H_u^-1 from answers whose columns together are as many as plant inputs, on common lines.
+
+    The first `outputs` signals are the plant's outputs, the rest its inputs; without inputs among them the
+    instruments were the inputs themselves. Errors of different parts are independent: dP = [I, -P] dH H_u^-1.
+    """
+    H = np.concatenate([part.response for part in parts], axis=2)
+    if H.shape[1] == outputs:
+        return PlantEstimate(H, parts[0].covariance, parts[0].noise)
+    with np.errstate(all="ignore"):
+        inverse = _inverse(H[:, outputs:])
+        P = H[:, :outputs] @ inverse
+        left = np.concatenate([np.broadcast_to(np.eye(outputs), (P.shape[0], outputs, outputs)), -P], axis=2)
+        covariance = np.zeros((P.shape[0], P[0].size, P[0].size), dtype=complex)
+        noise = None if any(part.noise is None for part in parts) else covariance.copy()
+        first = 0
+        for part in parts:
+            last = first + part.response.shape[2]
+            K = np.einsum("fjp,fai->fpaji", inverse[:, first:last], left).reshape(P.shape[0], P[0].size, -1)
+            adjoint = K.conj().transpose(0, 2, 1)
+            covariance += K @ part.covariance @ adjoint
+            if noise is not None and part.noise is not None:
+                noise += K @ part.noise @ adjoint
+            first = last
+    return PlantEstimate(P, covariance, noise)
+
+
+def _inverse(matrix: ComplexArray) -> ComplexArray:
+    """Inverses (nf, n, n), nan where there is none."""
+    out = np.full_like(matrix, np.nan)
+    if matrix.shape[1] == 1:
+        return np.asarray(1.0 / matrix)
+    finite = np.flatnonzero(np.isfinite(matrix).all(axis=(1, 2)))
+    regular = finite[np.abs(np.linalg.det(matrix[finite])) > 0.0]
+    out[regular] = np.linalg.inv(matrix[regular])
+    return out
+
+
+def ordinary_coherence(power: ComplexArray, a: int, b: int) -> Array:
+    """Coherence (nf,) of two of the signals of `power`."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.abs(power[:, a, b]) ** 2 / (power[:, a, a].real * power[:, b, b].real))

@@ -1,0 +1,117 @@
+"""Local polynomials and rationals over the lines of a whole record, by least squares at each line.
+
+The transform of a whole record is X(k) = H(k) R(k) + T(k) + V(k): the transient T of start and end is as smooth as H.
+Over a window of lines about one, both are polynomials of the distance (Pintelon, Schoukens, Vandersteen, Barbe, MSSP
+24, 2010), or share a local denominator, which follows resonances sharper than the window (McKelvey, Guerin,
+SYSID 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.units import ComplexArray
+
+
+@dataclass(frozen=True, order=True)
+class Window:
+    """Half width in lines, order of the polynomials, and degree of the local denominator (0: none)."""
+
+    half: int
+    order: int
+    poles: int
+
+    def unknowns(self, instruments: int) -> int:
+        """How many numbers are fitted at each line."""
+        return (self.order + 1) * (instruments + 1) + self.poles
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        kind = f"rationals of order {self.order}/{self.poles}" if self.poles else f"polynomials of order {self.order}"
+        return f"local {kind} over {2 * self.half + 1} lines"
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFit:
+    """Fits at n lines: response (n, m, nr), weights (n, m, nr, w) with H = weights . X, first line of each window (n,).
+
+    `scatter` (n, m, m) is the noise's power left over, with `freedom` complex degrees of freedom; `left_out` (n, m) is
+    what each line would have been missed by, had it not been among those fitted.
+    """
+
+    response: ComplexArray
+    weights: ComplexArray
+    first: np.ndarray
+    scatter: ComplexArray
+    freedom: int
+    left_out: ComplexArray
+
+    @property
+    def spread(self) -> ComplexArray:
+        """Covariance (n, m nr, m nr) of vec(response), columns stacked."""
+        return covariance_of(self.weights, self.scatter)
+
+
+def covariance_of(weights: ComplexArray, scatter: ComplexArray) -> ComplexArray:
+    """Covariance (n, m nr, m nr) of sums weights (n, m, nr, w) . V with V of power (n, m, m), alike over the window."""
+    n, m, nr, w = weights.shape
+    flat = weights.transpose(0, 2, 1, 3).reshape(n, nr * m, w)
+    return np.asarray((flat @ flat.conj().transpose(0, 2, 1)) * np.tile(scatter, (1, nr, nr)))
+
+
+def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, high: int, window: Window) -> LocalFit:
+    """Fits at `lines` (n,) of transforms X (m, nf) and R (nr, nf), with windows inside [low, high].
+
+    Near an end the window stays inside, and the line is no longer its middle.
+    """
+    half, m = window.half, X.shape[0]
+    centre = np.clip(lines, low + half, high - half)
+    rows = centre[:, None] + np.arange(-half, half + 1)
+    at = (rows - lines[:, None]) / half
+    powers = np.stack([at**s for s in range(window.order + 1)], axis=-1)
+    shared = [R[a][rows][:, :, None] * powers for a in range(R.shape[0])] + [powers.astype(complex)]
+    here = lines - centre + half
+    data = X[:, rows]  # (m, n, w)
+    if window.poles == 0:
+        parts = [_solve(np.concatenate(shared, axis=-1), data, R.shape[0], window, here)]
+        weights = np.broadcast_to(parts[0][0][:, None], (lines.size, m, R.shape[0], rows.shape[1]))
+    else:
+        degrees = np.arange(1, window.poles + 1)
+        denominators = [-data[i][:, :, None] * at[:, :, None] ** degrees for i in range(m)]
+        parts = [
+            _solve(np.concatenate([*shared, d], axis=-1), data[i : i + 1], R.shape[0], window, here)
+            for i, d in enumerate(denominators)
+        ]
+        weights = np.stack([p[0] for p in parts], axis=1)
+    residual = np.concatenate([p[1] for p in parts], axis=0)
+    freedom = rows.shape[1] - window.unknowns(R.shape[0])
+    return LocalFit(
+        response=np.einsum("niaw,inw->nia", weights, data),
+        weights=weights,
+        first=rows[:, 0],
+        scatter=np.einsum("inw,jnw->nij", residual, residual.conj()) / freedom,
+        freedom=freedom,
+        left_out=np.concatenate([p[2] for p in parts], axis=1),
+    )
+
+
+def _solve(
+    A: ComplexArray, data: ComplexArray, instruments: int, window: Window, here: np.ndarray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Weights (n, nr, w) of the responses, residuals (m, n, w), and left-out residuals (n, m) at the line itself."""
+    Q, triangle = np.linalg.qr(A)
+    tops = [a * (window.order + 1) for a in range(instruments)]
+    adjoint = Q.conj().transpose(0, 2, 1)
+    try:
+        weights = np.linalg.inv(triangle)[:, tops] @ adjoint
+    except np.linalg.LinAlgError:
+        weights = np.linalg.pinv(triangle)[:, tops] @ adjoint
+    stacked = data.transpose(1, 2, 0)  # (n, w, m)
+    residual = stacked - Q @ (adjoint @ stacked)
+    n = np.arange(here.size)
+    leverage = (np.abs(Q[n, here]) ** 2).sum(-1)
+    left_out = residual[n, here] / np.maximum(1.0 - leverage, 1e-9)[:, None]
+    return weights, residual.transpose(2, 0, 1), left_out

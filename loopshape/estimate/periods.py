@@ -1,0 +1,125 @@
+"""Periodic recordings: means over periods for the response, their scatter for the noise, and what scatters between
+realisations for the distortion (the robust method of Pintelon and Schoukens, System Identification, 2012, 4.3.1).
+
+A block is as many recordings as there are instruments, with which their responses can be solved: one loop excited at a
+time, or all at once by orthogonal multisines (Dobrowiecki, Schoukens, Guillaume, IEEE TIM 55, 2006). Each further block
+is another draw of the phases: what a nonlinear plant answers differently to it is distortion, what differs between
+periods of one recording is noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.answers import Answers
+from loopshape.estimate.averages import POOLED, smoothed
+from loopshape.estimate.settings import Settings
+from loopshape.estimate.transforms import Transforms, transform
+from loopshape.recording import Recording
+from loopshape.units import Array, ComplexArray
+
+#: one recording's part: itself, its signals (n,), all instruments (n,) in order, and the place of one that it moves
+Part = tuple[Recording, Sequence[Array], Sequence[Array], int]
+
+
+def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
+    """Answers of m signals to nr instruments from blocks of nr periodic recordings each, in order.
+
+    Refuses recordings whose number is no multiple of nr, whose lines differ, or that cannot tell instruments apart.
+    """
+    m, nr = len(parts[0][1]), len(parts[0][2])
+    if len(parts) % nr:
+        raise WrongUseError(
+            "periodic recordings come in blocks of as many as instruments", f"{len(parts)} for {nr} instruments"
+        )
+    spectra = [transform(r, [*signals, *inst], inst[k], settings) for r, signals, inst, k in parts]
+    f = spectra[0].frequency_hz
+    if any(not np.array_equal(t.frequency_hz, f) for t in spectra):
+        raise WrongUseError("the recordings to be taken together have different periods", "", "record them alike")
+    excited = np.logical_and.reduce([t.excited for t in spectra])
+    if not excited.any():
+        raise BadSignalError(
+            "the recordings to be taken together share no excited line",
+            ", ".join(r.info.name for r, *_ in parts),
+            "excite the same lines in each",
+        )
+    blocks = [_block(spectra[k : k + nr], m, excited) for k in range(0, len(spectra), nr)]
+    response = np.mean([b[0] for b in blocks], axis=0)
+    each = np.sum([b[1] for b in blocks], axis=0) / len(blocks) ** 2
+    noise, freedom, pooled = _pooled(each, blocks[0][2] * len(parts), excited)
+    covariance = noise
+    if len(blocks) > 1:
+        covariance, freedom, pooled = _between([b[0] for b in blocks], response, excited)
+    return Answers(
+        frequency_hz=f,
+        response=response,
+        covariance=covariance,
+        power=np.mean([_power(t) for t in spectra], axis=0),
+        excited=excited,
+        averages=float(sum(t.signals.shape[1] for t in spectra)),
+        power_per="line",
+        line_overlap=1.0,
+        freedom=freedom,
+        pooled=pooled,
+        method=_words(spectra, len(blocks)),
+        noise=noise if len(blocks) > 1 else None,
+        notes=tuple(dict.fromkeys(note for t in spectra for note in t.notes)),
+    )
+
+
+def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[ComplexArray, ComplexArray, float]:
+    """Response (nf, m, nr) of one block, its noise's covariance, and a recording's degrees of freedom."""
+    means = np.stack([t.signals.mean(axis=1).T for t in spectra], axis=-1)  # (nf, m + nr, recordings)
+    X, R = means[:, :m], means[:, m:]
+    inverse = np.full_like(R, np.nan)
+    with np.errstate(all="ignore"):
+        if R.shape[1] > 1 and np.median(np.linalg.cond(R[excited])) > 1e3:
+            raise BadSignalError(
+                "the recordings of a block cannot tell their instruments apart",
+                f"condition {np.median(np.linalg.cond(R[excited])):.2g}",
+                "excite one loop at a time, or all by orthogonal multisines",
+            )
+        inverse[excited] = np.linalg.inv(R[excited])
+        H = X @ inverse
+        size = m * R.shape[1]
+        covariance = np.zeros((H.shape[0], size, size), dtype=complex)
+        for row, t in enumerate(spectra):
+            k = t.signals.shape[1]
+            E = t.signals[:m] - np.einsum("fab,bkf->akf", H, t.signals[m:])
+            E = E - E.mean(axis=1, keepdims=True)
+            scatter = np.einsum("akf,bkf->fab", E, E.conj()) / (k - 1) / k
+            weight = np.einsum("fj,fk->fjk", inverse[:, row], inverse[:, row].conj())
+            covariance += np.einsum("fjk,fab->fjakb", weight, scatter).reshape(covariance.shape)
+    return H, covariance, 2.0 * (spectra[0].signals.shape[1] - 1)
+
+
+def _pooled(covariance: ComplexArray, each: float, excited: np.ndarray) -> tuple[ComplexArray, float, int]:
+    """A covariance averaged over neighbouring excited lines until it has some forty degrees of freedom."""
+    half = int(np.ceil(POOLED / each)) // 2
+    out = np.array(covariance)
+    out[excited] = smoothed(out[excited], half)
+    return out, each * (2 * half + 1), 2 * half + 1
+
+
+def _between(
+    responses: Sequence[ComplexArray], mean: ComplexArray, excited: np.ndarray
+) -> tuple[ComplexArray, float, int]:
+    """Covariance of the mean from the scatter between realisations, noise and distortion together."""
+    count = len(responses)
+    d = (np.stack(responses) - mean).transpose(1, 0, 3, 2).reshape(mean.shape[0], count, -1)
+    scatter = np.einsum("fka,fkb->fab", d, d.conj()) / (count - 1) / count
+    return _pooled(scatter, 2.0 * (count - 1), excited)
+
+
+def _power(t: Transforms) -> ComplexArray:
+    """Cross-powers (nf, s, s) of all signals, per line."""
+    return np.asarray(np.einsum("akf,bkf->fab", t.signals, t.signals.conj()) * (t.density / t.signals.shape[1]))
+
+
+def _words(spectra: Sequence[Transforms], blocks: int) -> str:
+    """How it was measured: periods of each recording, and how many realisations."""
+    words = "; ".join(dict.fromkeys(t.method for t in spectra))
+    return f"{words}, {blocks} realisations" if blocks > 1 else words

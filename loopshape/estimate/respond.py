@@ -1,0 +1,65 @@
+"""What a recording's signals answer to its instruments, by the method that suits the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.answers import Answers
+from loopshape.estimate.local import by_local_fits, compared
+from loopshape.estimate.periods import by_periods
+from loopshape.estimate.settings import Settings
+from loopshape.estimate.welch import by_welch
+from loopshape.recording import Recording
+from loopshape.units import Array, db
+
+
+def respond(
+    recording: Recording,
+    signals: Sequence[Array],
+    instruments: Sequence[Array],
+    outputs: int,
+    settings: Settings,
+) -> Answers:
+    """Answers of signals (n,), the first `outputs` of them plant outputs, to instruments (n,) of one recording.
+
+    By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. `auto`
+    gives sweeps to Welch, since what a sweep drives a machine to differs along the record, and whoever asks for a
+    resolution, which is Welch's trade; noise it gives to whichever of both predicts best what it has not seen. The
+    method's words say which it was.
+    """
+    if recording.info.period_s is not None:
+        if settings.method != "auto":
+            raise WrongUseError(
+                "a method is for records without a period",
+                f"{settings.method!r} for {recording.info.file} with period {recording.info.period_s:g} s",
+                "leave it out, or take period_s out of run.toml",
+            )
+        return by_periods([(recording, signals, instruments, 0)], settings)
+    chosen = recording.info.kind == "sweep" or settings.resolution_hz is not None
+    if settings.method == "welch" or (settings.method == "auto" and chosen):
+        return by_welch(recording, signals, instruments, settings)
+    if settings.method == "local":
+        return by_local_fits(recording, signals, instruments, outputs, settings)[0]
+    return _better(recording, signals, instruments, outputs, settings)
+
+
+def _better(
+    recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], outputs: int, settings: Settings
+) -> Answers:
+    """Local fits or Welch's segments, whichever predicts better; the one that can be made, where one cannot."""
+    try:
+        local, choice, lines = by_local_fits(recording, signals, instruments, outputs, settings)
+    except BadSignalError:
+        return by_welch(recording, signals, instruments, settings)
+    try:
+        welch = by_welch(recording, signals, instruments, settings)
+    except BadSignalError:
+        return local
+    behind_db = float(db(np.exp(0.5 * compared(choice, lines, welch))))
+    if behind_db < 0.0:
+        return replace(welch, method=f"{welch.method} (local fits predict {-behind_db:.2g} dB worse)")
+    return replace(local, method=f"{local.method} (Welch's segments predict {behind_db:.2g} dB worse)")
