@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.answers import ordinary_coherence, plant_of
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.answers import Answers, ordinary_coherence, plant_of
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.feedback import direct_signals
+from loopshape.estimate.periods import by_periods
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.signals import held_note, loop_signals, wiring_notes
+from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
 from loopshape.recording import Recording
@@ -19,7 +22,7 @@ from loopshape.units import Array
 
 
 def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
-    """FRFs of all recordings of a run that excite a loop, in order; refuses a run without any."""
+    """FRFs of all recordings of a run that excite one loop, in order; refuses a run without any."""
     return [estimate_frf(r, run.loop(str(r.info.excites)), settings) for r in excited_recordings(run)]
 
 
@@ -50,36 +53,71 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     Raises BadSignalError for a record too short, without instrument, constant, or not a number.
     """
     settings = settings or Settings()
+    if recording.info.excites_also and recording.info.period_s is not None:
+        raise WrongUseError(
+            f"recording {recording.info.file} excites several loops at once: no loop's FRF follows from it",
+            ", ".join(recording.info.excited),
+            "estimate the matrix of all its loops: loopshape frf RUN --matrix",
+        )
     if settings.estimator == "direct":
         s, notes = direct_signals(recording, loop, settings)
     else:
         s, notes = loop_signals(recording, loop), ()
     answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
+    return _loop_frf([recording], loop, s, answers, settings, notes)
+
+
+def estimate_realisations(recordings: Sequence[Recording], loop: LoopSetup) -> FRF:
+    """FRF (1 x 1) of a loop from several multisines with phases drawn anew, made alike at one operating point.
+
+    The covariance is that of the mean, from the scatter between recordings: noise and what a nonlinear plant answers
+    differently to each draw. `noise_covariance` is noise's part, from the scatter between periods (Pintelon and
+    Schoukens 2012, 4.3). Two recordings at least; with few, variances are pooled over neighbouring lines. What the
+    plant's nonlinearity does alike to every draw - a gain that falls with the amplitude - is no scatter.
+    """
+    if len(recordings) < 2:
+        raise WrongUseError("realisations are two recordings or more", f"{len(recordings)}", "record more draws")
+    signals = [loop_signals(r, loop) for r in recordings]
+    parts = [(r, [s.y, s.u], [s.instrument], 0) for r, s in zip(recordings, signals, strict=True)]
+    return _loop_frf(recordings, loop, signals[0], by_periods(parts, Settings()), Settings(), ())
+
+
+def _loop_frf(
+    recordings: Sequence[Recording],
+    loop: LoopSetup,
+    s: LoopSignals,
+    answers: Answers,
+    settings: Settings,
+    notes: tuple[str, ...],
+) -> FRF:
+    """The noun of one loop's answers."""
+    recording, info = recordings[0], recordings[0].info
     plant = plant_of([answers], 1)
     finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
     rows = _kept(answers.excited) & finite
     if not rows.any():
-        raise BadSignalError(
-            f"no line of recording {recording.info.file} carries excitation in loop {loop.name}", answers.method
-        )
+        raise BadSignalError(f"no line of recording {info.file} carries excitation in loop {loop.name}", answers.method)
     a, f = answers.select(rows), answers.frequency_hz[rows]
     G, covariance = plant.response[rows], plant.covariance[rows]
     if settings.estimator == "reference":
-        z = a.response[:, 1, 0] - (1.0 if recording.info.injection == "plant_input" else 0.0)
+        z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
     trusted = trusted_lines(f, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), a.excited)
+    notes += a.notes + _band_note(f, trusted)
+    notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
         frequency_hz=f,
         response=G,
         covariance=covariance,
+        noise_covariance=None if plant.noise is None else plant.noise[rows],
         trusted=trusted,
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
         method=f"{settings.estimator} estimator, {a.method}",
-        recording=recording.info.name,
+        recording="+".join(r.info.name for r in recordings),
         loop=loop.name,
         rate_hz=recording.rate_hz,
-        operating_point=dict(recording.info.operating_point),
+        operating_point=dict(info.operating_point),
         coherence=np.clip(ordinary_coherence(a.power, 0, 1), 0.0, 1.0),
         input_power=a.power[:, 1, 1].real,
         output_power=a.power[:, 0, 0].real,
@@ -89,9 +127,9 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         variance_freedom=a.freedom,
         variance_pooled=a.pooled,
         averages=a.averages,
-        parameters=dict(recording.info.parameters),
-        held_by=loop.controller if recording.info.closed_loop else None,
-        notes=notes + a.notes + _band_note(f, trusted) + _early_note(recording) + held_note(recording, loop),
+        parameters=dict(info.parameters),
+        held_by=loop.controller if info.closed_loop else None,
+        notes=tuple(dict.fromkeys(notes)),
     )
 
 
