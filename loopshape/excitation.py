@@ -10,10 +10,20 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopshape.errors import WrongUseError
+from loopshape.excitation_parts import (
+    check_band,
+    check_below_half_rate,
+    check_positive,
+    ramp,
+    repeated,
+    samples,
+)
+from loopshape.multisine import Multisine
 from loopshape.units import TWO_PI, Array
+
+__all__ = ["BandNoise", "Excitation", "Multisine", "Prbs", "Profile", "Staircase", "Sweep", "ramp", "samples"]
 
 
 class Excitation(Protocol):
@@ -39,58 +49,6 @@ class Excitation(Protocol):
         """The signal, (n,)."""
 
 
-def samples(duration_s: float, rate_hz: float) -> int:
-    """Number of samples of a duration; refuses a duration that is not a whole number of samples."""
-    n = duration_s * rate_hz
-    if not (np.isfinite(n) and n >= 1 and abs(n - round(n)) < 1e-6 * max(n, 1.0)):
-        raise WrongUseError(
-            "a duration must be a whole number of samples",
-            f"{duration_s!r} s at {rate_hz:g} Hz",
-            "change the duration or the rate",
-        )
-    if n > MOST_SAMPLES:
-        raise WrongUseError("a signal is too long", f"{n:.3g} samples", f"{MOST_SAMPLES:g} at most")
-    return round(n)
-
-
-#: longest signal that is made, in samples
-MOST_SAMPLES = 50_000_000
-
-
-def ramp(n: int, ramp_n: int) -> Array:
-    """Window (n,) that rises from 0 to 1 over `ramp_n` samples as a half cosine, and falls the same way."""
-    if not 0 <= 2 * ramp_n <= n:
-        raise WrongUseError(
-            "a signal must outlast both its ramps", f"ramps of {ramp_n} samples, a signal of {n}", "shorten ramp_s"
-        )
-    window = np.ones(n)
-    if ramp_n > 0:
-        edge = 0.5 - 0.5 * np.cos(0.5 * TWO_PI * (np.arange(ramp_n) + 0.5) / ramp_n)
-        window[:ramp_n] *= edge
-        window[n - ramp_n :] *= edge[::-1]
-    return window
-
-
-def _check_band(kind: str, f_low_hz: float, f_high_hz: float) -> None:
-    if not 0.0 < f_low_hz < f_high_hz < np.inf:
-        raise WrongUseError(f"a {kind}'s band must rise from above zero", f"{f_low_hz!r} to {f_high_hz!r} Hz")
-
-
-def _check_below_half_rate(kind: str, f_high_hz: float, rate_hz: float) -> None:
-    if f_high_hz >= 0.5 * rate_hz:
-        raise WrongUseError(
-            f"a {kind} must stay below half the rate ({0.5 * rate_hz:g} Hz)",
-            f"{f_high_hz:g} Hz",
-            "lower its band or raise the rate",
-        )
-
-
-def _check_positive(kind: str, **numbers: float) -> None:
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise WrongUseError(f"{name} of a {kind} must be positive", f"{value!r}")
-
-
 @dataclass(frozen=True)
 class Sweep:
     """Rising, then falling sine sweep between two frequencies, linear or logarithmic in time.
@@ -109,8 +67,8 @@ class Sweep:
     period_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check_band(self.kind, self.f_low_hz, self.f_high_hz)
-        _check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
+        check_band(self.kind, self.f_low_hz, self.f_high_hz)
+        check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
         if self.spacing not in ("linear", "logarithmic"):
             raise WrongUseError("a sweep's spacing is not known", f"{self.spacing!r}", "use linear or logarithmic")
 
@@ -121,7 +79,7 @@ class Sweep:
 
     def signal(self, rate_hz: float) -> Array:
         """The sweep, (n,)."""
-        _check_below_half_rate(self.kind, self.f_high_hz, rate_hz)
+        check_below_half_rate(self.kind, self.f_high_hz, rate_hz)
         n = samples(self.duration_s, rate_hz)
         half_s = 0.5 * n / rate_hz
         t = np.arange(n) / rate_hz
@@ -137,95 +95,6 @@ class Sweep:
             return lo * t + 0.5 * (hi - lo) * t**2 / half_s
         growth = np.log(hi / lo) / half_s
         return lo * np.expm1(growth * t) / growth
-
-
-@dataclass(frozen=True)
-class Multisine:
-    """Random-phase multisine of low crest factor: `periods` periods of chosen lines, seeded.
-
-    `lines_hz` must be multiples of 1/period_s; None takes every line in the band, or the odd ones.
-    Phases are the best of random draws and clipping iterations (van der Ouderaa 1988): the crest factor
-    comes to about 1.5-1.8. Leading ramp `ramp_s` lies before the first whole period.
-    """
-
-    f_low_hz: float
-    f_high_hz: float
-    period_s: float
-    amplitude: float
-    periods: int = 4
-    seed: int = 0
-    odd: bool = False
-    ramp_s: float = 1.0
-    lines_hz: tuple[float, ...] | None = None
-    crest_iterations: int = 60
-    kind: str = "multisine"
-
-    def __post_init__(self) -> None:
-        _check_band(self.kind, self.f_low_hz, self.f_high_hz)
-        _check_positive(self.kind, period_s=self.period_s, amplitude=self.amplitude, periods=self.periods)
-
-    @property
-    def band_hz(self) -> tuple[float, float]:
-        """Lowest and highest line."""
-        lines = self.lines()
-        return float(lines[0]), float(lines[-1])
-
-    @property
-    def duration_s(self) -> float:
-        """Both ramps and the whole periods."""
-        return 2.0 * self.ramp_s + self.periods * self.period_s
-
-    def lines(self) -> Array:
-        """Excited frequencies in Hz."""
-        if self.lines_hz is None:
-            k = np.arange(
-                np.ceil(self.f_low_hz * self.period_s - 1e-9),
-                np.floor(self.f_high_hz * self.period_s + 1e-9) + 1,
-            )
-            k = k[k % 2 == 1] if self.odd else k
-        else:
-            k = np.asarray(self.lines_hz, dtype=float) * self.period_s
-        if not k.size or np.any(np.abs(k - np.round(k)) > 1e-6) or k.min() < 1:
-            raise WrongUseError(
-                f"a multisine's lines are whole multiples of {1.0 / self.period_s:g} Hz",
-                f"{self.lines_hz or (self.f_low_hz, self.f_high_hz)}",
-                "choose lines on that grid or another period",
-            )
-        return np.unique(np.round(k)) / self.period_s
-
-    def signal(self, rate_hz: float) -> Array:
-        """The multisine, (n,): ramp in, whole periods, ramp out; peak is `amplitude`."""
-        lines = self.lines()
-        _check_below_half_rate(self.kind, float(lines[-1]), rate_hz)
-        n = samples(self.period_s, rate_hz)
-        one = _low_crest(np.round(lines * self.period_s).astype(int), n, self.seed, self.crest_iterations)
-        return self.amplitude * _repeated(one, self.periods, self.ramp_s, rate_hz)
-
-
-def _repeated(one: Array, periods: int, ramp_s: float, rate_hz: float) -> Array:
-    """Whole periods of `one` (n,), with a ramp before the first and after the last."""
-    ramp_n = samples(ramp_s, rate_hz) if ramp_s else 0
-    index = np.arange(-ramp_n, periods * one.size + ramp_n) % one.size
-    return one[index] * ramp(index.size, ramp_n)
-
-
-def _low_crest(bins: NDArray[np.int64], n: int, seed: int, iterations: int) -> Array:
-    """One period (n,) with equal amplitudes in `bins` and peak 1, phases iterated towards a low crest."""
-    rng = np.random.default_rng(seed)
-    spectrum = np.zeros(n // 2 + 1, dtype=complex)
-    spectrum[bins] = np.exp(1j * TWO_PI * rng.random(bins.size))
-    best = np.fft.irfft(spectrum, n)
-    best_peak = np.abs(best).max()
-    x = best
-    for k in range(iterations):
-        level = np.abs(x).max() * (0.75 + 0.2 * k / max(iterations, 1))
-        clipped = np.fft.rfft(np.clip(x, -level, level))
-        spectrum[bins] = np.exp(1j * np.angle(clipped[bins]))
-        x = np.fft.irfft(spectrum, n)
-        peak = np.abs(x).max()
-        if peak < best_peak:
-            best, best_peak = x, peak
-    return np.asarray(best / best_peak)
 
 
 @dataclass(frozen=True)
@@ -245,7 +114,7 @@ class Prbs:
     kind: str = "prbs"
 
     def __post_init__(self) -> None:
-        _check_positive(self.kind, clock_s=self.clock_s, amplitude=self.amplitude, periods=self.periods)
+        check_positive(self.kind, clock_s=self.clock_s, amplitude=self.amplitude, periods=self.periods)
         if not 3 <= self.order <= 20:
             raise WrongUseError("a PRBS has an order from 3 to 20", f"{self.order!r}")
 
@@ -272,7 +141,7 @@ class Prbs:
         bits = np.asarray(max_len_seq(self.order)[0], dtype=float)
         start = int(np.random.default_rng(self.seed).integers(bits.size))
         one = np.repeat(2.0 * np.roll(bits, -start) - 1.0, hold)
-        return self.amplitude * _repeated(one, self.periods, self.ramp_s, rate_hz)
+        return self.amplitude * repeated(one, self.periods, self.ramp_s, rate_hz)
 
 
 @dataclass(frozen=True)
@@ -289,8 +158,8 @@ class BandNoise:
     period_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check_band(self.kind, self.f_low_hz, self.f_high_hz)
-        _check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
+        check_band(self.kind, self.f_low_hz, self.f_high_hz)
+        check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
 
     @property
     def band_hz(self) -> tuple[float, float]:
@@ -299,7 +168,7 @@ class BandNoise:
 
     def signal(self, rate_hz: float) -> Array:
         """The noise, (n,)."""
-        _check_below_half_rate(self.kind, self.f_high_hz, rate_hz)
+        check_below_half_rate(self.kind, self.f_high_hz, rate_hz)
         n = samples(self.duration_s, rate_hz)
         f = np.fft.rfftfreq(n, 1.0 / rate_hz)
         rng = np.random.default_rng(self.seed)
@@ -355,7 +224,7 @@ class Profile:
 
     def __post_init__(self) -> None:
         Staircase(self.times_s, self.values)
-        _check_positive(self.kind, velocity=self.velocity, acceleration=self.acceleration, jerk=self.jerk)
+        check_positive(self.kind, velocity=self.velocity, acceleration=self.acceleration, jerk=self.jerk)
 
     def sampled(self, n: int, rate_hz: float, before: float) -> Array:
         """The profile, (n,)."""

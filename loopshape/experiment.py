@@ -15,6 +15,14 @@ INJECTIONS = ("controller_input", "plant_input", "reference", "control")
 ROLES = ("estimation", "validation")
 
 
+def shared_unit(expression: str, what: str) -> str:
+    """Suffix of the unit of a column or a sum of columns; refuses columns without a known unit, or of several."""
+    units = {Channel.from_column(column).unit for column in sum_terms(expression)}
+    if len(units) != 1:
+        raise WrongUseError(f"{what} adds different units", f"{expression!r}", "add columns of one unit")
+    return units.pop()
+
+
 @dataclass(frozen=True, eq=False)
 class LoopSetup:
     """One loop of a rig: the columns of its signals, and the controller that closes it.
@@ -38,10 +46,7 @@ class LoopSetup:
     @property
     def output_unit(self) -> str:
         """Suffix of the output's unit; the terms of a sum must share it."""
-        units = {Channel.from_column(c).unit for c in sum_terms(self.output)}
-        if len(units) != 1:
-            raise WrongUseError(f"the output of loop {self.name!r} adds different units", f"{self.output!r}")
-        return units.pop()
+        return shared_unit(self.output, f"the output of loop {self.name!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,7 @@ class Experiment:
     `injection` says where `injected` enters: the controller's input, the plant's input, or (`control`) as
     z itself with the loops open; with `reference` it is zero and the setpoints move. `start` is the
     operating point at which the plant rests at t = 0; `parameters` of the plant differ in this one alone.
+    `excites_also` are further loops excited at once with `excites`; refused without it, doubled, or no loops.
     """
 
     name: str
@@ -69,6 +75,7 @@ class Experiment:
     seed: int = 0
     parameters: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
+    excites_also: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for word, known, what in (
@@ -82,6 +89,14 @@ class Experiment:
                     f"{word!r}",
                     f"use {', '.join(known)}",
                 )
+        excited = [self.excites, *self.excites_also]
+        known_loops = [loop.name for loop in self.loops]
+        if self.excites_also and (len(set(excited)) < len(excited) or not set(excited) <= set(known_loops)):
+            raise WrongUseError(
+                f"experiment {self.name!r} excites each of its loops once at most, a first one and others",
+                f"excites = {self.excites!r} and excites_also = {', '.join(self.excites_also)}",
+                f"its loops are {', '.join(known_loops)}",
+            )
         for name in ("references", "injected"):
             values = getattr(self, name)
             if values.ndim != 2 or values.shape[1] != len(self.loops):

@@ -18,7 +18,8 @@ class RecordingInfo:
     """What `run.toml` says of one recording; docs/files.md explains each word.
 
     `parameters` are settings of the rig that held for this recording alone (a supply pressure, a load), in
-    the plant's names; `ended_early` says why a recording is shorter than asked.
+    the plant's names; `excites_also` are further loops excited at once with `excites`; `ended_early` says why
+    a recording is shorter than asked.
     """
 
     file: str
@@ -32,6 +33,7 @@ class RecordingInfo:
     periodic_from_s: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     ended_early: str | None = None
+    excites_also: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, e: Experiment, ended_early: str | None = None) -> RecordingInfo:
@@ -47,8 +49,14 @@ class RecordingInfo:
             period_s=e.period_s,
             periodic_from_s=e.periodic_from_s,
             parameters=dict(e.parameters),
+            excites_also=e.excites_also,
             ended_early=ended_early,
         )
+
+    @property
+    def excited(self) -> tuple[str, ...]:
+        """All loops that it excites, `excites` first."""
+        return () if self.excites is None else (self.excites, *self.excites_also)
 
     @property
     def name(self) -> str:

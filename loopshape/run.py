@@ -13,7 +13,10 @@ from loopshape.recording import Recording
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a run folder holds. `recordings` may load their columns only when asked."""
+    """What a run folder holds. `recordings` may load their columns only when asked.
+
+    `outputs` are columns, or sums of columns, that a plant's matrix has as rows; empty for the loops' outputs.
+    """
 
     rate_hz: float
     loops: tuple[LoopSetup, ...]
@@ -21,6 +24,7 @@ class Run:
     plant: str | None = None
     pwm: Mapping[str, float] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
+    outputs: tuple[str, ...] = ()
 
     def loop(self, name: str) -> LoopSetup:
         """A loop by name; refuses an unknown one."""

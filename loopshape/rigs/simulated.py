@@ -93,9 +93,10 @@ def _check_units(study: Study, template: ExperimentTemplate, loops: Sequence[Loo
     for loop in loops:
         asked = [(units.get("references", {}).get(loop.name), loop.reference)]
         asked += [(units.get("control", {}).get(loop.name), loop.control)]
-        if loop.name == template.excites:
+        if loop.name in template.excited:
             place = {"control": loop.control, "reference": loop.reference}.get(template.injection, loop.injected)
-            asked += [(units.get("excitation"), place)]
+            mine = units if loop.name == template.excites else units.get("excites_also", {})
+            asked += [(mine.get("excitation" if mine is units else loop.name), place)]
         for unit, column in asked:
             if unit is not None and column is not None and unit != Channel.from_column(column).unit:
                 raise WrongUseError(
@@ -151,12 +152,14 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
         seed=planned.seed,
         parameters=dict(template.parameters),
         pwm=dict(study.pwm),
+        excites_also=tuple(template.excites_also),
     )
 
 
 def _samples(template: ExperimentTemplate, rate_hz: float) -> int:
     if template.excitation is not None:
-        return samples(template.lead_s + template.excitation.duration_s + template.tail_s, rate_hz)
+        longest_s = max(e.duration_s for e in (template.excitation, *template.excites_also.values()))
+        return samples(template.lead_s + longest_s + template.tail_s, rate_hz)
     if template.duration_s is None:
         raise WrongUseError(f"experiment {template.name!r} has neither an excitation nor a duration_s")
     return samples(template.duration_s, rate_hz)
@@ -175,19 +178,23 @@ def _place(plant: Rig, loop: str, experiment: str) -> int:
 def _excite(
     target: Array, template: ExperimentTemplate, plant: Rig, rate_hz: float
 ) -> tuple[float | None, float | None]:
-    """Add the excitation in place; gives its period and from when on the response can repeat."""
-    excitation = template.excitation
-    if excitation is None:
-        return None, None
-    if template.excites is None:
+    """Add the excitations of all loops in place; gives their period and from when on the response can repeat."""
+    if template.excitation is not None and template.excites is None:
         raise WrongUseError(f"experiment {template.name!r} has an excitation and does not say which loop it excites")
-    signal = excitation.signal(rate_hz)
     start = round(template.lead_s * rate_hz)
-    target[start : start + signal.size, _place(plant, template.excites, template.name)] += signal
-    if excitation.period_s is None:
+    for loop, excitation in template.excited.items():
+        signal = excitation.signal(rate_hz)
+        target[start : start + signal.size, _place(plant, loop, template.name)] += signal
+    return _periodic(template)
+
+
+def _periodic(template: ExperimentTemplate) -> tuple[float | None, float | None]:
+    """Period in s and when it begins; None where the excitations have none, or not all the same."""
+    shapes = {(e.period_s, e.duration_s, float(getattr(e, "ramp_s", 0.0))) for e in template.excited.values()}
+    if len(shapes) != 1:
         return None, None
-    ramp_s = float(getattr(excitation, "ramp_s", 0.0))
-    return excitation.period_s, template.lead_s + ramp_s
+    period_s, _, ramp_s = shapes.pop()
+    return (None, None) if period_s is None else (period_s, template.lead_s + ramp_s)
 
 
 def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) -> Run:

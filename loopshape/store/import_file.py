@@ -56,6 +56,7 @@ def _run(rules: ImportMap, columns: dict[str, Array], notes: list[str]) -> Run:
         plant=rules.plant,
         pwm=rules.pwm,
         extra={**parameters, "notes": notes},
+        outputs=rules.outputs,
     )
 
 

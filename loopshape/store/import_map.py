@@ -2,7 +2,7 @@
 
     format = "loopshape-map/1"
     rate_hz = 100.0                            # the rate of the recording that is made
-    plant = "servo-axis"                       # as in run.toml; pwm and parameters may stand here too
+    plant = "servo-axis"                       # as in run.toml; outputs, pwm and parameters may stand here too
     time = { from = "t", unit = "ms" }         # optional: the stamps, checked against rate_hz
     resample = true                            # optional: stamps are irregular, interpolate linearly
 
@@ -42,7 +42,7 @@ from loopshape.experiment import LoopSetup
 from loopshape.recording import RecordingInfo
 from loopshape.store.csv_text import CsvShape
 from loopshape.store.files import plain_name
-from loopshape.store.run_tables import INFO_KEYS, read_info, read_loops
+from loopshape.store.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
 from loopshape.store.sources import Place
 from loopshape.store.tables import TIME
 from loopshape.store.words import Words, read_words, said_in
@@ -50,7 +50,8 @@ from loopshape.units import SUFFIXES, to_stored
 
 FORMAT = "loopshape-map/1"
 _KEYS = (
-    "format", "rate_hz", "plant", "pwm", "parameters", "time", "resample", "csv", "columns", "loop", "recording",
+    "format", "rate_hz", "plant", "outputs", "pwm", "parameters", "time", "resample", "csv", "columns", "loop",
+    "recording",
 )  # fmt: skip
 _SEPARATORS = {"tab": "\t", "blank": " ", " ": " "}
 
@@ -81,17 +82,19 @@ class ImportMap:
     plant: str | None
     pwm: Mapping[str, float]
     parameters: Mapping[str, Any]
+    outputs: tuple[str, ...] = ()
 
 
 def read_map(map_file: Path, default_name: str) -> ImportMap:
-    """Read a MAP.toml; refuses missing and unknown keys, units that do not fit, loops without their columns."""
+    """Read a MAP.toml; refuses missing and unknown keys, wrong units, loops and outputs without their columns."""
     words = read_words(map_file, FORMAT)
     words.only(*_KEYS)
     words.need("rate_hz", "columns", "loop", "recording")
     rate_hz = words.positive("rate_hz")
     loops = read_loops(words, rate_hz)
     columns = _read_columns(words.inner("columns"))
-    _refuse_unfed(loops, {rule.stored for rule in columns}, words.where)
+    outputs = read_outputs(words)
+    _refuse_unfed(loops, outputs, {rule.stored for rule in columns}, words.where)
     recording = words.inner("recording")
     from_row, to_row = _rows(recording)
     return ImportMap(
@@ -107,6 +110,7 @@ def read_map(map_file: Path, default_name: str) -> ImportMap:
         plant=words.maybe_text("plant"),
         pwm=words.numbers("pwm"),
         parameters=words.numbers("parameters"),
+        outputs=outputs,
     )
 
 
@@ -194,12 +198,16 @@ def _read_info(words: Words, default_name: str, loops: tuple[LoopSetup, ...]) ->
     return read_info(words, f"{name}.parquet", loops)
 
 
-def _refuse_unfed(loops: tuple[LoopSetup, ...], stored: set[str], where: str) -> None:
-    for loop in loops:
-        named = {loop.reference, loop.injected, loop.control, *sum_terms(loop.output)} - {None}
-        if missing := sorted(str(name) for name in named - stored):
+def _refuse_unfed(loops: tuple[LoopSetup, ...], outputs: tuple[str, ...], stored: set[str], where: str) -> None:
+    named: dict[str, set[str | None]] = {
+        f"loop {loop.name!r} names": {loop.reference, loop.injected, loop.control, *sum_terms(loop.output)} - {None}
+        for loop in loops
+    }
+    named["outputs name"] = {term for output in outputs for term in sum_terms(output)}
+    for who, columns in named.items():
+        if missing := sorted(str(name) for name in columns - stored):
             raise WrongUseError(
-                f"{where}: loop {loop.name!r} names columns that [columns] does not make",
+                f"{where}: {who} columns that [columns] does not make",
                 ", ".join(missing),
                 f"it makes {', '.join(sorted(stored))}",
             )

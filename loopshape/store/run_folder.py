@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.channel import sum_terms
-from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.store.files import PART, inside, make_folder, read_toml, write_toml
-from loopshape.store.run_tables import loop_table, read_loops, read_recording, recording_table
+from loopshape.store.run_signals import check_recordings as check_recordings
+from loopshape.store.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
 from loopshape.store.tables import TIME, TableColumns, check_rate, write_table
 from loopshape.store.toml_text import toml_text
 from loopshape.store.words import Words, read_words, refuse_doubles
@@ -29,16 +29,14 @@ from loopshape.units import Array
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"
-_KEYS = ("format", "plant", "rate_hz", "pwm", "loop", "recording")
-_COARSE = 200  # values; fewer are a coarse converter or a staircase
-_SATURATED = 0.02  # of the samples
+_KEYS = ("format", "plant", "rate_hz", "outputs", "pwm", "loop", "recording")
 
 
 def read_run(folder: Path) -> Run:
     """The run in a folder; columns load when asked for, and their stamps are checked then.
 
     Refuses another format, missing keys, unknown keys in a loop or a recording (unknown keys at the top
-    stay in `extra`), a recording whose file is missing or lies outside the folder.
+    stay in `extra`), `outputs` without a known unit, a recording whose file is missing or lies outside the folder.
     """
     words = _read_words(folder)
     rate_hz = words.positive("rate_hz")
@@ -54,6 +52,7 @@ def read_run(folder: Path) -> Run:
         plant=words.maybe_text("plant"),
         pwm=words.numbers("pwm"),
         extra={key: value for key, value in words.table.items() if key not in _KEYS},
+        outputs=read_outputs(words),
     )
 
 
@@ -92,11 +91,12 @@ def holds(folder: Path, recording: Recording) -> bool:
 
 
 def recording_digests(folder: Path) -> dict[str, str]:
-    """A mark of each recording by name: of its table, of what is said of it, and of its loops; empty without a run."""
+    """A mark of each recording by name: its table, what is said of it, loops, outputs; empty without a run."""
     if not (folder / RUN_TOML).exists():
         return {}
     words = _read_words(folder)
-    shared = repr((words.table["rate_hz"], words.table.get("loop")))
+    further = (words.table["outputs"],) if "outputs" in words.table else ()
+    shared = repr((words.table["rate_hz"], words.table.get("loop"), *further))
     marks = {}
     for entry in words.tables("recording"):
         path = _existing(folder, entry.text("file"))
@@ -145,7 +145,7 @@ def start_run(folder: Path, run: Run) -> None:
     """Make a run folder without recordings, or resume one whose header is the same.
 
     `run.recordings` are not written. Refuses a folder that holds other things, and a run whose loops,
-    rate, plant or further keys differ (`extra["notes"]` may: new notes are added).
+    rate, plant, outputs or further keys differ (`extra["notes"]` may: new notes are added).
     """
     header = _header(run)
     if (folder / RUN_TOML).exists():
@@ -192,6 +192,7 @@ def _header(run: Run) -> dict[str, Any]:
     if taken := set(run.extra) & set(_KEYS):
         raise WrongUseError("a run's further keys must not be its own", ", ".join(sorted(taken)))
     table: dict[str, Any] = {"format": FORMAT, "plant": run.plant, "rate_hz": float(run.rate_hz)}
+    table["outputs"] = list(read_outputs(Words({"outputs": list(run.outputs)}, "the run"))) or None
     table |= dict(run.extra) | {"pwm": dict(run.pwm) or None, "loop": [loop_table(loop) for loop in run.loops] or None}
     return tomllib.loads(toml_text(table))
 
@@ -236,62 +237,3 @@ def write_run(folder: Path, run: Run) -> None:
     start_run(folder, run)
     for recording in run.recordings:
         add_recording(folder, recording)
-
-
-def check_recordings(run: Run) -> list[str]:
-    """Look at every recording; returns a sentence for each signal that seems saturated.
-
-    Raises `BadSignalError` for values that are not numbers, stamps off the rate, and a signal of the excited
-    loop that does not move. Saturated means that over 2 % of the samples of the excited loop's z or y sit
-    exactly on its largest or smallest value while it takes over 200 values: coarse converters and a
-    staircase pass, a clipped signal does not.
-    """
-    return [warning for recording in run.recordings for warning in _check_recording(run, recording)]
-
-
-def _check_recording(run: Run, recording: Recording) -> list[str]:
-    for name in recording.columns:
-        if not recording.column(name).size:
-            raise BadSignalError(f"recording {recording.info.file} has no rows", "an empty table", "leave it out")
-    info = recording.info
-    if info.excites is None:
-        return []
-    loop = run.loop(info.excites)
-    injected = (loop.injected,) if info.injection in ("controller_input", "plant_input") else ()
-    wanted = (*injected, loop.control, loop.output)
-    signals = {x: recording.output(x) for x in wanted if x and all(t in recording.columns for t in sum_terms(x))}
-    for name, values in signals.items():
-        if np.ptp(values) == 0.0:
-            raise BadSignalError(
-                f"{name} of recording {info.file} does not move although loop {loop.name} is excited",
-                f"{values[0]:g} in all {values.size} rows",
-                "check the sensor and the column, or leave the recording out",
-            )
-    found = [_saturation(name, values, info.file) for name, values in signals.items() if name != loop.injected]
-    return [sentence for sentence in [*found, _pulses_saturated(run, recording)] if sentence]
-
-
-def _pulses_saturated(run: Run, recording: Recording) -> str:
-    """A sentence where flow commands `u_..._v` lie beyond what the PWM can give for over 1 % of the time."""
-    commands = [name for name in recording.columns if name.startswith("u_") and name.endswith("_v")]
-    if not run.pwm or not commands:
-        return ""
-    share = max(float(np.mean(np.abs(recording.column(name)) > 1.0)) for name in commands)
-    if share < 0.01:
-        return ""
-    return (
-        f"the PWM of recording {recording.info.file} is saturated for {100.0 * share:.0f} % of the time (|u| > 1):"
-        " the FRF is that of a clipped input; excite less"
-    )
-
-
-def _saturation(name: str, values: Array, file: str) -> str:
-    if np.unique(values).size <= _COARSE:
-        return ""
-    for extreme in (values.max(), values.min()):
-        share = float(np.mean(values == extreme))
-        if share > _SATURATED:
-            return (
-                f"{name} of recording {file} sits at {extreme:g} for {100.0 * share:.1f} % of its samples: saturated?"
-            )
-    return ""

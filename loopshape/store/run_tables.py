@@ -1,12 +1,13 @@
-"""`[[loop]]` and `[[recording]]` of a run folder's TOML, to nouns and back."""
+"""`[[loop]]`, `[[recording]]` and `outputs` of a run folder's TOML, to nouns and back."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from loopshape.channel import sum_terms
 from loopshape.controller import Block, Controller
 from loopshape.errors import WrongUseError
-from loopshape.experiment import INJECTIONS, KINDS, ROLES, LoopSetup
+from loopshape.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, shared_unit
 from loopshape.recording import RecordingInfo
 from loopshape.store.files import plain_name
 from loopshape.store.tables import check_ending
@@ -14,8 +15,8 @@ from loopshape.store.words import Words, refuse_doubles, said_in
 
 LOOP_KEYS = ("name", "reference", "injected", "control", "output", "discretisation", "controller")
 INFO_KEYS = (
-    "role", "kind", "excites", "injection", "closed_loop", "operating_point", "period_s", "periodic_from_s",
-    "parameters", "ended_early",
+    "role", "kind", "excites", "excites_also", "injection", "closed_loop", "operating_point", "period_s",
+    "periodic_from_s", "parameters", "ended_early",
 )  # fmt: skip
 
 
@@ -70,6 +71,16 @@ def read_loops(words: Words, rate_hz: float) -> tuple[LoopSetup, ...]:
     return loops
 
 
+def read_outputs(words: Words) -> tuple[str, ...]:
+    """The key `outputs`, empty where it is missing; each a column or a sum of columns of one known unit, once."""
+    outputs = words.list_of_texts("outputs")
+    with said_in(words.where):
+        for output in outputs:
+            _ = shared_unit(output, "one of outputs")
+    refuse_doubles((" + ".join(sum_terms(output)) for output in outputs), words.where, "outputs")
+    return outputs
+
+
 def loop_table(loop: LoopSetup) -> dict[str, Any]:
     """The `[[loop]]` that `read_loop` reads."""
     table = {
@@ -83,13 +94,9 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
 
 
 def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
-    """What is said of a recording beside its file; refuses unknown words and an `excites` that is no loop."""
+    """What is said of a recording beside its file; refuses unknown words, excited loops that are none or doubled."""
     words.need("kind", "injection")
-    excites = words.maybe_text("excites")
-    if excites is not None and excites not in (names := [loop.name for loop in loops]):
-        raise WrongUseError(
-            f"{words.where}: excites names no loop", repr(excites), f"its loops are {', '.join(names) or 'none'}"
-        )
+    excites, *excites_also = _read_excited(words, [loop.name for loop in loops])
     injection = words.one_of("injection", INJECTIONS)
     closed_loop = words.truth("closed_loop", injection != "control")
     if closed_loop == (injection == "control"):
@@ -107,6 +114,7 @@ def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> Recordin
         injection=injection,
         role=words.one_of("role", ROLES, "estimation"),
         excites=excites,
+        excites_also=tuple(str(loop) for loop in excites_also),
         closed_loop=closed_loop,
         operating_point=words.numbers("operating_point"),
         period_s=words.positive("period_s") if "period_s" in words.table else None,
@@ -114,6 +122,31 @@ def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> Recordin
         parameters=words.numbers("parameters"),
         ended_early=words.maybe_text("ended_early"),
     )
+
+
+def _read_excited(words: Words, names: list[str]) -> tuple[str | None, ...]:
+    """The loop in `excites`, None where there is none, and those in `excites_also`."""
+    excites, also = words.maybe_text("excites"), words.list_of_texts("excites_also")
+    if also and excites is None:
+        raise WrongUseError(
+            f"{words.where}: excites_also goes with excites",
+            f"{', '.join(also)} alone",
+            "name the first excited loop in excites and the others in excites_also",
+        )
+    given = {"excites": () if excites is None else (excites,), "excites_also": also}
+    for key, loops in given.items():
+        if unknown := [loop for loop in loops if loop not in names]:
+            raise WrongUseError(
+                f"{words.where}: {key} names no loop", repr(unknown[0]), f"its loops are {', '.join(names) or 'none'}"
+            )
+    excited = (excites, *also)
+    if len(set(excited)) < len(excited):
+        raise WrongUseError(
+            f"{words.where}: an excited loop is named twice",
+            ", ".join(str(loop) for loop in excited),
+            "excites names the first loop, excites_also the others, each once",
+        )
+    return excited
 
 
 def read_recording(words: Words, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
@@ -132,6 +165,7 @@ def recording_table(info: RecordingInfo) -> dict[str, Any]:
         "role": info.role,
         "kind": info.kind,
         "excites": info.excites,
+        "excites_also": list(info.excites_also) or None,
         "injection": info.injection,
         "closed_loop": info.closed_loop,
         "operating_point": dict(info.operating_point) or None,

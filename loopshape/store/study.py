@@ -20,6 +20,14 @@
 An experiment has an `excitation` (with `lead_s`, `tail_s`), `references` or `control` by loop, or only
 `duration_s`; `study_signals` lists their keys. Its kind is the excitation's by default, its injection
 "controller_input", "reference" or "control" after what it has.
+
+    [[experiment]]
+    name = "both"                              # recordings both-r1-s1, both-r1-s2, both-r2-s1, both-r2-s2
+    realisations = 2                           # optional: multisines again with new phases
+    excitations = { theta1 = { kind = "multisine", ... }, theta2 = { kind = "multisine", ... } }
+
+`excitations` stands for `excites` and `excitation` where several loops are excited at once: multisines become
+orthogonal over as many recordings as loops, noises are added in one recording (`excitation_sets`).
 """
 
 from __future__ import annotations
@@ -31,12 +39,13 @@ from typing import Any
 from loopshape.controller import Block
 from loopshape.errors import WrongUseError
 from loopshape.excitation import Excitation
+from loopshape.excitation_sets import together
 from loopshape.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.store.files import plain_name
 from loopshape.store.run_tables import read_blocks
-from loopshape.store.study_signals import read_excitation, read_setpoints
+from loopshape.store.study_signals import read_excitation, read_excitations, read_setpoints
 from loopshape.store.words import Words, read_words, refuse_doubles, said_in
-from loopshape.study import ExperimentTemplate, Setpoint, Study
+from loopshape.study import ExperimentTemplate, Setpoint, Study, expanded
 
 FORMAT = "loopshape-study/1"
 _KEYS = (
@@ -45,7 +54,7 @@ _KEYS = (
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
-    "excitation", "references", "control", "parameters",
+    "excitation", "excitations", "realisations", "references", "control", "parameters",
 )  # fmt: skip
 Points = tuple[Mapping[str, float], ...]
 Setpoints = Mapping[str, Setpoint]
@@ -54,15 +63,17 @@ Setpoints = Mapping[str, Setpoint]
 def read_study(path: Path) -> Study:
     """The study in a file; amplitudes and setpoints come in stored units.
 
-    `extra["units"]` says for each experiment the stored unit's suffix of what it has (`excitation`, and
-    by loop `references` and `control`), so that a rig can refuse bar where it wants rad. Refuses another
-    format, missing and unknown keys, and words and numbers that do not fit (`WrongUseError`).
+    An experiment of several multisines at once, or of several realisations, comes as the experiments that it
+    stands for (`study.expanded`). `extra["units"]` says for each experiment the stored unit's suffix of what it has
+    (`excitation`, and by loop `excites_also`, `references` and `control`), so that a rig can refuse bar where it
+    wants rad. Refuses another format, missing and unknown keys, and words and numbers that do not fit
+    (`WrongUseError`).
     """
     words = read_words(path, FORMAT)
     words.only(*_KEYS)
     words.need("rig", "plant", "operating_points", "experiment")
     seed = words.whole("seed", 0)
-    read = [_experiment(table, seed) for table in words.tables("experiment")]
+    read = [one for table in words.tables("experiment") for one in _experiments(table, seed)]
     if not read:
         raise WrongUseError(f"{words.where}: no experiment", "an empty list", "write an [[experiment]]")
     refuse_doubles((template.name for template, _ in read), words.where, "experiments")
@@ -105,10 +116,19 @@ def _controllers(words: Words) -> dict[str, tuple[Block, ...]]:
     return {table.text("name"): read_blocks(table) for table in tables}
 
 
+def _experiments(words: Words, seed: int) -> list[tuple[ExperimentTemplate, dict[str, Any]]]:
+    """The experiments that one `[[experiment]]` stands for, each with the stored units of its signals."""
+    template, units = _experiment(words, seed)
+    realisations = words.whole("realisations", 1) if "realisations" in words.table else None
+    with said_in(words.where):
+        return [(one, units) for one in expanded(template, realisations)]
+
+
 def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, Any]]:
-    """One experiment, and the stored units of its signals."""
+    """One experiment as it is written, and the stored units of its signals."""
     words.only(*_EXPERIMENT_KEYS)
-    excitation, unit = _excitation(words, seed)
+    signals, signal_units = _excitations(words, seed)
+    excites, excitation = next(iter(signals.items()), (None, None))
     references, reference_units = read_setpoints(words.inner("references"))
     control, control_units = read_setpoints(words.inner("control"))
     _check_whole(words, excitation, references, control)
@@ -118,7 +138,7 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
         name=name,
         kind=words.one_of("kind", KINDS, _kind(excitation, references, control)),
         injection=words.one_of("injection", INJECTIONS, _injection(excitation, control)),
-        excites=words.maybe_text("excites"),
+        excites=excites,
         excitation=excitation,
         references=references,
         control=control,
@@ -128,14 +148,32 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
         duration_s=words.positive("duration_s") if "duration_s" in words.table else None,
         operating_points=_points(words),
         parameters=words.numbers("parameters"),
+        excites_also={loop: signal for loop, signal in signals.items() if loop != excites},
     )
-    return template, {"excitation": unit, "references": reference_units, "control": control_units}
+    units: dict[str, Any] = {"excitation": signal_units.pop(excites, None) if excites else None}
+    return template, units | {"excites_also": signal_units, "references": reference_units, "control": control_units}
 
 
-def _excitation(words: Words, seed: int) -> tuple[Excitation | None, str | None]:
+def _excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
+    """Excitations by loop, and the suffix of each one's unit; empty where nothing is excited."""
+    if "excitations" in words.table:
+        if doubled := [key for key in ("excites", "excitation") if key in words.table]:
+            raise WrongUseError(
+                f"{words.where}: excitations already say which loops are excited and how",
+                f"{' and '.join(doubled)} beside it",
+                "give excites and excitation for one loop, or excitations for several",
+            )
+        signals, units = read_excitations(words.inner("excitations"), seed)
+        with said_in(words.where):
+            together(signals)  # refuses those that cannot be told apart, also a single one
+        return signals, units
+    if ("excitation" in words.table) != ("excites" in words.table):
+        raise WrongUseError(f"{words.where}: excites and excitation go together", "one of them", "give both or none")
     if "excitation" not in words.table:
-        return None, None
-    return read_excitation(words.inner("excitation"), seed)
+        return {}, {}
+    made, unit = read_excitation(words.inner("excitation"), seed)
+    loop = words.text("excites")
+    return {loop: made}, {loop: unit}
 
 
 def _from_zero(words: Words, key: str) -> float:
@@ -146,9 +184,7 @@ def _from_zero(words: Words, key: str) -> float:
 
 
 def _check_whole(words: Words, excitation: Excitation | None, references: Setpoints, control: Setpoints) -> None:
-    """Refuse an experiment whose length or loop is not said, or said twice."""
-    if (excitation is None) != ("excites" not in words.table):
-        raise WrongUseError(f"{words.where}: excites and excitation go together", "one of them", "give both or none")
+    """Refuse an experiment whose length is not said, or said twice, or whose loops are closed and open."""
     if (excitation is None) != ("duration_s" in words.table):
         raise WrongUseError(
             f"{words.where}: duration_s is for experiments without an excitation",

@@ -3,13 +3,15 @@
 | kind | keys |
 |---|---|
 | sweep | f_low_hz, f_high_hz, duration_s, amplitude_<unit>, ramp_s, spacing ("linear" or "logarithmic") |
-| multisine | f_low_hz, f_high_hz, period_s, amplitude_<unit>, periods, seed, odd, ramp_s, lines_hz, crest_iterations |
+| multisine | f_low_hz, f_high_hz, period_s, amplitude_<unit>, periods, seed, odd, ramp_s, lines_hz, crest_iterations, |
+|           | turn, turns (phase added to every line in cycles, one of so many equal turns) |
 | prbs | order, clock_s, amplitude_<unit>, periods, seed |
 | noise | f_low_hz, f_high_hz, duration_s, amplitude_<unit> (standard deviation), seed, ramp_s |
 | staircase | times_s, values_<unit> |
 | profile | times_s, values_<unit>, velocity_<unit>_s, acceleration_<unit>_s2, jerk_<unit>_s3 |
 
-A unit is written in lower case (`amplitude_deg`, `values_mbar`); `nm` is N m.
+A unit is written in lower case (`amplitude_deg`, `values_mbar`); `nm` is N m. `excitations` is a table by loop of
+multisines, or of noises; the first is the loop that a recording `excites`, the others those that it `excites_also`.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Any
 
 from loopshape.errors import WrongUseError
 from loopshape.excitation import BandNoise, Excitation, Multisine, Prbs, Profile, Staircase, Sweep
+from loopshape.excitation_sets import LOOP_STEP
 from loopshape.store.words import Words, said_in
 from loopshape.study import Setpoint
 from loopshape.units import to_stored
@@ -68,6 +71,25 @@ def read_excitation(words: Words, seed: int) -> tuple[Excitation, str]:
     with said_in(words.where):
         made = make(**given, amplitude=factor * words.number(f"amplitude_{unit}"))
     return made, suffix
+
+
+def read_excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
+    """Excitations of several loops at once, by loop, and the suffix of each one's unit.
+
+    A loop without a seed of its own gets `seed` and an offset that no other loop gets. Refuses what
+    `read_excitation` refuses, and turns: over the recordings they follow from the number of loops.
+    """
+    read = {}
+    for k, loop in enumerate(words.table, start=1):
+        one = words.inner(loop)
+        if given := sorted({"turn", "turns"} & set(one.table)):
+            raise WrongUseError(
+                f"{one.where}: loops that are excited at once are turned by their number",
+                ", ".join(given),
+                "leave it out, or write an [[experiment]] with an excitation for each loop",
+            )
+        read[loop] = read_excitation(one, seed + k * LOOP_STEP)
+    return {loop: made for loop, (made, _) in read.items()}, {loop: suffix for loop, (_, suffix) in read.items()}
 
 
 def _field(words: Words, key: str, kind: str) -> Any:

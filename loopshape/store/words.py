@@ -115,6 +115,13 @@ class Words:
             raise self._wrong(key, "a list of numbers")
         return tuple(float(v) for v in value)
 
+    def list_of_texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts; empty where it is missing."""
+        value = self.table.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, str) and v for v in value):
+            raise self._wrong(key, "a list of texts in quotes")
+        return tuple(value)
+
     def inner(self, key: str) -> Words:
         """A table inside this one; empty where it is missing."""
         value = self.table.get(key, {})

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from loopshape.excitation import Multisine, Staircase
+from loopshape.experiment import LoopSetup
 from loopshape.gap import next_experiment as nxt
 from loopshape.gap.probing import habits
 from loopshape.plants.arm.arm1 import Arm1
+from loopshape.recording import Recording, RecordingInfo
 from loopshape.rigs.simulated import experiment as rig_experiment
 from loopshape.rigs.simulated import header, measure, plan
+from loopshape.run import Run
 from loopshape.study import ExperimentTemplate, Study
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 20.0, "p_ab_bar": 1.4})
