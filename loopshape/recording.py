@@ -59,6 +59,11 @@ class RecordingInfo:
         return () if self.excites is None else (self.excites, *self.excites_also)
 
     @property
+    def alone(self) -> bool:
+        """Whether a loop's own FRF follows from it: it excites one loop, or several by noise that tells them apart."""
+        return self.excites is not None and not (self.excites_also and self.period_s is not None)
+
+    @property
     def name(self) -> str:
         """The file's name without its ending."""
         return self.file.split(".")[0]

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from loopshape.cli.matrices import draw_matrices, estimate_matrices, matrix_table
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
+    from loopshape.estimate.settings import Settings
     from loopshape.frf import FRF
+    from loopshape.recording import Recording
+    from loopshape.run import Run
 
 
 def frf(
     run: RunFolder,
     estimator: Annotated[str, typer.Option(help="reference, or direct (biased under feedback).")] = "reference",
+    method: Annotated[str, typer.Option(help="auto, welch, or local; for records without a period.")] = "auto",
     resolution_hz: Annotated[float | None, typer.Option(help="Distance between lines; default by the record.")] = None,
     overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
+    realisations: Annotated[
+        bool, typer.Option("--realisations", help="Take multisines alike but for their phases together.")
+    ] = False,
+    matrix: Annotated[bool, typer.Option("--matrix", help="Estimate the plant's matrix of all loops too.")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="Write each FRF as a table too.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw a page for each FRF, and an overview of each loop.")] = True,
     as_json: AsJson = False,
@@ -26,8 +35,10 @@ def frf(
 ) -> None:
     """Estimate the FRFs of a run with variance, coherence and trusted band, and draw them."""
     output = Output(as_json, quiet)
-    settings = {"estimator": estimator, "resolution_hz": resolution_hz, "overlap": overlap}
-    estimate_and_report(run, output, settings=settings, figures=figures, csv=csv)
+    settings = {"estimator": estimator, "method": method, "resolution_hz": resolution_hz, "overlap": overlap}
+    estimate_and_report(
+        run, output, settings=settings, figures=figures, csv=csv, realisations=realisations, matrix=matrix
+    )
 
 
 def estimate_and_report(
@@ -37,13 +48,19 @@ def estimate_and_report(
     settings: Mapping[str, Any] | None = None,
     figures: bool = True,
     csv: bool = False,
+    realisations: bool = False,
+    matrix: bool = False,
     extra: Mapping[str, Any] | None = None,
 ) -> None:
-    """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording ended early."""
+    """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording ended early.
+
+    The plant's matrix is estimated where it is asked for, and where recordings excite several loops at once, which
+    give no FRF of one loop.
+    """
     from loopshape.errors import BadSignalError
-    from loopshape.estimate.frequency_response import estimate_frf, excited_recordings
-    from loopshape.estimate.transforms import Settings
-    from loopshape.store.frfs import frf_csv, write_frfs
+    from loopshape.estimate.frequency_response import excited_recordings
+    from loopshape.estimate.settings import Settings
+    from loopshape.store.frfs import frf_csv, write_frfs, write_matrices
     from loopshape.store.run_folder import check_recordings, read_run
 
     run = read_run(folder)
@@ -52,26 +69,61 @@ def estimate_and_report(
         output.say(str(note))
     chosen = Settings(**(settings or {}))
     recordings = excited_recordings(run)
-    found = []
-    with output.progress("estimate", len(recordings)) as step:
-        for recording in recordings:
-            try:
-                found.append(estimate_frf(recording, run.loop(str(recording.info.excites)), chosen))
-            except BadSignalError as error:
-                if recording.info.ended_early is None:
-                    raise
-                warnings.append(f"{recording.info.name}: {recording.info.ended_early}; no FRF from it ({error.what})")
-            step(recording.info.name)
-    if not found:
+    alone = [r for r in recordings if r.info.alone]
+    found = _estimate(run, alone, chosen, realisations, output, warnings)
+    wanted = matrix or len(alone) < len(recordings)
+    matrices = estimate_matrices(run, recordings, chosen, output) if wanted else []
+    if not found and not matrices:
         raise BadSignalError(f"no recording of {folder} gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
     write_frfs(folder, found)
+    if matrices or matrix:
+        write_matrices(folder, matrices)
     if csv:
-        for one in found:
+        for one in [*found, *matrices]:
             frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
-    drawn = draw_frfs(folder, found, output) if figures else []
-    report(found, output, folder, drawn, warnings, extra or {})
+    drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices, output) if figures else []
+    told = {"distortion": distortion_words(run, alone)}
+    report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
     if (extra or {}).get("ended_early"):
         raise typer.Exit(2)
+
+
+def _estimate(
+    run: Run, recordings: list[Recording], settings: Settings, realisations: bool, output: Output, warnings: list[str]
+) -> list[FRF]:
+    """FRFs of single loops; a recording that ended early and gives none is a warning."""
+    from loopshape.errors import BadSignalError
+    from loopshape.estimate import groups
+    from loopshape.estimate.frequency_response import estimate_frf, estimate_realisations
+
+    grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
+    found = []
+    with output.progress("estimate", len(grouped)) as step:
+        for group in grouped:
+            loop = run.loop(str(group[0].info.excites))
+            try:
+                found.append(
+                    estimate_realisations(group, loop) if len(group) > 1 else estimate_frf(group[0], loop, settings)
+                )
+            except BadSignalError as error:
+                info = group[0].info
+                if info.ended_early is None:
+                    raise
+                warnings.append(f"{info.name}: {info.ended_early}; no FRF from it ({error.what})")
+            step(group[0].info.name)
+    return found
+
+
+def distortion_words(run: Run, recordings: list[Recording]) -> list[str]:
+    """What periodic recordings with lines left out say of distortion, a sentence each; nothing where they cannot."""
+    from loopshape.estimate.distortion import distortion
+
+    words = []
+    for recording in (r for r in recordings if r.info.period_s is not None and not r.info.excites_also):
+        found = distortion(recording, run.loop(str(recording.info.excites)))
+        if found.told:
+            words.append(f"{recording.info.name}: {found.verdict}")
+    return words
 
 
 def draw_frfs(folder: Path, frfs: list[FRF], output: Output) -> list[str]:
@@ -99,35 +151,57 @@ def report(
     drawn: list[str],
     warnings: list[str],
     extra: Mapping[str, Any],
+    matrices: Sequence[FRF] = (),
 ) -> None:
-    """Table, warnings and JSON of estimated FRFs."""
+    """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
     columns = ["recording", "loop", "operating point", "trusted from [Hz]", "to [Hz]", "lines", "median std [dB]"]
+    told = any(one.noise_covariance is not None for one in frfs)
+    columns += ["of it distortion [%]"] if told else []
     rows = []
     for one in frfs:
         lines = one.select(one.trusted) if one.trusted.any() else one
         std = np.sqrt(0.5 * lines.variance[:, 0, 0]) / np.abs(lines.siso)
+        share = distortion_share(lines)
         low, high = one.trusted_band_hz
         count = int(one.trusted.sum())
         spread = float(20.0 * np.log10(1.0 + np.median(std)))
-        rows.append([one.recording, one.loop, point(one.operating_point, one.parameters), low, high, count, spread])
-    output.table("Frequency responses", columns, rows)
-    for method in dict.fromkeys(one.method for one in frfs):
+        where = point(one.operating_point, one.parameters)
+        rows.append([one.recording, one.loop, where, low, high, count, spread] + ([share] if told else []))
+    if rows:
+        output.table("Frequency responses", columns, rows)
+    matrix_rows = matrix_table(matrices, output)
+    for words in extra.get("distortion", ()):
+        output.say(words)
+    for method in dict.fromkeys(one.method for one in [*frfs, *matrices]):
         output.say(f"estimated by the {method}")
     early = list(extra.get("ended_early", ()))
-    notes = [f"{one.recording}: {note}" for one in frfs for note in one.notes]
+    notes = [f"{one.recording}: {note}" for one in [*frfs, *matrices] for note in one.notes]
     output.warn([*warnings, *early, *notes])
     if drawn:
         output.say(f"{len(drawn)} figures in {folder / 'figures'}")
-    keys = ("recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db")
+    keys = ["recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db"]
+    keys += ["distortion_percent"] if told else []
     output.json(
         {
             "run": str(folder),
             "frfs": [
                 dict(zip(keys, r, strict=True)) | {"method": one.method} for r, one in zip(rows, frfs, strict=True)
             ],
+            "matrices": matrix_rows,
+            "distortion": list(extra.get("distortion", ())),
             "figures": drawn,
             "warnings": [*warnings, *early, *notes],
         }
     )
+
+
+def distortion_share(frf: FRF) -> float | None:
+    """Median share in percent of the variance that noise does not explain; None where they cannot be told apart."""
+    import numpy as np
+
+    if frf.noise_covariance is None:
+        return None
+    total, noise = frf.covariance[:, 0, 0].real, frf.noise_covariance[:, 0, 0].real
+    return float(100.0 * np.median(np.clip(1.0 - noise / np.maximum(total, 1e-300), 0.0, 1.0)))

@@ -18,6 +18,7 @@ from loopshape.cli.frf import frf
 from loopshape.cli.gap import gap
 from loopshape.cli.import_file import import_file
 from loopshape.cli.import_frf import import_frf
+from loopshape.cli.interaction import interaction
 from loopshape.cli.measure import measure
 from loopshape.cli.simulate import simulate
 from loopshape.cli.tune import tune
@@ -37,6 +38,7 @@ for command in (measure, simulate, frf, fit, tune, check, gap, exam, effects, fi
 app.command("import")(import_file)
 app.command("import-frf")(import_frf)
 app.command()(export)
+app.command()(interaction)
 
 
 @app.callback()

@@ -46,6 +46,7 @@ def interaction(
         raise WrongUseError(
             "a controller is of no loop of this FRF", ", ".join(stray), f"name them by loop: {', '.join(names)}"
         )
+    square.trusted_lines()  # refuses a FRF without any
     pairs = list(combinations(range(len(names)), 2))
     chosen = tuple(bands) if bands is not None else octaves(square)
     return Interaction(
@@ -71,8 +72,9 @@ def square_part(
     """The part of a matrix FRF that loops make, and their names: loop k goes from input k to output k.
 
     A column is known by its loop's name where the FRF tells its loops, by its input's name otherwise. A row is known by
-    `outputs`, by a channel of the loop's name, or, where the FRF is square, by its place. Refuses fewer than two loops,
-    names that are not there, and rows that cannot be told.
+    `outputs`, by a channel of the loop's name, or, where the FRF is square, by its place. Loops of the FRF that are
+    left out are open; those that it does not have are as they were when it was measured. Refuses fewer than two
+    loops, names that are not there, and rows that cannot be told.
     """
     told = tuple(frf.loop.split("+")) if len(frf.loop.split("+")) == len(frf.inputs) else frf.inputs
     names = tuple(loops) if loops else told

@@ -176,7 +176,9 @@ def _answers(recording: Recording, lines: Lines, choice: Choice, settings: Setti
     if settings.resolution_hz is not None:
         step = max(1, round(settings.resolution_hz / lines.frequency_hz[1]))
     else:
-        finest = window.half // (4 if window.poles == 0 else 24)  # a denominator follows what is sharper than the window
+        finest = window.half // (
+            4 if window.poles == 0 else 24
+        )  # a denominator follows what is sharper than the window
         step = max(1, finest, lines.count // MOST_LINES)
     at = np.arange(-(-lines.low // step) * step, lines.high + 1, step)  # multiples, so that records share lines
     response, covariance, apart, power = _all_lines(lines, at, window)

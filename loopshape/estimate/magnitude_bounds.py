@@ -90,7 +90,7 @@ def product_bounds(
     with np.errstate(divide="ignore", invalid="ignore"):
         up = np.where(centre > 0.0, np.log(np.maximum(high, centre) / centre), 0.0)
         down = np.where(centre > 0.0, np.log(centre / np.minimum(low, centre)), 0.0)
-        middle = np.exp(np.log(centre) @ np.where(signs > 0, 1.0, 0.0) - np.log(centre) @ np.where(signs < 0, 1.0, 0.0))
+        middle = centre[:, signs > 0].prod(axis=1) / centre[:, signs < 0].prod(axis=1)
     together = _correlation(factors, covariance, deviation, signs)
     above, below = np.where(signs > 0, up, down), np.where(signs > 0, down, up)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -237,8 +237,7 @@ def _frf(
     power = np.mean([p.power[:, : len(outputs) + len(loops), : len(outputs) + len(loops)] for p in parts], axis=0)
     averages = float(sum(p.averages for p in parts))
     multiple, partial = coherences(power, len(outputs), averages)
-    std = np.sqrt(np.real(np.einsum("fii->fi", plant.covariance))).max(axis=1)
-    relative = std / np.linalg.norm(plant.response, 2, axis=(1, 2))
+    relative = _relative_std(plant, np.real(np.einsum("fii->fi", power))[:, len(outputs) :])
     return FRF(
         frequency_hz=f,
         response=plant.response,
@@ -262,6 +261,19 @@ def _frf(
         variance_pooled=parts[0].pooled,
         notes=notes,
     )
+
+
+def _relative_std(plant: PlantEstimate, input_power: Array) -> Array:
+    """Relative standard deviation (nf,) of the median output that inputs of this power (nf, nu) have.
+
+    Units of outputs and inputs cancel, and an output that none of the inputs moves does not spoil the rest.
+    """
+    nf, ny, nu = plant.response.shape
+    variance = np.real(np.einsum("fii->fi", plant.covariance)).reshape(nf, nu, ny).transpose(0, 2, 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        answer = (np.abs(plant.response) ** 2 * input_power[:, None, :]).sum(axis=2)
+        relative = np.sqrt((variance * input_power[:, None, :]).sum(axis=2) / answer)
+    return np.asarray(np.median(np.nan_to_num(relative, nan=np.inf), axis=1))
 
 
 def _row(run: Run, expression: str) -> str:

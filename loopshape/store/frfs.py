@@ -1,9 +1,12 @@
-"""FRFs beside the run that they were measured from: `frf/<recording>.<loop>.npz`, and a table for people."""
+"""FRFs beside the run that they were measured from: `frf/<recording>.<loop>.npz`, a plant's matrices in `matrix/`.
+
+A FRF of several recordings names them joined by +.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +20,7 @@ from loopshape.store.run_folder import excited_names, recording_digests
 from loopshape.store.words import refuse_doubles
 
 FORMAT = "loopshape-frf/1"
-FOLDER = "frf"
+FOLDER, MATRICES = "frf", "matrix"
 
 
 def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
@@ -25,17 +28,32 @@ def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
 
     Refuses two FRFs of one recording and loop, and names that are not plain.
     """
+    return _write_all(run_folder, frfs, FOLDER)
+
+
+def write_matrices(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
+    """As `write_frfs`, for a plant's matrices, in a folder of their own."""
+    return _write_all(run_folder, frfs, MATRICES)
+
+
+def _write_all(run_folder: Path, frfs: Sequence[FRF], place: str) -> tuple[Path, ...]:
     names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}.npz" for frf in frfs]
-    refuse_doubles(names, FOLDER, "FRFs")
-    make_folder(run_folder / FOLDER)
-    paths = [inside(run_folder / FOLDER, name, "the name of a FRF's recording and loop") for name in names]
+    refuse_doubles(names, place, "FRFs")
+    make_folder(run_folder / place)
+    paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
     sources = recording_digests(run_folder)
     for path, frf in zip(paths, frfs, strict=True):
-        _write(path, frf, sources.get(frf.recording, ""))
+        _write(path, frf, _source(sources, frf.recording))
     if sources:  # FRFs of recordings that the run no longer has, or estimated before with other loops
-        for path in set((run_folder / FOLDER).glob("*.npz")) - set(paths):
+        for path in set((run_folder / place).glob("*.npz")) - set(paths):
             path.unlink()
     return tuple(paths)
+
+
+def _source(sources: Mapping[str, str], recordings: str) -> str:
+    """Mark of the recordings that a FRF names, joined by +; empty where one is not known."""
+    marks = [sources.get(name, "") for name in recordings.split("+")]
+    return "+".join(marks) if all(marks) else ""
 
 
 def _write(path: Path, frf: FRF, source: str) -> None:
@@ -55,20 +73,31 @@ def read_frfs(run_folder: Path) -> tuple[FRF, ...]:
     Refuses a run that has none, damaged files, a FRF whose recording has changed or gone since it was
     estimated, and a run with an estimation recording that has no FRF yet.
     """
-    folder = run_folder / FOLDER
+    return _read_all(run_folder, FOLDER, "a run has no FRF yet", "estimate them first: loopshape frf RUN")
+
+
+def read_matrices(run_folder: Path) -> tuple[FRF, ...]:
+    """All matrices of a plant in a run, in the order of their files' names; refuses as `read_frfs` does."""
+    return _read_all(
+        run_folder, MATRICES, "a run has no plant's matrix yet", "estimate it first: loopshape frf RUN --matrix"
+    )
+
+
+def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FRF, ...]:
+    folder = run_folder / place
     paths = sorted(path for path in folder.glob("*.npz") if not path.name.startswith("."))
     if not paths:
-        raise UnreadableInputError("a run has no FRF yet", str(folder), "estimate them first: loopshape frf RUN")
+        raise UnreadableInputError(none, str(folder), way_out)
     found = [_read(inside(folder, path.name, "a FRF's file")) for path in paths]
     if any(source for _, source in found):
-        _check_fresh(run_folder, found)
+        _check_fresh(run_folder, found, excited_names(run_folder) if place == FOLDER else set())
     return tuple(frf for frf, _ in found)
 
 
-def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]]) -> None:
+def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], wanted: set[str]) -> None:
     sources = recording_digests(run_folder)
-    stale = [frf.recording for frf, source in found if source and sources.get(frf.recording) != source]
-    missing = sorted(excited_names(run_folder) - {frf.recording for frf, _ in found})
+    stale = [frf.recording for frf, source in found if source and _source(sources, frf.recording) != source]
+    missing = sorted(wanted - {name for frf, _ in found for name in frf.recording.split("+")})
     if stale or missing:
         words = [f"changed or gone: {', '.join(stale)}"] if stale else []
         words += [f"without a FRF: {', '.join(missing)}"] if missing else []

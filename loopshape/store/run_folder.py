@@ -107,9 +107,9 @@ def recording_digests(folder: Path) -> dict[str, str]:
 
 
 def excited_names(folder: Path) -> set[str]:
-    """Names of the estimation recordings that excite a loop, and did not end early."""
+    """Names of the estimation recordings from which a loop's FRF follows: they excite one, and did not end early."""
     infos = (recording.info for recording in read_run(folder).recordings)
-    return {i.name for i in infos if i.excites is not None and i.role == "estimation" and i.ended_early is None}
+    return {i.name for i in infos if i.alone and i.role == "estimation" and i.ended_early is None}
 
 
 def clear_run(folder: Path) -> None:

@@ -4,7 +4,7 @@
 |---|---|
 | sweep | f_low_hz, f_high_hz, duration_s, amplitude_<unit>, ramp_s, spacing ("linear" or "logarithmic") |
 | multisine | f_low_hz, f_high_hz, period_s, amplitude_<unit>, periods, seed, odd, ramp_s, lines_hz, crest_iterations, |
-|           | turn, turns (phase added to every line in cycles, one of so many equal turns) |
+|           | turn, turns (phase added to every line in cycles, one of so many equal turns), levels (of each line) |
 | prbs | order, clock_s, amplitude_<unit>, periods, seed |
 | noise | f_low_hz, f_high_hz, duration_s, amplitude_<unit> (standard deviation), seed, ramp_s |
 | staircase | times_s, values_<unit> |

@@ -8,9 +8,7 @@ from loopshape.units import from_db
 F = np.arange(1, 81) * 0.1  # 0.1 to 8 Hz
 
 
-def matrix_frf(
-    response, covariance=None, f=F, *, error=0.0, seed=None, recording="r1+r2", loop="theta1+theta2", **words
-):
+def matrix_frf(response, covariance=None, f=F, *, error=0.0, seed=None, loop="theta1+theta2", **words):
     """FRF of a response (nf, ny, nu) or (ny, nu); with a seed the errors of its covariance are added.
 
     `error` is the relative deviation of independent elements where no covariance is given.
@@ -29,7 +27,7 @@ def matrix_frf(
         "outputs": tuple(f"{name}_rad" for name in loop.split("+"))[:ny],
         "trusted": np.ones(f.size, dtype=bool),
         "method": "made up",
-        "recording": recording,
+        "recording": "r1+r2",
         "loop": loop,
         "rate_hz": 1000.0,
     } | words

@@ -1,0 +1,179 @@
+"""`loopshape interaction`: how much the loops of a run meet in each other, by band."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+
+if TYPE_CHECKING:
+    from loopshape.controller import Controller
+    from loopshape.frf import FRF
+    from loopshape.interaction import BandVerdict, Interaction
+
+_COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", "95 % from", "to", "at [Hz]", "verdict"]
+
+
+def interaction(
+    run: RunFolder,
+    loops: Annotated[str | None, typer.Option(help="Loops, as theta1,theta2; default: all of the matrix.")] = None,
+    outputs: Annotated[str | None, typer.Option(help="Their outputs in order, where names do not tell.")] = None,
+    limit_db: Annotated[float, typer.Option(help="Below it loops are decoupled; -20 is the source's.")] = -20.0,
+    bands: Annotated[str | None, typer.Option(help="Bands in Hz, as 0.5-1,1-4; default: octaves.")] = None,
+    controller: Annotated[Path | None, typer.Option(help="Controllers that close the others; default: run's.")] = None,
+    require_decoupled: Annotated[bool, typer.Option(help="Exit code 1 unless every band is decoupled.")] = False,
+    figures: Annotated[bool, typer.Option(help="Draw the matrix and its interaction.")] = True,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Judge the interaction of loops, with bounds, from the matrix FRFs of a run; needs `frf RUN --matrix` before."""
+    from loopshape.estimate.interaction import interaction as analyse
+
+    output = Output(as_json, quiet)
+    chosen, rows = _names(loops), _names(outputs)
+    known = _controllers(run, controller)
+    found = []
+    for one in _matrices(run):
+        mine = {name: c for name, c in known.items() if name in (chosen or one.loop.split("+"))}
+        found.append(analyse(one, chosen, mine, outputs=rows, limit_db=limit_db, bands=_bands(bands)))
+    drawn = _draw(run, found, output) if figures else []
+    _report(run, found, drawn, output)
+    if require_decoupled and not all(one.decoupled for one in found):
+        raise typer.Exit(1)
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return tuple(name.strip() for name in text.split(",")) if text else None
+
+
+def _bands(text: str | None) -> tuple[tuple[float, float], ...] | None:
+    """Bands of a text such as 0.5-1,1-4; refuses what are no two numbers."""
+    from loopshape.errors import WrongUseError
+
+    made = []
+    for part in text.split(",") if text else ():
+        low, _, high = part.partition("-")
+        try:
+            made.append((float(low), float(high)))
+        except ValueError:
+            raise WrongUseError("a band is two frequencies in Hz", repr(part), "write bands as 0.5-1,1-4") from None
+    return tuple(made) or None
+
+
+def _matrices(run: Path) -> list[FRF]:
+    """A run's matrices: those that `frf --matrix` left, and imported FRFs of several inputs; refuses a run without."""
+    from loopshape.errors import WrongUseError
+    from loopshape.store.frfs import MATRICES, read_frfs, read_matrices
+
+    found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
+    if not found:
+        found = [one for one in read_frfs(run) if len(one.inputs) > 1]
+    if not found:
+        raise WrongUseError(
+            "interaction needs the plant's matrix, and the run has FRFs of single loops only",
+            str(run), "estimate it first: loopshape frf RUN --matrix",
+        )  # fmt: skip
+    return found
+
+
+def _controllers(run: Path, file: Path | None) -> Mapping[str, Controller]:
+    """Controllers by loop: of a file, else of the run, else none."""
+    from loopshape.store.controllers import read_controllers
+    from loopshape.store.run_folder import RUN_TOML, read_run
+
+    if file is not None:
+        return {one.loop: one for one in read_controllers(file)}
+    if not (run / RUN_TOML).exists():
+        return {}
+    return {loop.name: loop.controller for loop in read_run(run).loops if loop.controller is not None}
+
+
+def _draw(run: Path, found: Sequence[Interaction], output: Output) -> list[str]:
+    """The page of each interaction, and of its matrix, named by recordings and loops."""
+    from loopshape.cli.pictures import save
+    from loopshape.draw.interaction import interaction_page
+    from loopshape.draw.matrix import matrix_page
+
+    drawn = []
+    with output.progress("draw", len(found)) as step:
+        for k, one in enumerate(found):
+            name = f"{one.frf.recording or 'all'}.{'+'.join(one.loops)}"
+            name = name if len(name) < 120 else f"{k + 1}"
+            drawn.append(str(save(matrix_page(one.frf), run / "figures" / f"matrix_{name}.png")))
+            drawn.append(str(save(interaction_page(one), run / "figures" / f"interaction_{name}.png")))
+            step(one.frf.recording)
+    return drawn
+
+
+def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], output: Output) -> None:
+    """Tables, sentences and JSON."""
+    output.table("Interaction", _COLUMNS, [_row(one, v) for one in found for v in one.verdicts])
+    for one in found:
+        for sentence in one.sentences:
+            output.say(sentence)
+        if not one.equivalents:
+            output.say("no controllers of the other loops: the plants that loops meet were not computed")
+    output.warn([f"{one.frf.recording}: {note}" for one in found for note in one.frf.notes])
+    if drawn:
+        output.say(f"{len(drawn)} figures in {run / 'figures'}")
+    output.json(
+        {
+            "run": str(run),
+            "decoupled": all(one.decoupled for one in found),
+            "interactions": [_json(one) for one in found],
+            "figures": list(drawn),
+        }
+    )
+
+
+def _row(one: Interaction, v: BandVerdict) -> list[Any]:
+    pair = f"{v.loops[0]}, {v.loops[1]}"
+    return [one.frf.recording, pair, *v.band_hz, v.lines, v.estimate_db, v.low_db, v.high_db, v.at_hz, v.verdict]
+
+
+def _json(one: Interaction) -> dict[str, Any]:
+    """One matrix: its words, a table a pair and band, and the largest of what is not by band."""
+    import numpy as np
+
+    from loopshape.units import db, deg
+
+    use = one.frf.trusted
+    return {
+        "recordings": one.frf.recording,
+        "loops": list(one.loops),
+        "operating_point": dict(one.frf.operating_point),
+        "limit_db": one.limit_db,
+        "decoupled": one.decoupled,
+        "bands": [_band(v) for v in one.verdicts],
+        "largest_rga_number": float(one.relative_gain.number[use].max()),
+        "closing_the_others": [
+            {
+                "loop": e.loop,
+                "others": list(e.others),
+                "largest_change_db": float(np.abs(db(e.ratio[use])).max()),
+                "largest_change_deg": float(np.abs(deg(np.angle(e.ratio[use]))).max()),
+            }
+            for e in one.equivalents
+        ],
+    }
+
+
+def _band(v: BandVerdict) -> dict[str, Any]:
+    return {
+        "loops": list(v.loops),
+        "from_hz": v.band_hz[0],
+        "to_hz": v.band_hz[1],
+        "verdict": v.verdict,
+        "lines": v.lines,
+        "at_hz": v.at_hz,
+        "low_db": v.low_db,
+        "estimate_db": v.estimate_db,
+        "high_db": v.high_db,
+        "coupled_hz": list(v.coupled_hz),
+        "averages_factor": v.averages_factor,
+        "sentence": v.sentence,
+    }

@@ -1,0 +1,78 @@
+"""A plant's matrix in the commands: which recordings span it, its table, its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopshape.cli.output import Output, point
+
+if TYPE_CHECKING:
+    from loopshape.estimate.settings import Settings
+    from loopshape.frf import FRF
+    from loopshape.recording import Recording
+    from loopshape.run import Run
+
+_KEYS = (
+    "recordings",
+    "loops",
+    "outputs",
+    "operating_point",
+    "trusted_from_hz",
+    "trusted_to_hz",
+    "lines",
+    "std_percent",
+)
+
+
+def estimate_matrices(run: Run, recordings: Sequence[Recording], settings: Settings, output: Output) -> list[FRF]:
+    """The plant's matrix at each operating point whose recordings excite two loops or more; refuses a run without."""
+    from loopshape.errors import BadSignalError
+    from loopshape.estimate.groups import matrices
+    from loopshape.estimate.matrix import estimate_matrix
+
+    groups = matrices([r for r in recordings if r.info.ended_early is None])
+    if not groups:
+        raise BadSignalError(
+            "no operating point of the run has recordings that excite two loops",
+            ", ".join(f"{r.info.name}: {'+'.join(r.info.excited)}" for r in recordings),
+            "excite each loop in a recording of its own, or several at once (excitations in a study)",
+        )
+    found = []
+    with output.progress("matrices", len(groups)) as step:
+        for group in groups:
+            found.append(estimate_matrix(run, group, settings))
+            step(found[-1].loop)
+    return found
+
+
+def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
+    """Print the table of matrices, a row each; gives the rows for JSON."""
+    import numpy as np
+
+    if not frfs:
+        return []
+    rows = []
+    for one in frfs:
+        lines = one.select(one.trusted) if one.trusted.any() else one
+        std = np.sqrt(0.5 * lines.variance) / np.maximum(np.abs(lines.response), 1e-300)
+        low, high = one.trusted_band_hz
+        where = point(one.operating_point, one.parameters)
+        count = int(one.trusted.sum())
+        rows.append([one.recording, one.loop, len(one.outputs), where, low, high, count, 100.0 * float(np.median(std))])
+    columns = ["recordings", "loops", "outputs", "operating point", "trusted from [Hz]", "to [Hz]", "lines"]
+    output.table("The plant's matrices", [*columns, "median std of elements [%]"], rows)
+    return [dict(zip(_KEYS, row, strict=True)) | {"method": f.method} for row, f in zip(rows, frfs, strict=True)]
+
+
+def draw_matrices(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str]:
+    """A page for each matrix."""
+    from loopshape.cli.pictures import save
+    from loopshape.draw.matrix import matrix_page
+
+    drawn = []
+    for k, one in enumerate(frfs):
+        tail = f"_{k + 1:02d}" if len(frfs) > 1 else ""
+        drawn.append(str(save(matrix_page(one), folder / "figures" / f"matrix_{one.loop}{tail}.png")))
+    return drawn

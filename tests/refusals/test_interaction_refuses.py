@@ -1,0 +1,42 @@
+"""What interaction cannot be asked of, and the sentence that says so."""
+
+import numpy as np
+import pytest
+from interaction_nouns import F, coupled_by, matrix_frf
+
+from loopshape.algebra.propagation import pick
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.estimate.equivalent_plant import equivalent_plant
+from loopshape.estimate.interaction import interaction
+from loopshape.estimate.relative_gain import relative_gain
+
+FRF22 = matrix_frf(coupled_by(-30.0), error=0.01)
+TALL = matrix_frf(np.ones((F.size, 3, 2)), outputs=("a_m", "b_m", "c_m"))
+K = Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda: interaction(FRF22, ("theta1", "nose")), "a loop is not in the FRF; received nose; it has theta1, the"),
+        (lambda: interaction(FRF22, ("theta1",)), "between two loops at least, each once; received theta1"),
+        (lambda: interaction(FRF22, ("theta1", "theta1")), "between two loops at least, each once"),
+        (lambda: interaction(pick(FRF22, [0], [0])), "loopshape frf RUN --matrix"),
+        (lambda: interaction(TALL), "3 outputs (a_m, b_m, c_m) for the loops theta1, theta2; name the outputs"),
+        (lambda: interaction(TALL, outputs=("a_m",)), "1 outputs for 2 loops"),
+        (lambda: interaction(TALL, outputs=("a_m", "z_m")), "go by their names"),
+        (lambda: interaction(FRF22, limit_db=float("nan")), "a number of dB"),
+        (lambda: interaction(FRF22, bands=((2.0, 1.0),)), "two rising frequencies in Hz; received 2 to 1"),
+        (lambda: interaction(FRF22, controllers={"theta9": K}), "a controller is of no loop of this FRF"),
+        (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "nose", {}), "a loop is not in the FRF"),
+        (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "theta1", {}), "received none of theta2"),
+        (lambda: relative_gain(TALL), "those of a square FRF; received 3 x 2"),
+        (lambda: relative_gain(matrix_frf(np.ones((F.size, 2, 2)))), "has no inverse at every line; received 0.1 Hz"),
+        (lambda: interaction(matrix_frf(coupled_by(-30.0), trusted=F > 99.0)), "can be trusted"),
+    ],
+)
+def test_refusals_say_what_and_the_way_out(ask, words):
+    with pytest.raises(WrongUseError) as caught:
+        ask()
+    assert words in str(caught.value)
