@@ -60,8 +60,8 @@ class RecordingInfo:
 
     @property
     def alone(self) -> bool:
-        """Whether a loop's own FRF follows from it: it excites one loop, or several by noise that tells them apart."""
-        return self.excites is not None and not (self.excites_also and self.period_s is not None)
+        """Whether it excites one loop alone, so that this loop's own FRF follows from it."""
+        return self.excites is not None and not self.excites_also
 
     @property
     def name(self) -> str:

@@ -23,6 +23,8 @@ COMMON, TYPICAL, LOCAL, AROUND = 2.0, 5.0, 3.0, 10
 FEW, FINE = 20, 200
 #: equal extreme samples in a row that are a clipped peak, and share of the samples at an extreme that is one anyway
 CLIPPED, CLIPPED_SHARE = 3, 0.02
+#: and how many times as many these must be as those one step of the resolution lower: a sine's crest has 2.4
+PILED = 4.0
 #: equal samples in a row that are a stuck sensor at the least, and the chance of such a stretch that is allowed
 STUCK, BY_CHANCE = 8, 1e-6
 #: rows that a sentence names
@@ -105,27 +107,31 @@ def saturated(values: Array, rate_hz: float, name: str = "the signal") -> Fault 
     """Samples of a signal (n,) at `rate_hz` that sit on its largest or smallest value as if clipped; None without any.
 
     Clipped is a run of three or more at an extreme, into or out of which the signal moves at such a speed that the
-    peak it would have made is more than three steps of its resolution; or 2 % of all samples at one extreme. Signals of
-    at most 200 values pass: coarse converters, staircases, square waves. A peak clipped for one or two samples, and a
-    signal that creeps into its limit, are overlooked; one that rests on its end stop for 2 % of the time is named.
+    peak it would have made is more than three steps of its resolution; or 2 % of all samples at one extreme, and four
+    times as many as at the next value. Signals of at most 200 values pass: coarse converters, staircases, square waves.
+    A peak clipped for one or two samples, and a signal that creeps into its limit, are overlooked; one that rests on
+    its end stop for 2 % of the time is named.
     """
     x = _checked(values, name)
-    if np.unique(x).size <= min(FINE, x.size // 2):
+    levels, counts = np.unique(x, return_counts=True)
+    if levels.size <= min(FINE, x.size // 2):
         return None
     rows, at = [], 0.0
-    for extreme in (float(x.max()), float(x.min())):
+    for extreme, most, next_most in ((levels[-1], *counts[:-3:-1]), (levels[0], *counts[:2])):
+        piled = levels.size > FINE and most > CLIPPED_SHARE * x.size and most > PILED * next_most
         there = x == extreme
         runs = [run for run in _runs(there) if run[1] - run[0] >= CLIPPED]
-        if np.unique(x).size > FINE and there.mean() > CLIPPED_SHARE or any(_cut_off(x, *run) for run in runs):
+        if piled or any(_cut_off(x, *run) for run in runs):
             rows.append(np.flatnonzero(there))
-            at = extreme if len(rows) == 1 else at
+            at = float(extreme)
     if not rows:
         return None
     every = np.sort(np.concatenate(rows))
     both = f"{x.max():g} and {x.min():g}" if len(rows) == 2 else f"{at:g}"
     share = 100.0 * every.size / x.size
+    percent = f"{share:.1f}" if share >= 1.0 else f"{share:.2g}"
     words = (
-        f"{name} sits at {both} for {share:.2g} % of its samples ({_count(every.size, 'sample')} at"
+        f"{name} sits at {both} for {percent} % of its samples ({_count(every.size, 'sample')} at"
         f" {_where(every, rate_hz)}): saturated? Cut these rows off, or excite less"
     )
     return Fault("saturated", name, every, at, words)
@@ -176,8 +182,8 @@ def stuck(values: Array, rate_hz: float, name: str = "the signal", drive: Array 
         return None
     every = np.concatenate(rows)
     words = (
-        f"{name} does not change for {_count(every.size, 'sample')} at {_where(every, rate_hz)}, while it moves elsewhere:"
-        " stuck? Check the sensor and its cable; cut these rows off, or record again"
+        f"{name} does not change for {_count(every.size, 'sample')} at {_where(every, rate_hz)},"
+        " while it moves elsewhere: stuck? Check the sensor and its cable; cut these rows off, or record again"
     )
     return Fault("stuck", name, every, float(x[every[0]]), words)
 

@@ -54,16 +54,19 @@ def feedback_check(
 
     `answers_after` are samples after which the plant answers at the soonest. 0 allows for an answer within the sample;
     where the controller's output of row k is computed from y of row k, as in a run folder, 1 makes the test see a
-    controller that answers at once, and takes a plant that answers at once for feedback. With `period` (samples,
-    from the first row) only what differs between periods is tested.
+    controller that answers at once, and takes a plant that answers at once for feedback. An input that was measured
+    through an anti-aliasing filter, not held between samples, is followed by an output that seems to come some samples
+    early: -8 leaves these out (with 0 every such record of little noise is a false alarm). With `period` (samples, from
+    the first row) only what differs between periods is tested.
 
-    Sees only feedback that noise goes round: without noise there is nothing to see, and no bias. Feedback far slower
-    than 64 samples, or hidden by an excitation some 40 dB above the noise fed back, is missed. Takes for feedback what moves input and
-    output both: hum on both wires. Refuses a record of fewer than some 200 rows.
+    Sees only feedback that noise goes round: without noise there is nothing to see, and no bias. Under an excitation
+    that is noise itself, far above the noise that is fed back, or where the controller is far slower than 64 samples,
+    feedback is missed. Taken for feedback: what moves input and output both (hum on both wires), and a nonlinear plant
+    under a sweep, or under a multisine whose `period` is not said. Refuses a record of fewer than 160 rows.
     """
     if not 0.0 < false_alarms < 0.5:
         raise WrongUseError("a rate of false alarms lies between 0 and 0.5", f"{false_alarms!r}")
-    rows = _Rows.of(u.size, period or 0)
+    rows = _Rows.of(u.size + min(answers_after, 0), period or 0)
     x, z = (_scaled(s) for s in (u, y))
     past = np.stack([*_lagged(z, rows, -1, -1), *_lagged(x, rows, -answers_after, -1)], axis=1)
     future = np.stack(_lagged(x, rows, 1 - answers_after, 1), axis=1)
@@ -191,7 +194,7 @@ def _sentence(
     when = f"{lags[0]} to {lags[1]}" if lags[1] > lags[0] else f"{lags[0]}"
     other = ", or a plant that is not linear, which such an input cannot tell apart" if foretold else ""
     return (
-        f"{who} answers noise of its output (p = {probability:.1e}; it follows what the past of both leaves unexplained,"
-        f" {when} samples later): there is feedback{other}, and the direct estimate is biased towards -1/C;"
-        " say closed_loop = true and name the signal that only you moved"
+        f"{who} answers noise of its output (p = {probability:.1e}; it follows what the past of both leaves"
+        f" unexplained, {when} samples later): there is feedback{other}, and the direct estimate is biased towards"
+        " -1/C; say closed_loop = true and name the signal that only you moved"
     )

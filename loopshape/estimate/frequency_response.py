@@ -11,6 +11,7 @@ from loopshape.estimate.answers import Answers, ordinary_coherence, plant_of
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.feedback import direct_signals
 from loopshape.estimate.periods import by_periods
+from loopshape.estimate.quality import open_loop_note, unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
@@ -64,6 +65,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     else:
         s, notes = loop_signals(recording, loop), ()
     answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
+    notes += open_loop_note(recording, loop) + unfed_notes(recording, [loop])
     return _loop_frf([recording], loop, s, answers, settings, notes)
 
 

@@ -7,16 +7,17 @@ wide, and counts in the covariance: a variance alone would call a rounded-off re
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.ndimage import uniform_filter1d
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers, plant_of
+from loopshape.estimate.input_power import powered
 from loopshape.estimate.local_fits import LocalFit, Window, covariance_of, fit_lines
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.transforms import FLOOR
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -30,7 +31,12 @@ AS_GOOD = 0.01
 #: a denominator is fitted to noisy data and bends towards it, which no variance shows: it must pay by this much
 POLES_PAY = 0.1
 GROUPS, TOGETHER = 40, 9
-MOST_LINES = 5000
+#: lines of an estimate, and numbers in its covariance
+MOST_LINES, MOST_NUMBERS = 5000, 4_000_000
+#: outputs by which a window is chosen, where there are more
+TRIED = 4
+#: what is bent by less than this between two lines, relative to itself, counts as straight
+SEEN = 1e-3
 #: lines fitted at a time times their windows' lengths, which bounds memory
 CHUNK = 60_000
 
@@ -96,11 +102,12 @@ def _fast(n: int) -> int:
 
 def _stretch(R: ComplexArray) -> tuple[int, int]:
     """First and last line of the longest stretch (in octaves) that every instrument excites."""
-    fed = np.ones(R.shape[1], dtype=bool)
-    for r in R:
-        power = np.convolve(np.abs(r) ** 2, np.ones(9) / 9.0, "same")
-        fed &= power > FLOOR * power[2:].max()
-    fed[0] = fed[-1] = False
+    hann = 0.5 * R
+    hann[:, 1:] -= 0.25 * R[:, :-1]
+    hann[:, :-1] -= 0.25 * R[:, 1:]
+    power = uniform_filter1d(np.einsum("af,bf->fab", hann, hann.conj()), 9, axis=0, mode="nearest")
+    fed = powered(power)
+    fed[:2] = fed[-1] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[0], fed.astype(int), [0]])))
     stretches = [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
     low, high = max(stretches, key=lambda s: (s[1] + 1) / s[0] if s[1] > s[0] else 0.0, default=(1, 0))
@@ -123,13 +130,22 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
             f"{max(lines.count, 0)} lines",
             "record longer, or ask for Welch's method",
         )
-    groups = _groups(lines)
-    errors = np.array([_prediction_error(lines, groups, w) for w in windows])
+    groups, tried = _groups(lines), _some_outputs(lines)
+    errors = np.array([_prediction_error(tried, groups, w) for w in windows])
     score = errors.mean(axis=1) + POLES_PAY * np.array([w.poles > 0 for w in windows])
     best = int(score.argmin())
     alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == (windows[best].order, windows[best].poles)]
     chosen = min((k for k in alike if score[k] <= score[best] + AS_GOOD), key=lambda k: windows[k].half)
     return Choice(windows[chosen], errors[chosen], groups)
+
+
+def _some_outputs(lines: Lines) -> Lines:
+    """A few of many outputs, and all plant inputs: enough to choose a window by."""
+    if lines.outputs <= TRIED:
+        return lines
+    rows = np.unique(np.linspace(0, lines.outputs - 1, TRIED).round().astype(int))
+    kept = np.concatenate([lines.X[rows], lines.X[lines.outputs :]])
+    return replace(lines, X=kept, outputs=rows.size)
 
 
 def _groups(lines: Lines) -> np.ndarray:
@@ -171,16 +187,49 @@ def _chunks(lines: np.ndarray, window: Window) -> Iterator[np.ndarray]:
 
 
 def _answers(recording: Recording, lines: Lines, choice: Choice, settings: Settings) -> Answers:
-    window = choice.window
-    n = 2 * (lines.frequency_hz.size - 1)
+    """Answers at every so many lines of the record: as asked, else so that nothing that is sought falls between them.
+
+    Answers to a closed loop's instrument are smooth where the plant resonates: what is sought is the plant.
+    """
+    most = min(MOST_LINES, MOST_NUMBERS // (lines.X.shape[0] * lines.R.shape[0]) ** 2)
+    window, least = choice.window, max(1, -(-lines.count // most))
     if settings.resolution_hz is not None:
-        step = max(1, round(settings.resolution_hz / lines.frequency_hz[1]))
-    else:
-        finest = window.half // (
-            4 if window.poles == 0 else 24
-        )  # a denominator follows what is sharper than the window
-        step = max(1, finest, lines.count // MOST_LINES)
-    at = np.arange(-(-lines.low // step) * step, lines.high + 1, step)  # multiples, so that records share lines
+        return _at_every(recording, lines, window, max(1, round(settings.resolution_hz / lines.frequency_hz[1])))
+    # a denominator follows what is sharper than the window
+    step = max(least, window.half // (4 if window.poles == 0 else 24))
+    answers = _at_every(recording, lines, window, step)
+    while step > least and (finer := _fine_enough(answers, lines.outputs, step)) < step:
+        step = max(least, finer)
+        answers = _at_every(recording, lines, window, step)
+    return answers
+
+
+def _fine_enough(answers: Answers, outputs: int, step: int) -> int:
+    """The step with which straight lines between the lines miss what is sought by less than its standard deviation."""
+    sought, std = _sought(answers, outputs)
+    bend = np.abs(np.diff(sought, 2, axis=0)) / 8.0
+    worst = float(np.max(bend / np.maximum(std, SEEN * np.abs(sought))[1:-1], initial=0.0))
+    return max(1, int(step / np.sqrt(worst))) if worst > 1.0 else step
+
+
+def _sought(answers: Answers, outputs: int) -> tuple[ComplexArray, Array]:
+    """The plant's elements and their standard deviations (n, elements); of one column of several, y over its input."""
+    n, m, nr = answers.response.shape
+    if m in (outputs, outputs + nr):
+        plant = plant_of([answers], outputs)
+        std = np.sqrt(np.einsum("nii->ni", plant.covariance).real)
+        return plant.response.transpose(0, 2, 1).reshape(n, -1), std
+    H, variance = answers.response[:, :, 0], np.einsum("nii->ni", answers.covariance).real[:, :m]
+    u = outputs + int(np.median(np.abs(H[:, outputs:]), axis=0).argmax())
+    relative = variance / np.abs(H) ** 2
+    sought = H[:, :outputs] / H[:, u : u + 1]
+    return sought, np.abs(sought) * np.sqrt(relative[:, :outputs] + relative[:, u : u + 1])
+
+
+def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> Answers:
+    """Answers at every `step`-th line: at multiples of it, so that records share lines."""
+    n = 2 * (lines.frequency_hz.size - 1)
+    at = np.arange(-(-lines.low // step) * step, lines.high + 1, step)
     response, covariance, apart, power = _all_lines(lines, at, window)
     bias = _rounded_off(apart, max(5, window.half // step))
     return Answers(

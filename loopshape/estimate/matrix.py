@@ -16,6 +16,7 @@ from loopshape.estimate.answers import Answers, PlantEstimate, plant_of
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.coherence import coherences
 from loopshape.estimate.periods import by_periods
+from loopshape.estimate.quality import unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input
@@ -117,7 +118,7 @@ def _on_common_lines(
     found = each(settings)
     if _alike(found):
         return found
-    step = max(float(np.diff(p.frequency_hz).min()) for p in found)
+    step = min(float(np.diff(p.frequency_hz).min()) for p in found)
     lengths = {r.column(loops[0].control).size for r in ordered}
     if len(lengths) == 1 and settings.method != "welch" and settings.resolution_hz is None:
         with suppress(BadSignalError):
@@ -207,7 +208,7 @@ def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array
 
 
 def _notes(run: Run, recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
-    notes = tuple(note for loop in loops for note in held_note(recording, loop))
+    notes = tuple(note for loop in loops for note in held_note(recording, loop)) + unfed_notes(recording, loops)
     early = recording.info.ended_early
     return notes if early is None else (*notes, f"the recording ended early: {early}")
 

@@ -9,8 +9,9 @@ import numpy as np
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import line_covariance, smoothed
+from loopshape.estimate.input_power import powered
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.transforms import excited_lines, segments_of
+from loopshape.estimate.transforms import segments_of
 from loopshape.kernels.spectra import cross_spectra, hann, independent_share, line_overlap
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
@@ -37,7 +38,8 @@ def by_welch(
     sums, weighted, squares = cross_spectra([*signals, *instruments], length, step, m if passing else None)
     total = _hermitian(sums)
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
-    excited = np.logical_and.reduce([excited_lines(p) for p in power])
+    excited = powered(total[:, m:, m:])
+    excited[:2] = excited[-1] = False  # the window smears the mean into the first line
     response, spread = _response(total, m)
     if passing:
         averages = share * power[0] ** 2 * segments**2 / squares

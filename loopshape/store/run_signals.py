@@ -6,7 +6,7 @@ import numpy as np
 
 from loopshape.channel import sum_terms
 from loopshape.errors import BadSignalError
-from loopshape.estimate.faults import saturated
+from loopshape.estimate.faults import saturated, spikes
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.run import Run
@@ -14,7 +14,7 @@ from loopshape.units import Array
 
 
 def check_recordings(run: Run) -> list[str]:
-    """Look at every recording; returns a sentence for each signal that seems saturated.
+    """Look at every recording; returns a sentence for each signal that seems saturated or holds spikes.
 
     Raises `BadSignalError` for values that are not numbers, stamps off the rate, and a signal of an excited
     loop, or one of the run's `outputs`, that does not move while a loop is excited. Saturated means that an excited
@@ -42,7 +42,8 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
                 f"{values[0]:g} in all {values.size} rows",
                 "check the sensor and the column, or leave the recording out",
             )
-        found.append("" if name == loop.injected else _saturation(name, values, info, recording.rate_hz))
+        if name != loop.injected:
+            found += _spoiled(name, values, info, recording.rate_hz)
     return [sentence for sentence in [*found, _pulses_saturated(run, recording)] if sentence]
 
 
@@ -73,6 +74,8 @@ def _pulses_saturated(run: Run, recording: Recording) -> str:
     )
 
 
-def _saturation(name: str, values: Array, info: RecordingInfo, rate_hz: float) -> str:
-    found = saturated(values, rate_hz, f"{name} of recording {info.file}")
-    return "" if found is None else found.sentence
+def _spoiled(name: str, values: Array, info: RecordingInfo, rate_hz: float) -> list[str]:
+    """Sentences on clipped samples and spikes, which they name."""
+    whole = f"{name} of recording {info.file}"
+    found = (saturated(values, rate_hz, whole), spikes(values, rate_hz, whole))
+    return [fault.sentence for fault in found if fault is not None]

@@ -1,0 +1,104 @@
+"""Is a recording fit for an FRF? Feedback where none is said, spoiled samples, by loop and column."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loopshape.channel import sum_terms
+from loopshape.estimate.faults import Fault, saturated, spikes, stuck
+from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check
+from loopshape.estimate.input_power import unfed_bands
+from loopshape.estimate.signals import plant_input
+from loopshape.experiment import LoopSetup
+from loopshape.kernels.spectra import cross_spectra
+from loopshape.recording import Recording
+from loopshape.units import Array
+
+#: rows of a record that are looked at for feedback; more tell no more and take longer
+MOST_ROWS = 200_000
+
+
+def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0.01) -> FeedbackCheck:
+    """Whether what enters the plant of a loop answers noise of the loop's output; see `feedback_check`.
+
+    Of a periodic recording, what differs between periods is tested, from the first settled one on. A plant may answer
+    within the sample; only where the output follows the input without any noise, as under a controller that is
+    computed from the logged output, it may not: in a run folder row k holds the answer to what row k measured.
+
+    For recordings said to be in open loop; in closed loop the answer is known beforehand, and a `found` that is False
+    means only that no noise worth mentioning goes round.
+    """
+    info, rate = recording.info, recording.rate_hz
+    first = round((info.periodic_from_s or 0.0) * rate) if info.period_s else 0
+    rows = slice(first, first + MOST_ROWS)
+    u, y = plant_input(recording, loop)[rows], recording.output(loop.output)[rows]
+    period = round(info.period_s * rate) if info.period_s else None
+    if period is not None and u.size < 4 * period:  # too few periods to tell them from noise
+        period = None
+    name = f"the input of loop {loop.name} in {info.file}"
+    found = feedback_check(u, y, period=period, false_alarms=false_alarms, name=name)
+    if found.told:
+        return found
+    return feedback_check(u, y, answers_after=1, period=period, false_alarms=false_alarms, name=name)
+
+
+def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
+    """A warning where a recording said to be in open loop shows feedback; nothing for others, or a short record.
+
+    Where only the few samples next to each other show it, the sentence says that an anti-aliasing filter would too.
+    """
+    u = recording.column(loop.control)[:MOST_ROWS]
+    if recording.info.closed_loop or u.size < 200:
+        return ()
+    found = loop_feedback(recording, loop, false_alarms=1e-4)
+    if not found.found:
+        return ()
+    if recording.info.period_s is None:
+        y = recording.output(loop.output)[:MOST_ROWS]
+        if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
+            return (f"{found.sentence}; unless the input was measured through an anti-aliasing filter, not commanded",)
+    return (found.sentence,)
+
+
+def faults(recording: Recording, loop: LoopSetup) -> list[Fault]:
+    """Spikes, clipped and stuck samples of a loop's control and output columns, in that order."""
+    drive = plant_input(recording, loop)
+    out: list[Fault | None] = []
+    for name in dict.fromkeys((loop.control, *sum_terms(loop.output))):
+        x = recording.column(name)
+        out += _faults(x, recording.rate_hz, f"{name} of recording {recording.info.file}", drive)
+    return [fault for fault in out if fault is not None]
+
+
+def _faults(x: Array, rate_hz: float, name: str, drive: Array) -> list[Fault | None]:
+    same = bool(np.array_equal(x, drive))
+    found = [spikes(x, rate_hz, name), saturated(x, rate_hz, name)]
+    return found if same else [*found, stuck(x, rate_hz, name, drive)]
+
+
+def fault_notes(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
+    """Sentences of `faults`."""
+    return tuple(fault.sentence for fault in faults(recording, loop))
+
+
+def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
+    """Sentences on bands where inputs that we measured, not made, have no power; nothing for what we injected.
+
+    What a study or a rig injects has the band that was asked for, and its unfed rest is no news.
+    """
+    info = recording.info
+    if info.closed_loop or info.period_s is not None:
+        return ()
+    inputs = [recording.column(loop.control) for loop in loops]
+    length = min(512, inputs[0].size // 8)
+    if length < 32:
+        return ()
+    sums, *_ = cross_spectra(inputs, length, length // 4)
+    upper = np.moveaxis(sums, -1, 0)
+    lower = np.tril(np.ones(upper.shape[1:], dtype=bool), -1)
+    power = np.where(lower, upper.conj().transpose(0, 2, 1), upper)
+    f = np.arange(length // 2 + 1, dtype=np.float64) * (recording.rate_hz / length)
+    names = tuple(loop.control for loop in loops)
+    return tuple(band.sentence for band in unfed_bands(f[2:-1], power[2:-1], names, leaks=False))

@@ -1,0 +1,187 @@
+"""Feedback is found where there is some, and in 1 % of the records where there is none, whatever the plant."""
+
+import numpy as np
+import pytest
+from known_loops import RATE, A, B, record, run_loop
+from scipy.signal import firwin, lfilter
+
+from loopshape.errors import BadSignalError, WrongUseError
+from loopshape.estimate.feedback_check import feedback_check
+from loopshape.estimate.quality import loop_feedback, open_loop_note
+from loopshape.experiment import LoopSetup
+
+N = 2000
+LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", None)
+
+
+def white(rng):
+    return rng.standard_normal(N)
+
+
+def coloured(rng):
+    return lfilter([1.0], np.poly([0.95, 0.6 * np.exp(1j), 0.6 * np.exp(-1j)]).real, rng.standard_normal(N))
+
+
+def prbs(rng):
+    return np.repeat(np.sign(rng.standard_normal(N // 5)), 5)
+
+
+def sweep(rng):
+    t, k = np.arange(N) / RATE, np.log(200.0)
+    return np.sin(2.0 * np.pi * 0.2 * N / RATE / k * np.expm1(k * t * RATE / N))
+
+
+def multisine(rng):
+    f = np.arange(1, 100) * RATE / 500
+    return np.tile(
+        np.cos(2.0 * np.pi * np.outer(np.arange(500) / RATE, f) + rng.uniform(0, 7, f.size)).sum(1), N // 500
+    )
+
+
+def open_loop(u, rng, noise=0.3):
+    return lfilter(B, A, u) + lfilter([1.0], [1.0, -0.9], noise * rng.standard_normal(N))
+
+
+def probabilities(make, records, first_seed=0, **words):
+    found = []
+    for seed in range(records):
+        rng = np.random.default_rng(first_seed + seed)
+        found.append(feedback_check(*make(rng), **words).probability)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("excitation", [white, coloured, prbs, sweep, multisine])
+def test_one_record_in_a_hundred_is_a_false_alarm(excitation):
+    def make(rng):
+        u = excitation(rng)
+        return u, open_loop(u, rng)
+
+    p = probabilities(make, 1000)
+    assert 0.005 <= np.mean(p < 0.01) <= 0.02  # one standard deviation of the count is 0.3 %
+    assert 0.35 < np.median(p) < 0.6
+
+
+def test_dynamics_that_the_model_lacks_are_no_feedback():
+    # rings over 2000 samples, far longer than the model's memory: correlated with past inputs, not with future ones
+    ringing = np.poly([0.9995 * np.exp(0.1j), 0.9995 * np.exp(-0.1j), 0.97 * np.exp(1j), 0.97 * np.exp(-1j)]).real
+
+    def make(rng):
+        u = coloured(rng)
+        return u, lfilter([0.0, 0.02, 0.01], ringing, u) + 1e-3 * rng.standard_normal(N)
+
+    assert np.mean(probabilities(make, 400) < 0.01) <= 0.025
+
+
+def test_a_nonlinear_plant_under_noise_is_no_feedback():
+    def make(rng):
+        u = white(rng)
+        x = open_loop(u, rng, 0.02)
+        return u, x + 0.3 * np.abs(x) * x + 0.1 * np.sign(np.diff(x, prepend=0.0))
+
+    assert np.mean(probabilities(make, 400) < 0.01) <= 0.025
+
+
+@pytest.mark.parametrize("place", ["controller_input", "plant_input"])
+@pytest.mark.parametrize("excitation", [white, prbs, sweep, multisine])
+def test_sensor_noise_that_was_fed_back_is_found(place, excitation):
+    def make(rng):
+        n = excitation(rng)
+        z, y = run_loop(place, n, lfilter([1.0], [1.0, -0.9], 0.3 * rng.standard_normal(N)))
+        return z + (n if place == "plant_input" else 0.0), y
+
+    # 10 dB below the excitation; seven of the eight give 100 %, PRBS at the plant's input 87 % of 20 s records
+    assert np.mean(probabilities(make, 40) < 0.01) >= (0.8 if excitation is prbs else 0.95)
+
+
+def test_power_falls_with_the_noise_and_is_found_at_the_lags_of_the_controller():
+    def share(noise):
+        def make(rng):
+            n = white(rng)
+            return run_loop("controller_input", n, lfilter([1.0], [1.0, -0.9], noise * rng.standard_normal(N)))
+
+        return np.mean(probabilities(make, 60) < 0.01)
+
+    assert share(0.1) > 0.95  # 20 dB below the excitation
+    assert share(0.001) < 0.1  # 60 dB below: nothing to be seen, and no bias to speak of
+
+
+def test_between_periods_a_nonlinear_plant_is_no_feedback_and_noise_fed_back_is():
+    def still(rng):
+        u = multisine(rng)
+        x = lfilter(B, A, u)
+        return u, x + 0.3 * np.abs(x) * x + 0.02 * rng.standard_normal(N)
+
+    def fed_back(rng):
+        n = multisine(rng)
+        z, y = run_loop("plant_input", n, lfilter([1.0], [1.0, -0.9], 0.01 * rng.standard_normal(N)))
+        return z + n, y
+
+    rng = np.random.default_rng(1)
+    still_one = feedback_check(*still(rng), period=500)
+    assert still_one.told
+    assert not still_one.found
+    assert "repeats exactly" in still_one.sentence
+    # without the period the same record looks like feedback, and the sentence says that it may be the plant
+    guessed = feedback_check(*still(rng))
+    assert not guessed.found or "a plant that is not linear" in guessed.sentence
+    # the controller's law is exact in the log: only from the next row on can the plant answer
+    assert not feedback_check(*fed_back(rng), period=500).told
+    assert feedback_check(*fed_back(rng), period=500, answers_after=1).found
+
+
+def test_noise_at_the_input_between_periods_keeps_the_rate():
+    def make(rng):
+        u = multisine(rng) + 0.05 * rng.standard_normal(N)
+        return u, open_loop(u, rng)
+
+    assert np.mean(probabilities(make, 1000, period=500) < 0.01) <= 0.02
+
+
+def test_a_loop_that_was_called_open_is_told():
+    rng = np.random.default_rng(3)
+    n = white(rng)
+    z, y = run_loop("plant_input", n, lfilter([1.0], [1.0, -0.9], 0.3 * rng.standard_normal(N)))
+    lied = record("control", "noise", n, z + n, y)
+    (note,) = open_loop_note(lied, LOOP)
+    assert note.startswith("the input of loop axis in r1.parquet answers noise of its output")
+    assert "closed_loop = true" in note
+    assert "-1/C" in note
+    honest = record("control", "noise", n, n, open_loop(n, rng))
+    assert open_loop_note(honest, LOOP) == ()
+    assert not loop_feedback(honest, LOOP, 1e-4).found
+
+
+def test_what_cannot_be_told_is_not_told():
+    rng = np.random.default_rng(4)
+    u = white(rng)
+    found = feedback_check(u, lfilter(B, A, u))
+    assert not found.found
+    assert not found.told
+    assert "without noise" in found.sentence
+    t = np.arange(N) / RATE
+    sine = feedback_check(np.sin(t), np.cos(t) + 0.1 * rng.standard_normal(N))
+    assert not sine.found
+
+
+def test_an_input_behind_an_anti_aliasing_filter_is_no_feedback_if_one_says_so():
+    def make(rng):
+        u = rng.standard_normal(10 * N)  # ten steps a sample
+        y = lfilter([0.0, 0.01], np.poly([0.998 * np.exp(0.05j), 0.998 * np.exp(-0.05j)]).real, u)
+        u, y = (lfilter(firwin(201, 0.04, fs=1.0), [1.0], x)[::10] for x in (u, y))
+        return u, y + 1e-3 * y.std() * rng.standard_normal(N)
+
+    assert np.mean(probabilities(make, 40) < 0.01) > 0.9  # the limit that the docstring names
+    assert np.mean(probabilities(make, 200, answers_after=-8) < 0.01) <= 0.03
+    u, y = make(np.random.default_rng(7))
+    (note,) = open_loop_note(record("control", "noise", u, u, y), LOOP)
+    assert "unless the input was measured through an anti-aliasing filter" in note
+
+
+def test_refuses_short_records_and_odd_rates():
+    rng = np.random.default_rng(5)
+    with pytest.raises(BadSignalError, match="too short to look for feedback"):
+        feedback_check(rng.standard_normal(100), rng.standard_normal(100))
+    with pytest.raises(BadSignalError, match="too few periods"):
+        feedback_check(rng.standard_normal(1000), rng.standard_normal(1000), period=700)
+    with pytest.raises(WrongUseError, match="rate of false alarms"):
+        feedback_check(rng.standard_normal(1000), rng.standard_normal(1000), false_alarms=1.0)
