@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 
@@ -26,6 +26,11 @@ _ARRAYS = (
 )
 
 
+def joined(names: Sequence[str]) -> str:
+    """Several recordings in short: both of two, else the first and how many more."""
+    return "+".join(names) if len(names) <= 2 else f"{names[0]}+{len(names) - 1}more"
+
+
 @dataclass(frozen=True, eq=False)
 class FRF:
     """Response (nf, ny, nu) on `frequency_hz` (nf,), frequency first; SISO is 1 x 1, never squeezed.
@@ -41,6 +46,7 @@ class FRF:
     answers differently to each draw of the excitation. None where one cannot be told from the other.
     `multiple_coherence` (nf, ny) and `partial_coherence` (nf, ny, nu) are those of several inputs; `averages` is the
     effective number of averages behind them, without which a coherence says nothing (it is biased by inputs/averages).
+    `recording` names what it was measured from, in short; where that was several, `recordings` names all.
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
     which the loop stood, where it is known. `method` says in one line how it
     was measured; `notes` are warnings.
@@ -72,6 +78,7 @@ class FRF:
     multiple_coherence: Array | None = None
     partial_coherence: Array | None = None
     averages: float = float("nan")
+    recordings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)

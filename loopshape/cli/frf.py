@@ -115,11 +115,14 @@ def _estimate(
 
 
 def distortion_words(run: Run, recordings: list[Recording]) -> list[str]:
-    """What periodic recordings with lines left out say of distortion, a sentence each; nothing where they cannot."""
+    """What periodic recordings with lines left out say of distortion: a sentence for each loop and operating point."""
     from loopshape.estimate.distortion import distortion
 
-    words = []
-    for recording in (r for r in recordings if r.info.period_s is not None and not r.info.excites_also):
+    words: list[str] = []
+    first: dict[Any, Recording] = {}
+    for recording in (r for r in recordings if r.info.period_s is not None):
+        first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
+    for recording in first.values():
         found = distortion(recording, run.loop(str(recording.info.excites)))
         if found.told:
             words.append(f"{recording.info.name}: {found.verdict}")

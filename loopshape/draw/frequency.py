@@ -60,6 +60,24 @@ def magnitude(frf: FRF, *, ax: Axes | None = None, band: bool = True, **look: An
 
 
 @styled()
+def deviations(frf: FRF, *, ax: Axes) -> Axes:
+    """Standard deviation of a 1 x 1 FRF in dB beside its magnitude, and dotted noise's part; nothing without that part.
+
+    What lies between both is what a nonlinear plant answers differently to each draw of the excitation.
+    """
+    if frf.noise_covariance is None:
+        return ax
+    noise = np.real(frf.noise_covariance[:, 0, 0])
+    for variance, dash, text in ((frf.variance[:, 0, 0], "--", "std, all"), (noise, ":", "std, noise alone")):
+        use = frf.trusted if frf.trusted.any() else slice(None)
+        ax.plot(
+            frf.frequency_hz[use], db(np.sqrt(variance))[use], color="0.35", linestyle=dash, linewidth=0.9, label=text
+        )
+    fit_decibels(ax)
+    return ax
+
+
+@styled()
 def phase(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
     """Phase in degrees of a 1 x 1 FRF, continuous, its first trusted line in (-270, 90]."""
     ax = axes_or_new(ax)
@@ -74,12 +92,17 @@ def phase(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
 
 @styled()
 def coherence(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
-    """Coherence of the loop's own input and output; an empty axes says so where the estimator has none."""
+    """Coherence of the loop's own input and output; an empty axes says so where the estimator has none.
+
+    Dashed is what so few averages give where nothing is related.
+    """
     ax = axes_or_new(ax)
     if frf.coherence is None:
         _absent(ax, "this estimator gives no coherence")
     else:
         draw_trusted(ax, frf.frequency_hz, frf.coherence, frf.trusted, **({"color": COLOURS[0]} | look))
+        if frf.averages > 1.0:
+            ax.axhline(1.0 / frf.averages, color="0.5", linestyle="--", linewidth=0.8, gid="bias")
     frequency_axis(ax, *shown_band_hz(frf))
     ax.set_ylim(0.0, 1.05)
     ax.set_ylabel("coherence [1]")
@@ -163,6 +186,11 @@ def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
     figure = new_figure(2, 2, (FULL_WIDTH_IN, 4.9), sharex=True)
     a, c, b, d = figure.axes
     magnitude(frf, ax=a, label="measured, 95 % band")
+    if frf.noise_covariance is not None:
+        deviations(frf, ax=a)
+        low, high = a.get_ylim()
+        a.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
+        a.legend(loc="upper right", fontsize=7.0)
     phase(frf, ax=b)
     spectra(frf, ax=c)
     coherence(frf, ax=d)

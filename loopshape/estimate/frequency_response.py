@@ -16,7 +16,7 @@ from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
 from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
+from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.units import Array
@@ -116,7 +116,8 @@ def _loop_frf(
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
         method=f"{settings.estimator} estimator, {a.method}",
-        recording="+".join(r.info.name for r in recordings),
+        recording=joined([r.info.name for r in recordings]),
+        recordings=tuple(r.info.name for r in recordings),
         loop=loop.name,
         rate_hz=recording.rate_hz,
         operating_point=dict(info.operating_point),

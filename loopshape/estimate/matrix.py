@@ -21,7 +21,7 @@ from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input
 from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
+from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.units import Array
@@ -248,7 +248,8 @@ def _frf(
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",
-        recording="+".join(r.info.name for r in recordings),
+        recording=joined([r.info.name for r in recordings]),
+        recordings=tuple(r.info.name for r in recordings),
         loop="+".join(loop.name for loop in loops),
         rate_hz=run.rate_hz,
         operating_point=dict(info.operating_point),

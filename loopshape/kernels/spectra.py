@@ -48,7 +48,7 @@ def period_spectra(signal: Array, length: int) -> ComplexArray:
 
 
 #: bytes of transforms that `cross_spectra` holds at a time
-BLOCK_BYTES = 8_000_000
+BLOCK_BYTES = 2_000_000
 #: lines whose products are added at a time
 NEAR = 512
 
@@ -81,14 +81,14 @@ def _windowed_spectra(signal: Array, length: int, step: int, window: Array, out:
     """As `segment_spectra`, into `out`: a segment's mean under a Hann window lies in the lines 0 and 1 alone."""
     segments = np.lib.stride_tricks.sliding_window_view(signal, length)[::step]
     np.fft.rfft(segments * window, axis=1, out=out)
-    means = segments.mean(axis=1)
+    means = segments @ np.full(length, 1.0 / length)
     out[:, 0] -= (0.5 * length) * means
     out[:, 1] += (0.25 * length) * means
 
 
 @compiled
 def add_products(block: ComplexArray, weigh: int, total: ComplexArray, weighted: ComplexArray, squares: Array) -> None:
-    """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; if weigh >= 0, weighted by its |x|² too."""
+    """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; weighted by |x[weigh]|² too if that is asked."""
     signals, segments, lines = block.shape
     for low in range(0, lines, NEAR):  # as many lines as stay in the nearest cache
         high = min(low + NEAR, lines)

@@ -1,7 +1,4 @@
-"""FRFs beside the run that they were measured from: `frf/<recording>.<loop>.npz`, a plant's matrices in `matrix/`.
-
-A FRF of several recordings names them joined by +.
-"""
+"""FRFs beside the run that they were measured from: `frf/<recording>.<loop>.npz`, a plant's matrices in `matrix/`."""
 
 from __future__ import annotations
 
@@ -43,16 +40,20 @@ def _write_all(run_folder: Path, frfs: Sequence[FRF], place: str) -> tuple[Path,
     paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
     sources = recording_digests(run_folder)
     for path, frf in zip(paths, frfs, strict=True):
-        _write(path, frf, _source(sources, frf.recording))
+        _write(path, frf, _source(sources, frf))
     if sources:  # FRFs of recordings that the run no longer has, or estimated before with other loops
         for path in set((run_folder / place).glob("*.npz")) - set(paths):
             path.unlink()
     return tuple(paths)
 
 
-def _source(sources: Mapping[str, str], recordings: str) -> str:
-    """Mark of the recordings that a FRF names, joined by +; empty where one is not known."""
-    marks = [sources.get(name, "") for name in recordings.split("+")]
+def _names(frf: FRF) -> tuple[str, ...]:
+    return frf.recordings or (frf.recording,)
+
+
+def _source(sources: Mapping[str, str], frf: FRF) -> str:
+    """Mark of the recordings that a FRF names; empty where one is not known."""
+    marks = [sources.get(name, "") for name in _names(frf)]
     return "+".join(marks) if all(marks) else ""
 
 
@@ -96,8 +97,8 @@ def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FR
 
 def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], wanted: set[str]) -> None:
     sources = recording_digests(run_folder)
-    stale = [frf.recording for frf, source in found if source and _source(sources, frf.recording) != source]
-    missing = sorted(wanted - {name for frf, _ in found for name in frf.recording.split("+")})
+    stale = [frf.recording for frf, source in found if source and _source(sources, frf) != source]
+    missing = sorted(wanted - {name for frf, _ in found for name in _names(frf)})
     if stale or missing:
         words = [f"changed or gone: {', '.join(stale)}"] if stale else []
         words += [f"without a FRF: {', '.join(missing)}"] if missing else []

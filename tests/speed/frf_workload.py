@@ -1,0 +1,65 @@
+"""The FRF workload for benchmarks: two loops excited at once by noise, 20 minutes at 1 kHz, segments of 20 s."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import csd
+
+from loopshape.estimate.settings import Settings
+from loopshape.estimate.welch import by_welch
+from loopshape.recording import Recording, RecordingInfo
+
+RATE, MINUTES, LENGTH, STEP = 1000.0, 20, 20_000, 5_000
+
+
+def signals(minutes: int = MINUTES) -> list[np.ndarray]:
+    """Two outputs, two plant inputs, two instruments; what they hold does not matter to the time."""
+    rng = np.random.default_rng(0)
+    return [rng.standard_normal(round(60 * minutes * RATE)) for _ in range(6)]
+
+
+def ours(six: list[np.ndarray]) -> Callable[[], object]:
+    """The whole estimate: responses to both instruments with the covariance of all elements."""
+    recording = Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
+    settings = Settings(method="welch", resolution_hz=RATE / LENGTH)
+    return lambda: by_welch(recording, six[:4], six[4:], settings)
+
+
+def pairwise(six: list[np.ndarray]) -> Callable[[], object]:
+    """scipy.signal.csd for each pair that the responses need: each signal and instrument with each instrument."""
+
+    def go() -> None:
+        for a, x in enumerate(six):
+            for b, n in enumerate(six[4:], start=4):
+                if a <= b:
+                    csd(n, x, RATE, "hann", LENGTH, LENGTH - STEP)
+
+    return go
+
+
+def bare_transforms(six: list[np.ndarray]) -> Callable[[], object]:
+    """Nothing but the transforms of as many segments, of one block of numbers that stays in memory."""
+    count = (six[0].size - LENGTH) // STEP + 1
+    block = np.random.default_rng(1).standard_normal((8, LENGTH))
+    out = np.empty((8, LENGTH // 2 + 1), dtype=complex)
+
+    def go() -> None:
+        for _ in six:
+            for _ in range(-(-count // 8)):
+                np.fft.rfft(block, axis=1, out=out)
+
+    return go
+
+
+def peak_megabytes(minutes: int) -> float:
+    """Most memory that the estimate takes beside the record, in MB."""
+    go = ours(signals(minutes))
+    go()
+    tracemalloc.start()
+    go()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return 1e-6 * peak
