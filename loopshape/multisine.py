@@ -1,4 +1,4 @@
-"""Multisines: a few sines of equal amplitude, as many periods as asked, with a low peak for their power."""
+"""Multisines: a few sines, of equal amplitude or as asked, for as many periods as asked, with a low peak."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ class Multisine:
     is of how many equal turns (0, 1/turns, 2/turns, ...) the multisine is one: they have the same amplitude at
     every line, and `amplitude` is the largest peak of them all. More than two turns cost crest factor (about 2.1).
     Refuses a turn that is not one of them (its peak would be unknown), and more than 64 turns.
+
+    `levels` are amplitudes of the lines in rising order, to each other: `amplitude` stays the peak of their sum. Empty
+    for equal ones. Refuses another number of levels than lines, and levels that are not positive.
     """
 
     f_low_hz: float
@@ -42,6 +45,7 @@ class Multisine:
     crest_iterations: int = 60
     turn: float = 0.0
     turns: int = 2
+    levels: tuple[float, ...] = ()
     kind: str = "multisine"
 
     def __post_init__(self) -> None:
@@ -55,6 +59,18 @@ class Multisine:
                 f"a multisine's turn is a whole multiple of 1/turns cycles, of {MOST_TURNS} turns at most",
                 f"turn = {self.turn!r} and turns = {self.turns!r}",
                 "0.5 changes the sign; for another turn give turns, for example turn = 0.25 and turns = 4",
+            )
+
+        if self.levels:
+            self._check_levels()
+
+    def _check_levels(self) -> None:
+        count = self.lines().size
+        if len(self.levels) != count or not all(np.isfinite(level) and level > 0.0 for level in self.levels):
+            raise WrongUseError(
+                f"a multisine of {count} lines has as many levels, all positive",
+                f"{len(self.levels)} levels" + (f", the least {min(self.levels):g}" if self.levels else ""),
+                "give one for each line in rising order, or none for equal ones",
             )
 
     @property
@@ -92,7 +108,8 @@ class Multisine:
         check_below_half_rate(self.kind, float(lines[-1]), rate_hz)
         n = samples(self.period_s, rate_hz)
         bins = np.round(lines * self.period_s).astype(int)
-        spectrum, peak = _low_crest(bins, n, self.seed, self.crest_iterations, self.turns)
+        sizes = np.asarray(self.levels or 1.0)
+        spectrum, peak = _low_crest(bins, sizes, n, self.seed, self.crest_iterations, self.turns)
         one = _turned(spectrum, self.turn, n) / peak
         return self.amplitude * repeated(one, self.periods, self.ramp_s, rate_hz)
 
@@ -105,20 +122,22 @@ def _turned(spectrum: ComplexArray, turn: float, n: int) -> Array:
     return np.asarray(np.fft.irfft(np.exp(1j * TWO_PI * part) * spectrum, n))
 
 
-def _low_crest(bins: NDArray[np.int64], n: int, seed: int, iterations: int, turns: int) -> tuple[ComplexArray, float]:
-    """Spectrum (n // 2 + 1,) of ones in `bins`, its phases iterated towards a low crest, and its signals' peak.
+def _low_crest(
+    bins: NDArray[np.int64], sizes: Array, n: int, seed: int, iterations: int, turns: int
+) -> tuple[ComplexArray, float]:
+    """Spectrum (n // 2 + 1,) of `sizes` in `bins`, its phases iterated towards a low crest, and its signals' peak.
 
     The peak is the largest of all signals that its `turns` give; those half a cycle apart have the same.
     """
     rng = np.random.default_rng(seed)
     spectrum = np.zeros(n // 2 + 1, dtype=complex)
-    spectrum[bins] = np.exp(1j * TWO_PI * rng.random(bins.size))
+    spectrum[bins] = sizes * np.exp(1j * TWO_PI * rng.random(bins.size))
     unlike = [k / turns for k in range(turns // 2 if turns % 2 == 0 else turns)]
     signals = [_turned(spectrum, turn, n) for turn in unlike]
     best, best_peak = spectrum.copy(), _peak(signals)
     for k in range(iterations):
         level = _peak(signals) * (0.75 + 0.2 * k / max(iterations, 1))
-        spectrum[bins] = np.exp(1j * np.angle(_clipped(signals, unlike, level)[bins]))
+        spectrum[bins] = sizes * np.exp(1j * np.angle(_clipped(signals, unlike, level)[bins]))
         signals = [_turned(spectrum, turn, n) for turn in unlike]
         peak = _peak(signals)
         if peak < best_peak:

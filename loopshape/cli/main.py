@@ -20,6 +20,7 @@ from loopshape.cli.import_file import import_file
 from loopshape.cli.import_frf import import_frf
 from loopshape.cli.interaction import interaction
 from loopshape.cli.measure import measure
+from loopshape.cli.plan import plan
 from loopshape.cli.simulate import simulate
 from loopshape.cli.tune import tune
 from loopshape.errors import LoopshapeError
@@ -39,6 +40,7 @@ app.command("import")(import_file)
 app.command("import-frf")(import_frf)
 app.command()(export)
 app.command()(interaction)
+app.command()(plan)
 
 
 @app.callback()

@@ -221,9 +221,8 @@ def _sought(answers: Answers, outputs: int) -> tuple[ComplexArray, Array]:
         return plant.response.transpose(0, 2, 1).reshape(n, -1), std
     H, variance = answers.response[:, :, 0], np.einsum("nii->ni", answers.covariance).real[:, :m]
     u = outputs + int(np.median(np.abs(H[:, outputs:]), axis=0).argmax())
-    relative = variance / np.abs(H) ** 2
-    sought = H[:, :outputs] / H[:, u : u + 1]
-    return sought, np.abs(sought) * np.sqrt(relative[:, :outputs] + relative[:, u : u + 1])
+    sought, size = H[:, :outputs] / H[:, u : u + 1], np.abs(H[:, u : u + 1])
+    return sought, np.sqrt(variance[:, :outputs] + np.abs(sought) ** 2 * variance[:, u : u + 1]) / size
 
 
 def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> Answers:

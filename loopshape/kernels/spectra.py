@@ -88,7 +88,7 @@ def _windowed_spectra(signal: Array, length: int, step: int, window: Array, out:
 
 @compiled
 def add_products(block: ComplexArray, weigh: int, total: ComplexArray, weighted: ComplexArray, squares: Array) -> None:
-    """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; weighted by |x[weigh]|² too if that is asked."""
+    """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; weighted by |x[weigh]|² too if asked."""
     signals, segments, lines = block.shape
     for low in range(0, lines, NEAR):  # as many lines as stay in the nearest cache
         high = min(low + NEAR, lines)
