@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from loopshape.units import Array, ComplexArray
 
@@ -43,13 +44,28 @@ class Answers:
         return replace(self, **{n: getattr(self, n)[lines] for n in names if getattr(self, n) is not None})
 
 
+#: relative deviation of a plant input's answer from which on its quotient is not believed: its bias is the square
+DROWNED = 0.3
+
+
 @dataclass(frozen=True, eq=False)
 class PlantEstimate:
-    """P (nf, ny, nu), covariance of its vec, and noise's part of it or None."""
+    """P (nf, ny, nu), covariance of its vec, noise's part of it or None, and where it drowns.
+
+    `drowned` (nf,) is the relative deviation of what the plant inputs answer to the instruments. The covariance holds
+    to first order in it; towards 1 the instrument drowns in noise that goes round the loop, P becomes -1/C, and no
+    residual shows it.
+    """
 
     response: ComplexArray
     covariance: ComplexArray
     noise: ComplexArray | None
+    drowned: Array
+
+    @property
+    def sound(self) -> np.ndarray:
+        """Lines (nf,) on which the first order holds, by the median of nine neighbours: one may be lucky."""
+        return np.asarray(median_filter(np.minimum(self.drowned, 1e9), 9, mode="nearest") < DROWNED)
 
 
 def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
@@ -60,23 +76,31 @@ def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
     """
     H = np.concatenate([part.response for part in parts], axis=2)
     if H.shape[1] == outputs:
-        return PlantEstimate(H, parts[0].covariance, parts[0].noise)
+        return PlantEstimate(H, parts[0].covariance, parts[0].noise, np.zeros(H.shape[0]))
     with np.errstate(all="ignore"):
         inverse = _inverse(H[:, outputs:])
         P = H[:, :outputs] @ inverse
         left = np.concatenate([np.broadcast_to(np.eye(outputs), (P.shape[0], outputs, outputs)), -P], axis=2)
         covariance = np.zeros((P.shape[0], P[0].size, P[0].size), dtype=complex)
         noise = None if any(part.noise is None for part in parts) else covariance.copy()
-        first = 0
+        first, unsure = 0, np.zeros((P.shape[0], P.shape[2]))
         for part in parts:
             last = first + part.response.shape[2]
+            unsure += _input_errors(part, inverse[:, first:last], outputs)
             K = np.einsum("fjp,fai->fpaji", inverse[:, first:last], left).reshape(P.shape[0], P[0].size, -1)
             adjoint = K.conj().transpose(0, 2, 1)
             covariance += K @ part.covariance @ adjoint
             if noise is not None and part.noise is not None:
                 noise += K @ part.noise @ adjoint
             first = last
-    return PlantEstimate(P, covariance, noise)
+    return PlantEstimate(P, covariance, noise, np.sqrt(np.nan_to_num(unsure.max(axis=1), nan=np.inf)))
+
+
+def _input_errors(part: Answers, inverse: ComplexArray, outputs: int) -> Array:
+    """Variances (nf, nu) of the diagonal of dH_u H_u^-1, which has no unit, by one part's errors."""
+    nf, m, nr = part.response.shape
+    errors = part.covariance.reshape(nf, nr, m, nr, m)[:, :, outputs:, :, outputs:]
+    return np.asarray(np.einsum("fji,fjiki,fki->fi", inverse, errors, inverse.conj()).real)
 
 
 def _inverse(matrix: ComplexArray) -> ComplexArray:

@@ -104,7 +104,10 @@ def _loop_frf(
     if settings.estimator == "reference":
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
-    trusted = trusted_lines(f, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), a.excited)
+    sound = plant.sound[rows]
+    relative = np.where(sound, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), np.inf)
+    trusted = trusted_lines(f, relative, a.excited) & sound
+    notes += drowned_note(f, sound)
     notes += a.notes + _band_note(f, trusted)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
@@ -133,6 +136,22 @@ def _loop_frf(
         parameters=dict(info.parameters),
         held_by=loop.controller if info.closed_loop else None,
         notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+#: share of the lines from which on it is said that they drown; fewer lie at the excitation's ends
+DROWNING = 0.1
+
+
+def drowned_note(frequency_hz: Array, sound: np.ndarray) -> tuple[str, ...]:
+    """A warning where the injected signal drowns in what noise sends round the loop."""
+    if np.mean(~sound) < DROWNING:
+        return ()
+    f = frequency_hz[~sound]
+    return (
+        f"on {f.size} of {frequency_hz.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, noise that goes round the loop drowns"
+        " the injected signal at the plant's input: the quotient would be -1/C, and these lines are not trusted; excite"
+        " more or measure longer",
     )
 
 

@@ -15,6 +15,7 @@ from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.estimate.answers import Answers, PlantEstimate, plant_of
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.coherence import coherences
+from loopshape.estimate.frequency_response import drowned_note
 from loopshape.estimate.periods import by_periods
 from loopshape.estimate.quality import unfed_notes
 from loopshape.estimate.respond import respond
@@ -222,7 +223,7 @@ def _left_closed(run: Run, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
 
 def _on(plant: PlantEstimate, rows: np.ndarray) -> PlantEstimate:
     noise = None if plant.noise is None else plant.noise[rows]
-    return PlantEstimate(plant.response[rows], plant.covariance[rows], noise)
+    return PlantEstimate(plant.response[rows], plant.covariance[rows], noise, plant.drowned[rows])
 
 
 def _frf(
@@ -239,12 +240,14 @@ def _frf(
     averages = float(sum(p.averages for p in parts))
     multiple, partial = coherences(power, len(outputs), averages)
     relative = _relative_std(plant, np.real(np.einsum("fii->fi", power))[:, len(outputs) :])
+    relative = np.where(plant.sound, relative, np.inf)
+    notes += drowned_note(f, plant.sound)
     return FRF(
         frequency_hz=f,
         response=plant.response,
         covariance=plant.covariance,
         noise_covariance=plant.noise,
-        trusted=trusted_lines(f, relative, np.ones(f.size, dtype=bool)),
+        trusted=trusted_lines(f, relative, np.ones(f.size, dtype=bool)) & plant.sound,
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",

@@ -84,12 +84,12 @@ def fault_notes(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
 
 
 def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
-    """Sentences on bands where inputs that we measured, not made, have no power; nothing for what we injected.
+    """Sentences on wide bands where inputs of noise in open loop have no power; nothing for other recordings.
 
-    What a study or a rig injects has the band that was asked for, and its unfed rest is no news.
+    What a study injects has the band that was asked for, and its unfed rest is no news; here it is the record's.
     """
     info = recording.info
-    if info.closed_loop or info.period_s is not None:
+    if info.closed_loop or info.kind != "noise":
         return ()
     inputs = [recording.column(loop.control) for loop in loops]
     length = min(512, inputs[0].size // 8)
@@ -101,4 +101,5 @@ def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, 
     power = np.where(lower, upper.conj().transpose(0, 2, 1), upper)
     f = np.arange(length // 2 + 1, dtype=np.float64) * (recording.rate_hz / length)
     names = tuple(loop.control for loop in loops)
-    return tuple(band.sentence for band in unfed_bands(f[2:-1], power[2:-1], names, leaks=False))
+    wide = max(3, f.size // 20)
+    return tuple(band.sentence for band in unfed_bands(f[2:-1], power[2:-1], names, wide, leaks=False))

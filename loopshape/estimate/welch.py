@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers
@@ -40,6 +41,7 @@ def by_welch(
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
     excited = powered(total[:, m:, m:])
     excited[:2] = excited[-1] = False  # the window smears the mean into the first line
+    excited = np.asarray(binary_opening(excited, np.ones(3, dtype=bool)))  # one line or two beside the band are what leaks
     response, spread = _response(total, m)
     if passing:
         averages = share * power[0] ** 2 * segments**2 / squares

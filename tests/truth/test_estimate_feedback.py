@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_loops import LOOP, RATE, estimates, plant, record, run_loop
+from known_loops import CONTROLLER, LOOP, RATE, estimates, plant, record, run_loop
 from scipy.signal import lfilter
 
 from loopshape.estimate.frequency_response import estimate_frf
@@ -102,3 +102,18 @@ def test_direct_estimator_warns_of_feedback_without_knowing_the_controller():
         assert direct_notes(place, loop=unknown) == BIASED
     # what is injected at the plant's input is known there: the change can be computed without the controller
     assert "feedback changes what reaches the plant by" in direct_notes("plant_input", loop=unknown)
+
+
+@pytest.mark.parametrize("method", ["welch", "local"])
+@pytest.mark.parametrize("share", [1e-4, 0.01, 0.03])
+def test_an_injection_that_drowns_is_never_trusted_though_its_residual_is_small(method, share):
+    # both answers to the instrument are then noise: their quotient is -1/C, and y - G u is nothing
+    rng = np.random.default_rng(7)
+    n, v = share * rng.standard_normal((1, 8000)), 0.3 * rng.standard_normal((1, 8000))
+    frf = estimates("controller_input", "noise", n, v, Settings(method=method))[0]
+    low = frf.between(0.5, 20.0)
+    inverse = -1.0 / CONTROLLER.response(low.frequency_hz)
+    assert np.median(np.abs(low.siso / inverse - 1.0)) < 0.6  # it is the controller that was measured
+    assert np.median(np.sqrt(low.variance[:, 0, 0]) / np.abs(low.siso)) < 0.6  # and its variance does not say so
+    assert not frf.trusted.any()
+    assert "drowns the injected signal" in " ".join(frf.notes)

@@ -111,9 +111,8 @@ def test_a_disturbance_that_comes_with_the_sweep_counts_where_it_came():
 
 def test_colour_of_the_noise_is_followed_line_by_line():
     # the error is sum(V N*)/sum(U N*), so its variance is Phi_v/(|CS|² Phi_n) over the averages
-    frfs = estimates(
-        "controller_input", "noise", noise(6, SAMPLES), lfilter([1.0], [1.0, -0.95], 0.02 * noise(5, SAMPLES))
-    )
+    v = lfilter([1.0], [1.0, -0.95], 0.02 * noise(5, SAMPLES))
+    frfs = estimates("controller_input", "noise", noise(6, SAMPLES), v, Settings(method="welch"))
     ratio, _ = ratio_and_coverage(frfs)
     f, _, variance = common_lines(frfs, 1.0, 20.0)
     C = CONTROLLER.response(f)
@@ -128,7 +127,7 @@ def test_colour_of_the_noise_is_followed_line_by_line():
 
 def test_trusted_lines_at_the_edge_of_the_excitation_are_as_good_as_they_say():
     n = np.stack([BandNoise(0.5, 40.0, 160.0, 1.0, seed=k, ramp_s=0.0).signal(RATE) for k in range(60)])
-    frfs = estimates("control", "noise", n, 0.02 * noise(7, SAMPLES)[:60])
+    frfs = estimates("control", "noise", n, 0.02 * noise(7, SAMPLES)[:60], Settings(method="welch"))
     f, response, variance = common_lines(frfs, 0.3, 1.0)
     trusted = np.all([x.select(np.isin(x.frequency_hz, f)).trusted for x in frfs], axis=0)
     within = np.mean(np.abs(response - plant(f)) ** 2 < REACH * variance, axis=0)
