@@ -183,10 +183,10 @@ def excited_lines(power: Array) -> np.ndarray:
     """Lines (nf,) that an instrument of this power feeds by more than a window's leakage."""
     fed = power > FLOOR * power[2:].max()
     fed[:2] = fed[-1] = False  # the window smears the mean into the first line
-    return _clear_of_edges(fed, power)
+    return clear_of_edges(fed, power)
 
 
-def _clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndarray:
+def clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndarray:
     """Fed lines without the ends of each stretch where the power falls steeply outwards.
 
     Such lines are fed by the window's side lobes from one side, and what they show belongs to that side.

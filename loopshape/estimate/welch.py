@@ -12,7 +12,7 @@ from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import line_covariance, smoothed
 from loopshape.estimate.input_power import powered
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.transforms import segments_of
+from loopshape.estimate.transforms import clear_of_edges, segments_of
 from loopshape.kernels.spectra import cross_spectra, hann, independent_share, line_overlap
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
@@ -41,7 +41,10 @@ def by_welch(
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
     excited = powered(total[:, m:, m:])
     excited[:2] = excited[-1] = False  # the window smears the mean into the first line
-    excited = np.asarray(binary_opening(excited, np.ones(3, dtype=bool)))  # one line or two beside the band are what leaks
+    excited = np.asarray(
+        binary_opening(excited, np.ones(3, dtype=bool))
+    )  # fewer leak
+    excited = np.logical_and.reduce([clear_of_edges(excited, p) for p in power])
     response, spread = _response(total, m)
     if passing:
         averages = share * power[0] ** 2 * segments**2 / squares
