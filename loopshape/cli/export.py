@@ -19,9 +19,12 @@ def export(
 ) -> None:
     """Write each FRF of a run as a file, all of them or none; import-frf reads them back."""
     from loopshape.store.frf_exchange import export_frfs
-    from loopshape.store.frfs import read_frfs
+    from loopshape.store.frfs import FOLDER, MATRICES, read_frfs, read_matrices
 
-    output, frfs = Output(as_json, quiet), read_frfs(run)
+    output = Output(as_json, quiet)
+    matrices = read_matrices(run) if (run / MATRICES).is_dir() else ()
+    single = read_frfs(run) if not matrices or (run / FOLDER).is_dir() else ()
+    frfs = (*single, *matrices)
     paths, lost = export_frfs(frfs, to, out or run / "export")
     columns = ["file", "recording", "loop", "outputs", "inputs", "lines"]
     rows = [

@@ -27,8 +27,8 @@ from loopshape.errors import LoopshapeError
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
-measure or import a run -> frf -> fit -> tune -> check; run -> gap. Exit codes: 0 pass, 1 a requirement is missed,
-2 wrong use or unreadable input.
+measure or import a run -> frf -> fit -> tune -> check; frf -> interaction, plan, export; run -> gap. Exit codes: 0
+pass, 1 a requirement is missed, 2 wrong use or unreadable input.
 """
 
 app = typer.Typer(

@@ -19,7 +19,7 @@ def blocks() -> dict[str, str]:
     return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
 
 
-@pytest.mark.parametrize("name", ["tour", "own", "arm", "gap"])
+@pytest.mark.parametrize("name", ["tour", "own", "arm", "several", "gap"])
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent
@@ -36,6 +36,10 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         answer = json.loads((tmp_path / "out" / "gap" / "gap.json").read_text())
         assert answer["verdict"] == "gas_law"
         assert answer["gap"]["shrink"] > 0.9
+    elif name == "several":
+        assert "theta1 and theta2, 0.5 to 1 Hz: decoupled" in done.stdout
+        assert "theta1 and theta2, 1 to 2 Hz: coupled" in done.stdout
+        assert len(list((tmp_path / "out" / "arm2" / "export").glob("*.csv"))) == 5
     else:
         assert done.stdout.rstrip().endswith("verdict: pass")
 
