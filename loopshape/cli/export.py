@@ -23,7 +23,7 @@ def export(
 
     output = Output(as_json, quiet)
     matrices = read_matrices(run) if (run / MATRICES).is_dir() else ()
-    single = read_frfs(run) if not matrices or (run / FOLDER).is_dir() else ()
+    single = read_frfs(run) if not matrices or any((run / FOLDER).glob("*.npz")) else ()
     frfs = (*single, *matrices)
     paths, lost = export_frfs(frfs, to, out or run / "export")
     columns = ["file", "recording", "loop", "outputs", "inputs", "lines"]

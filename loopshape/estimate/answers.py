@@ -62,10 +62,9 @@ class PlantEstimate:
     noise: ComplexArray | None
     drowned: Array
 
-    @property
-    def sound(self) -> np.ndarray:
-        """Lines (nf,) on which the first order holds, by the median of nine neighbours: one may be lucky."""
-        return np.asarray(median_filter(np.minimum(self.drowned, 1e9), 9, mode="nearest") < DROWNED)
+    def sound(self, rows: np.ndarray) -> np.ndarray:
+        """Which of the excited lines `rows` the first order holds on, by the median of nine: one may be lucky."""
+        return np.asarray(median_filter(np.minimum(self.drowned[rows], 1e9), 9, mode="nearest") < DROWNED)
 
 
 def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
@@ -93,6 +92,10 @@ def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
             if noise is not None and part.noise is not None:
                 noise += K @ part.noise @ adjoint
             first = last
+        for part_of in (covariance, noise):
+            if part_of is not None:  # what rounding made negative
+                rows = np.arange(part_of.shape[1])
+                part_of[:, rows, rows] = np.maximum(part_of[:, rows, rows].real, 0.0)
     return PlantEstimate(P, covariance, noise, np.sqrt(np.nan_to_num(unsure.max(axis=1), nan=np.inf)))
 
 

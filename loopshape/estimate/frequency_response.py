@@ -98,17 +98,21 @@ def _loop_frf(
     finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
     rows = _kept(answers.excited) & finite
     if not rows.any():
-        raise BadSignalError(f"no line of recording {info.file} carries excitation in loop {loop.name}", answers.method)
+        raise BadSignalError(
+            f"no line of recording {info.file} carries excitation in loop {loop.name}",
+            answers.method,
+            "excite more; of a sweep too few segments may carry each line: ask for a coarser resolution",
+        )
     a, f = answers.select(rows), answers.frequency_hz[rows]
     G, covariance = plant.response[rows], plant.covariance[rows]
     if settings.estimator == "reference":
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
-    sound = plant.sound[rows]
+    sound = plant.sound(rows)
     relative = np.where(sound, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), np.inf)
     trusted = trusted_lines(f, relative, a.excited) & sound
     notes += drowned_note(f, sound)
-    notes += a.notes + _band_note(f, trusted)
+    notes += a.notes + band_note(f, trusted)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
         frequency_hz=f,
@@ -165,7 +169,8 @@ def _kept(excited: np.ndarray) -> np.ndarray:
     return keep
 
 
-def _band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
+def band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
+    """A warning where few lines or none are known well."""
     if trusted.any():
         known = f[trusted]
         if known.size > 0.1 * f.size:

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers, plant_of
 from loopshape.estimate.input_power import powered
-from loopshape.estimate.local_fits import LocalFit, Window, covariance_of, fit_lines
+from loopshape.estimate.local_fits import LocalFit, Window, fit_lines
 from loopshape.estimate.settings import Settings
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
@@ -229,7 +229,7 @@ def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> 
     """Answers at every `step`-th line: at multiples of it, so that records share lines."""
     n = 2 * (lines.frequency_hz.size - 1)
     at = np.arange(-(-lines.low // step) * step, lines.high + 1, step)
-    response, covariance, apart, power = _all_lines(lines, at, window)
+    (response, covariance, apart, power), independent = _all_lines(lines, at, window)
     bias = _rounded_off(apart, max(5, window.half // step))
     return Answers(
         frequency_hz=lines.frequency_hz[at],
@@ -240,18 +240,19 @@ def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> 
         averages=float(2 * window.half + 1),
         power_per="Hz",
         line_overlap=max(1.0, _overlap(lines, int(at[at.size // 2]), window) / step),
-        freedom=2.0 * (2 * window.half + 1 - window.unknowns(lines.R.shape[0])),
+        freedom=2.0 * independent,
         pooled=1,
         method=f"{window.words} of {n / recording.rate_hz:.4g} s, {lines.frequency_hz[1] * step:.3g} Hz between lines",
     )
 
 
-def _all_lines(
-    lines: Lines, at: np.ndarray, window: Window
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """Response, its noise's covariance, what a narrower window says otherwise beyond noise, cross-powers, (n, ...)."""
+def _all_lines(lines: Lines, at: np.ndarray, window: Window) -> tuple[tuple[ComplexArray, ...], float]:
+    """Response, its noise's covariance, what a narrower window says otherwise beyond noise, cross-powers, (n, ...), and
+    how many residuals the covariance rests on.
+    """
     narrow = _narrower(window, lines.R.shape[0])
     found: list[tuple[ComplexArray, ...]] = []
+    independent = []
     for part in _chunks(at, window):
         fit = fit_lines(lines.X, lines.R, part, lines.low, lines.high, window)
         apart = np.zeros_like(fit.spread)
@@ -261,7 +262,8 @@ def _all_lines(
         both = np.concatenate([lines.X, lines.R])[:, rows]
         power = np.einsum("anw,bnw->nab", both, both.conj()) * (lines.density / rows.shape[1])
         found.append((fit.response, fit.spread, apart, power))
-    return tuple(np.concatenate(x) for x in zip(*found, strict=True))  # type: ignore[return-value]
+        independent.append(fit.independent)
+    return tuple(np.concatenate(x) for x in zip(*found, strict=True)), float(np.median(independent))
 
 
 def _narrower(window: Window, instruments: int) -> Window | None:
@@ -281,7 +283,7 @@ def _apart(wide: LocalFit, narrow: LocalFit) -> ComplexArray:
     rows = np.arange(n)[:, None]
     weights.transpose(0, 3, 1, 2)[rows, columns] -= narrow.weights.transpose(0, 3, 1, 2)
     d = (wide.response - narrow.response).transpose(0, 2, 1).reshape(n, -1)
-    return np.einsum("na,nb->nab", d, d.conj()) - covariance_of(weights, narrow.scatter)
+    return np.einsum("na,nb->nab", d, d.conj()) - wide.spread_of(weights, narrow.scatter)
 
 
 #: from this size on only variances are kept of what is rounded off
@@ -328,6 +330,8 @@ def compared(choice: Choice, lines: Lines, other: Answers) -> float:
     k = other.averages
     error = np.log(np.maximum(error * (k / (k - P.shape[2])) * (1.0 + P.shape[2] / k), 1e-300)).mean(axis=1)
     usable = np.flatnonzero(other.excited & np.isfinite(error))
+    if not usable.size:
+        return np.inf
     f = lines.frequency_hz[choice.groups]
     inside = (f >= other.frequency_hz[usable[0]]) & (f <= other.frequency_hz[usable[-1]])
     at = np.interp(f[inside], other.frequency_hz[usable], error[usable])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.units import ComplexArray
+from loopshape.units import Array, ComplexArray
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +39,9 @@ class LocalFit:
     """Fits at n lines: response (n, m, nr), weights (n, m, nr, w) with H = weights . X, first line of each window (n,).
 
     `scatter` (n, m, m) is the noise's power left over, with `freedom` complex degrees of freedom; `left_out` (n, m) is
-    what each line would have been missed by, had it not been among those fitted.
+    what each line would have been missed by, had it not been among those fitted. `residual` (n, m, w), each over the
+    root of one less its leverage, is kept of rationals: what their denominator makes of noise differs along the window,
+    and their spread is summed line by line (White 1980; MacKinnon and White 1985, HC2).
     """
 
     response: ComplexArray
@@ -48,11 +50,28 @@ class LocalFit:
     scatter: ComplexArray
     freedom: int
     left_out: ComplexArray
+    residual: ComplexArray | None = None
 
     @property
     def spread(self) -> ComplexArray:
         """Covariance (n, m nr, m nr) of vec(response), columns stacked."""
-        return covariance_of(self.weights, self.scatter)
+        return self.spread_of(self.weights, self.scatter)
+
+    def spread_of(self, weights: ComplexArray, scatter: ComplexArray) -> ComplexArray:
+        """Covariance of other sums over the same windows: by the residuals where they are kept, else by `scatter`."""
+        if self.residual is None:
+            return covariance_of(weights, scatter)
+        n, m, nr, w = weights.shape
+        moved = (weights * self.residual[:, :, None]).transpose(0, 2, 1, 3).reshape(n, nr * m, w)
+        return np.asarray(moved @ moved.conj().transpose(0, 2, 1))
+
+    @property
+    def independent(self) -> float:
+        """How many residuals the spread rests on, in complex numbers: all degrees of freedom, or those weighed."""
+        if self.residual is None:
+            return float(self.freedom)
+        power = np.abs(self.weights[:, 0, 0]) ** 2
+        return float(np.median(power.sum(-1) ** 2 / (power**2).sum(-1)))
 
 
 def covariance_of(weights: ComplexArray, scatter: ComplexArray) -> ComplexArray:
@@ -87,6 +106,7 @@ def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, hig
         ]
         weights = np.stack([p[0] for p in parts], axis=1)
     residual = np.concatenate([p[1] for p in parts], axis=0)
+    leverages = np.stack([p[3] for p in parts], axis=1)
     freedom = rows.shape[1] - window.unknowns(R.shape[0])
     return LocalFit(
         response=np.einsum("niaw,inw->nia", weights, data),
@@ -95,13 +115,17 @@ def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, hig
         scatter=np.einsum("inw,jnw->nij", residual, residual.conj()) / freedom,
         freedom=freedom,
         left_out=np.concatenate([p[2] for p in parts], axis=1),
+        residual=np.asarray(residual.transpose(1, 0, 2) / np.sqrt(1.0 - leverages), dtype=complex)
+        if window.poles
+        else None,
     )
 
 
 def _solve(
     A: ComplexArray, data: ComplexArray, instruments: int, window: Window, here: np.ndarray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Weights (n, nr, w) of the responses, residuals (m, n, w), and left-out residuals (n, m) at the line itself."""
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, Array]:
+    """Weights (n, nr, w) of the responses, residuals (m, n, w), left-out residuals (n, m) at the line itself, and
+    leverages (n, w)."""
     Q, triangle = np.linalg.qr(A)
     tops = [a * (window.order + 1) for a in range(instruments)]
     adjoint = Q.conj().transpose(0, 2, 1)
@@ -112,6 +136,6 @@ def _solve(
     stacked = data.transpose(1, 2, 0)  # (n, w, m)
     residual = stacked - Q @ (adjoint @ stacked)
     n = np.arange(here.size)
-    leverage = (np.abs(Q[n, here]) ** 2).sum(-1)
-    left_out = residual[n, here] / np.maximum(1.0 - leverage, 1e-9)[:, None]
-    return weights, residual.transpose(2, 0, 1), left_out
+    leverage = np.minimum((np.abs(Q) ** 2).sum(-1), 1.0 - 1e-9)
+    left_out = residual[n, here] / (1.0 - leverage[n, here])[:, None]
+    return weights, residual.transpose(2, 0, 1), left_out, leverage

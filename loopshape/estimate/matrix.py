@@ -15,12 +15,12 @@ from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.estimate.answers import Answers, PlantEstimate, plant_of
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.coherence import coherences
-from loopshape.estimate.frequency_response import drowned_note
+from loopshape.estimate.frequency_response import band_note, drowned_note
 from loopshape.estimate.periods import by_periods
 from loopshape.estimate.quality import unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input
+from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input, wiring_notes
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
@@ -240,14 +240,17 @@ def _frf(
     averages = float(sum(p.averages for p in parts))
     multiple, partial = coherences(power, len(outputs), averages)
     relative = _relative_std(plant, np.real(np.einsum("fii->fi", power))[:, len(outputs) :])
-    relative = np.where(plant.sound, relative, np.inf)
-    notes += drowned_note(f, plant.sound)
+    sound = plant.sound(np.arange(f.size))
+    relative = np.where(sound, relative, np.inf)
+    notes += drowned_note(f, sound)
+    trusted = trusted_lines(f, relative, np.ones(f.size, dtype=bool)) & sound
+    notes += band_note(f, trusted) + _wiring(recordings, loops, outputs, parts)
     return FRF(
         frequency_hz=f,
         response=plant.response,
         covariance=plant.covariance,
         noise_covariance=plant.noise,
-        trusted=trusted_lines(f, relative, np.ones(f.size, dtype=bool)) & plant.sound,
+        trusted=trusted,
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",
@@ -281,9 +284,26 @@ def _relative_std(plant: PlantEstimate, input_power: Array) -> Array:
     return np.asarray(np.median(np.nan_to_num(relative, nan=np.inf), axis=1))
 
 
+def _wiring(
+    recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str], parts: Sequence[Answers]
+) -> tuple[str, ...]:
+    """Warnings where a log contradicts its own controller, by what each loop answers to its own instrument."""
+    notes: tuple[str, ...] = ()
+    columns = [(part, k) for part in parts for k in range(part.response.shape[2])]
+    for loop, (part, k) in zip(loops, columns, strict=True):
+        own = next(r for r in recordings if loop.name in r.info.excited)
+        row = len(outputs) + list(loops).index(loop)
+        if loop.output in outputs and row < part.response.shape[1]:
+            H = part.response[:, :, k]
+            z = H[:, row] - (1.0 if own.info.injection == "plant_input" else 0.0)
+            notes += wiring_notes(own, loop, part.frequency_hz, z, H[:, list(outputs).index(loop.output)])
+    return notes
+
+
 def _row(run: Run, expression: str) -> str:
-    """Name of a row: the loop's channel where the output is a loop's, else the column."""
+    """Name of a row: the loop's channel where the output is a loop's, else the column's, or both of a sum."""
     for loop in run.loops:
         if loop.output == expression:
             return output_channel(loop).column
-    return Channel.from_column(sum_terms(expression)[0]).column
+    terms = [Channel.from_column(term) for term in sum_terms(expression)]
+    return Channel("_".join(term.name for term in terms), terms[0].unit).column

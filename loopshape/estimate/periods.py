@@ -48,11 +48,12 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
         )
     blocks = [_block(spectra[k : k + nr], m, excited) for k in range(0, len(spectra), nr)]
     response = np.mean([b[0] for b in blocks], axis=0)
-    each = np.sum([b[1] for b in blocks], axis=0) / len(blocks) ** 2
-    noise, freedom, pooled = _pooled(each, blocks[0][2] * len(parts), excited)
-    covariance = noise
+    noise = np.sum([b[1] for b in blocks], axis=0) / len(blocks) ** 2
+    each = 2.0 * (spectra[0].signals.shape[1] - 1)
+    covariance, (freedom, pooled) = noise, (each * _lines_pooled(each), _lines_pooled(each))
     if len(blocks) > 1:
-        covariance, freedom, pooled = _between([b[0] for b in blocks], response, excited)
+        size = np.sqrt(np.mean([(np.abs(t.signals[m:]) ** 2).mean(axis=1) for t in spectra], axis=0).T)
+        covariance, freedom, pooled = _between([b[0] for b in blocks], response, size, excited)
     return Answers(
         frequency_hz=f,
         response=response,
@@ -70,8 +71,8 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
     )
 
 
-def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[ComplexArray, ComplexArray, float]:
-    """Response (nf, m, nr) of one block, its noise's covariance, and a recording's degrees of freedom."""
+def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
+    """Response (nf, m, nr) of one block, and its noise's covariance; noise is pooled over neighbouring lines."""
     means = np.stack([t.signals.mean(axis=1).T for t in spectra], axis=-1)  # (nf, m + nr, recordings)
     X, R = means[:, :m], means[:, m:]
     inverse = np.full_like(R, np.nan)
@@ -90,28 +91,40 @@ def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[
             k = t.signals.shape[1]
             E = t.signals[:m] - np.einsum("fab,bkf->akf", H, t.signals[m:])
             E = E - E.mean(axis=1, keepdims=True)
-            scatter = np.einsum("akf,bkf->fab", E, E.conj()) / (k - 1) / k
+            scatter = _pooled(np.einsum("akf,bkf->fab", E, E.conj()) / (k - 1) / k, 2.0 * (k - 1), excited)
             weight = np.einsum("fj,fk->fjk", inverse[:, row], inverse[:, row].conj())
             covariance += np.einsum("fjk,fab->fjakb", weight, scatter).reshape(covariance.shape)
-    return H, covariance, 2.0 * (spectra[0].signals.shape[1] - 1)
+    return H, covariance
 
 
-def _pooled(covariance: ComplexArray, each: float, excited: np.ndarray) -> tuple[ComplexArray, float, int]:
-    """A covariance averaged over neighbouring excited lines until it has some forty degrees of freedom."""
-    half = int(np.ceil(POOLED / each)) // 2
-    out = np.array(covariance)
-    out[excited] = smoothed(out[excited], half)
-    return out, each * (2 * half + 1), 2 * half + 1
+def _lines_pooled(each: float) -> int:
+    """Over how many neighbouring lines a variance of `each` degrees of freedom is averaged, to have some forty."""
+    return 2 * (int(np.ceil(POOLED / each)) // 2) + 1
+
+
+def _pooled(power: ComplexArray, each: float, excited: np.ndarray) -> ComplexArray:
+    """A power (nf, n, n) averaged over neighbouring excited lines until it has some forty degrees of freedom."""
+    out = np.array(power)
+    out[excited] = smoothed(out[excited], _lines_pooled(each) // 2)
+    return out
 
 
 def _between(
-    responses: Sequence[ComplexArray], mean: ComplexArray, excited: np.ndarray
+    responses: Sequence[ComplexArray], mean: ComplexArray, size: Array, excited: np.ndarray
 ) -> tuple[ComplexArray, float, int]:
-    """Covariance of the mean from the scatter between realisations, noise and distortion together."""
+    """Covariance of the mean from the scatter between realisations, noise and distortion together.
+
+    It is pooled as the scatter of what the instruments' `size` (nf, nr) makes of it: the excitation may differ between
+    neighbours, what a machine adds to its answer hardly does.
+    """
     count = len(responses)
-    d = (np.stack(responses) - mean).transpose(1, 0, 3, 2).reshape(mean.shape[0], count, -1)
-    scatter = np.einsum("fka,fkb->fab", d, d.conj()) / (count - 1) / count
-    return _pooled(scatter, 2.0 * (count - 1), excited)
+    weight = np.repeat(size, mean.shape[1], axis=1)  # of vec, columns stacked
+    d = (np.stack(responses) - mean).transpose(1, 0, 3, 2).reshape(mean.shape[0], count, -1) * weight[:, None]
+    each = 2.0 * (count - 1)
+    scatter = _pooled(np.einsum("fka,fkb->fab", d, d.conj()) / (count - 1) / count, each, excited)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        covariance = scatter / (weight[:, :, None] * weight[:, None, :])
+    return covariance, each * _lines_pooled(each), _lines_pooled(each)
 
 
 def _power(t: Transforms) -> ComplexArray:

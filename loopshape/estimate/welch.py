@@ -41,9 +41,7 @@ def by_welch(
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
     excited = powered(total[:, m:, m:])
     excited[:2] = excited[-1] = False  # the window smears the mean into the first line
-    excited = np.asarray(
-        binary_opening(excited, np.ones(3, dtype=bool))
-    )  # fewer leak
+    excited = np.asarray(binary_opening(excited, np.ones(3, dtype=bool)))  # fewer leak
     excited = np.logical_and.reduce([clear_of_edges(excited, p) for p in power])
     response, spread = _response(total, m)
     if passing:
