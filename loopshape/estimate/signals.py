@@ -116,9 +116,10 @@ def wiring_notes(
     if not recording.info.closed_loop or injection == "control" or not frequency_hz.size:
         return ()
     notes: tuple[str, ...] = ()
-    if controller is not None and frequency_hz[-1] < 0.45 * recording.rate_hz:
-        error = -y if injection == "plant_input" else 1.0 - y
-        apart = np.abs(z - controller.response(frequency_hz) * error) / np.abs(z)
+    below = frequency_hz < 0.45 * recording.rate_hz
+    if controller is not None and below.any():
+        error = -y[below] if injection == "plant_input" else 1.0 - y[below]
+        apart = np.abs(z[below] - controller.response(frequency_hz[below]) * error) / np.abs(z[below])
         few = min(5, apart.size)  # a median over neighbouring lines: one bad line is no contradiction
         off = float(np.median(np.lib.stride_tricks.sliding_window_view(apart, few), axis=1).max())
         if off > 0.15:
