@@ -48,7 +48,7 @@ def period_spectra(signal: Array, length: int) -> ComplexArray:
 
 
 #: bytes of transforms that `cross_spectra` holds at a time
-BLOCK_BYTES = 2_000_000
+BLOCK_BYTES = 8_000_000
 #: lines whose products are added at a time
 NEAR = 512
 
@@ -68,22 +68,19 @@ def cross_spectra(
     window = hann(length)
     few = max(1, BLOCK_BYTES // (16 * nf * len(signals)))
     block = np.empty((len(signals), min(few, count), nf), dtype=np.complex128)
+    room, evenly = np.empty((min(few, count), length)), np.full(length, 1.0 / length)
     for first in range(0, count, few):
         k = min(few, count - first)
         for row, signal in enumerate(signals):
             part = signal[first * step : (first + k - 1) * step + length]
-            _windowed_spectra(part, length, step, window, block[row, :k])
+            segments = np.lib.stride_tricks.sliding_window_view(part, length)[::step]
+            np.multiply(segments, window, out=room[:k])
+            np.fft.rfft(room[:k], axis=1, out=block[row, :k])
+            means = segments @ evenly  # a mean under a Hann window lies in the lines 0 and 1 alone
+            block[row, :k, 0] -= (0.5 * length) * means
+            block[row, :k, 1] += (0.25 * length) * means
         add_products(block[:, :k], -1 if weigh is None else weigh, total, weighted, squares)
     return total, weighted, squares
-
-
-def _windowed_spectra(signal: Array, length: int, step: int, window: Array, out: ComplexArray) -> None:
-    """As `segment_spectra`, into `out`: a segment's mean under a Hann window lies in the lines 0 and 1 alone."""
-    segments = np.lib.stride_tricks.sliding_window_view(signal, length)[::step]
-    np.fft.rfft(segments * window, axis=1, out=out)
-    means = segments @ np.full(length, 1.0 / length)
-    out[:, 0] -= (0.5 * length) * means
-    out[:, 1] += (0.25 * length) * means
 
 
 @compiled
