@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import known_loops as known
 
-from loopshape.errors import BadSignalError, LoopshapeError, WrongUseError
+from loopshape.errors import LoopshapeError, WrongUseError
 from loopshape.estimate.plan import plan
 from loopshape.estimate.plan_nouns import Wish
 from loopshape.estimate.plan_record import first_record
