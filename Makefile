@@ -22,7 +22,7 @@ demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm 
 	$(BIN)/loopshape demo --out demo
 
 test: $(STAMP) ## run the tests
-	$(BIN)/python -m pytest -n auto tests
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests  # a worker a core: libraries add no threads
 
 check: $(STAMP) ## ruff, the type checker, and who may import whom
 	$(BIN)/ruff check loopshape tests experiments examples
