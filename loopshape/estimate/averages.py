@@ -78,13 +78,6 @@ def smoothed(power: ComplexArray, half: int) -> ComplexArray:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(-1))
 
 
-def coherence(Y: ComplexArray, U: ComplexArray) -> Array:
-    """Ordinary coherence (nf,) of two signals' transforms (k, nf), between 0 and 1."""
-    cross = (Y * U.conj()).sum(0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.abs(cross) ** 2 / ((np.abs(Y) ** 2).sum(0) * (np.abs(U) ** 2).sum(0)))
-
-
 #: a line is known where its relative standard deviation is below the first; a gap up to the second is bridged
 KNOWN, BRIDGED = 0.1, 0.3
 
