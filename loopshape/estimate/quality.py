@@ -1,4 +1,4 @@
-"""Is a recording fit for an FRF? Feedback where none is said, and bands that no input feeds."""
+"""Is a recording fit for an FRF? Feedback where none is said, spoiled samples, by loop and column."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from loopshape.channel import sum_terms
+from loopshape.estimate.faults import Fault, saturated, spikes, stuck
 from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check
 from loopshape.estimate.input_power import unfed_bands
 from loopshape.estimate.signals import plant_input
 from loopshape.experiment import LoopSetup
 from loopshape.kernels.spectra import cross_spectra
 from loopshape.recording import Recording
+from loopshape.units import Array
 
 #: rows of a record that are looked at for feedback; more tell no more and take longer
 MOST_ROWS = 200_000
@@ -57,6 +60,22 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
         if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
             return (f"{found.sentence}; unless the input was measured through an anti-aliasing filter, not commanded",)
     return (found.sentence,)
+
+
+def faults(recording: Recording, loop: LoopSetup) -> list[Fault]:
+    """Spikes, clipped and stuck samples of a loop's control and output columns, in that order."""
+    drive = plant_input(recording, loop)
+    out: list[Fault | None] = []
+    for name in dict.fromkeys((loop.control, *sum_terms(loop.output))):
+        x = recording.column(name)
+        out += _faults(x, recording.rate_hz, f"{name} of recording {recording.info.file}", drive)
+    return [fault for fault in out if fault is not None]
+
+
+def _faults(x: Array, rate_hz: float, name: str, drive: Array) -> list[Fault | None]:
+    same = bool(np.array_equal(x, drive))
+    found = [spikes(x, rate_hz, name), saturated(x, rate_hz, name)]
+    return found if same else [*found, stuck(x, rate_hz, name, drive)]
 
 
 def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
