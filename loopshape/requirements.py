@@ -36,6 +36,10 @@ LIMITS: tuple[Limit, ...] = (
     Limit("control_peak_db", "at_most", "dB", "peak |CS|"),
     Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency"),
     Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)"),
+    Limit("disk_margin", "at_least", "1", "disk margin"),
+    Limit("process_peak_db", "at_most", "dB", "peak |PS|"),
+    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
+    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
 )
 
 
@@ -45,8 +49,10 @@ class Margins:
 
     All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
     `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
-    `stable` is "stable", "unstable" or "undecided", with `stability_reason`. Frequencies of the peaks and
-    of the worst margins stand beside them.
+    `stable` is "stable", "unstable" or "undecided", with `stability_reason`, and where it is undecided
+    `stability_band_hz`, the band to measure. Frequencies of the peaks and of the worst margins stand beside them in
+    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used.
+    `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
     """
 
     gain_margin_db: float
@@ -64,6 +70,12 @@ class Margins:
     at_hz: Mapping[str, float]
     stable: str
     stability_reason: str
+    disk_margin: float = float("nan")
+    process_peak_db: float = float("nan")
+    sensitivity_bandwidth_hz: float = float("nan")
+    complementary_bandwidth_hz: float = float("nan")
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    stability_band_hz: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -141,6 +153,10 @@ class Requirements:
     control_high_frequency_db: float | None = None
     control_high_frequency_from_hz: float | None = None
     bandwidth_hz: float | None = None
+    disk_margin: float | None = None
+    process_peak_db: float | None = None
+    sensitivity_bandwidth_hz: float | None = None
+    complementary_bandwidth_hz: float | None = None
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
@@ -156,7 +172,15 @@ class Requirements:
             )
 
     def _check_values(self) -> None:
-        for name in ("modulus_margin", "delay_margin_s", "bandwidth_hz", "control_high_frequency_from_hz"):
+        for name in (
+            "modulus_margin",
+            "delay_margin_s",
+            "bandwidth_hz",
+            "control_high_frequency_from_hz",
+            "disk_margin",
+            "sensitivity_bandwidth_hz",
+            "complementary_bandwidth_hz",
+        ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise WrongUseError(f"{name} of loop {self.loop!r} must be above zero and finite", f"{value!r}")
@@ -204,16 +228,28 @@ def _rising_pair(band: Any) -> bool:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of a verdict: wished, found, spare (positive: room left), where, and whether it passes."""
+    """One line of a verdict at its worst operating point: wished, found with its 95 % interval, spare, and the outcome.
+
+    `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
+    `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
+    then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
+    """
 
     quantity: str
     unit: str
     wished: float
     found: float
     spare: float
-    passed: bool
+    outcome: str
     recording: str
     at_hz: float | None
+    interval: tuple[float, float] | None = None
+    longer: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the requirement holds, as far as these data are sure."""
+        return self.outcome == "passed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +258,7 @@ class Verdict:
 
     `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
     every operating point to be stable. A loop whose stability the data cannot decide does not pass.
+    `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
     """
 
     loop: str
@@ -235,6 +272,15 @@ class Verdict:
         return tuple(name for name, m in self.margins.items() if m.stable != "stable")
 
     @property
+    def outcome(self) -> str:
+        """What these data say of the controller: "passed", "failed" or "undecided"."""
+        stable = {m.stable for m in self.margins.values()}
+        lines = {line.outcome for line in self.lines}
+        if "unstable" in stable or "failed" in lines:
+            return "failed"
+        return "undecided" if "undecided" in stable | lines else "passed"
+
+    @property
     def passed(self) -> bool:
         """Whether the controller may be signed on these data."""
-        return not self.unstable and all(line.passed for line in self.lines)
+        return self.outcome == "passed"

@@ -45,3 +45,29 @@ def nearest_to_minus_one(f: Array, L: ComplexArray) -> tuple[float, float]:
     distance = np.abs(start + share * step)
     k = int(np.argmin(distance))
     return float(distance[k]), float(f[k] + share[k] * (f[k + 1] - f[k]))
+
+
+def first_level_crossing(f: Array, size: Array, level: float, *, rising: bool) -> float:
+    """Frequency in Hz where |.| first passes a level, 0 where it starts beyond, the last line where it never does."""
+    beyond = size >= level if rising else size < level
+    if beyond[0]:
+        return 0.0
+    if not beyond.any():
+        return float(f[-1])
+    return _between(f, size, level, int(np.argmax(beyond)) - 1)
+
+
+def last_level_crossing(f: Array, size: Array, level: float) -> float:
+    """Frequency in Hz where |.| falls through a level for the last time, 0 where it is never above."""
+    above = np.flatnonzero(size >= level)
+    if not above.size:
+        return 0.0
+    if above[-1] == f.size - 1:
+        return float(f[-1])
+    return _between(f, size, level, int(above[-1]))
+
+
+def _between(f: Array, size: Array, level: float, k: int) -> float:
+    """Where ln size, linear in ln f between lines k and k + 1, passes a level."""
+    ln = np.log(size[k : k + 2] / level)
+    return float(f[k] * (f[k + 1] / f[k]) ** (ln[0] / (ln[0] - ln[1])))

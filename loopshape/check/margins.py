@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.check.crossings import axis_crossings, nearest_to_minus_one, unit_crossings
+from loopshape.check.crossings import (
+    axis_crossings,
+    first_level_crossing,
+    last_level_crossing,
+    nearest_to_minus_one,
+    unit_crossings,
+)
 from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import closed_loop_stability
 from loopshape.loop import Loop
@@ -12,6 +18,8 @@ from loopshape.requirements import Margins
 from loopshape.units import Array, ComplexArray, db, deg
 
 INF = float("inf")
+#: -3 dB
+HALF_POWER = float(np.sqrt(0.5))
 
 
 def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margins:
@@ -25,6 +33,10 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
     - above the last line |L| is taken to stay below its last value l: there |S| may reach 1/(1 - l), |T|
       l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that;
+    - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
+      complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
+    - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
+      -3 dB (0 where it never reaches it, the last line where it does not fall);
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 
@@ -56,6 +68,10 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         ),
         control_peak_db=_peak(f_all, CS, "control_peak_db", at_hz),
         control_high_frequency_db=_peak(f_all[high], CS[high], "control_high_frequency_db", at_hz),
+        process_peak_db=_peak(f, L / C * S, "process_peak_db", at_hz),
+        disk_margin=_disk(f, L, at_hz),
+        sensitivity_bandwidth_hz=first_level_crossing(f, np.abs(S), HALF_POWER, rising=True),
+        complementary_bandwidth_hz=last_level_crossing(f, np.abs(L * S), HALF_POWER),
         bandwidth_hz=float(unit_f[0]) if abs(L[0]) >= 1.0 and unit_f.size else 0.0,
         crossings_hz=tuple(unit_f.tolist()),
         phase_crossings_hz=tuple(axis_f.tolist()),
@@ -100,6 +116,15 @@ def _gain(f: Array, L: Array, last_hz: float, last: float, at_hz: dict[str, floa
     up = np.where(inside, np.inf, sizes)
     at_hz["gain_reduction_margin_db"] = float(places[np.argmin(up)])
     return float(down[k]), float(up.min())
+
+
+def _disk(f: Array, L: ComplexArray, at_hz: dict[str, float]) -> float:
+    """Least |2 (1 + L)/(1 - L)| over the lines, 2 at most where |L| dies out above the last line."""
+    with np.errstate(divide="ignore"):
+        radius = np.abs(2.0 * (1.0 + L) / (1.0 - L))
+    k = int(np.argmin(radius))
+    at_hz["disk_margin"] = float(f[k])
+    return float(min(radius[k], 2.0 * max(1.0 - abs(L[-1]), 0.0) / (1.0 + abs(L[-1]))))
 
 
 def _peak(f: Array, response: ComplexArray, name: str, at_hz: dict[str, float]) -> float:

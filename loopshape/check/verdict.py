@@ -20,6 +20,8 @@ from loopshape.units import deg
 WITNESS_DB = 6.0
 #: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
 CONTRADICTED = 0.75
+#: the line that a verdict shows is the worst: first those that failed, then those not decided
+_SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
 #: lines above the judged band count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
 
@@ -142,8 +144,8 @@ def _low_frequency_order(frf: FRF) -> tuple[float, float]:
 def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
-    Every line says wished, found, spare, and where it is worst. A loop that is unstable, or whose stability
-    the data cannot decide, fails. Margins are taken at face value: from noisy FRFs they err on the safe side.
+    Every line says wished, found with its 95 % interval, spare, and where it is worst. A requirement is passed, failed,
+    or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
@@ -172,17 +174,35 @@ def _names(frfs: Sequence[FRF]) -> list[str]:
 
 
 def _line(limit: Limit, wished: float, found: Mapping[str, Margins]) -> Line:
-    sign = 1.0 if limit.sense == "at_least" else -1.0
-    spare = {name: sign * (getattr(m, limit.name) - wished) for name, m in found.items()}
-    worst = min(spare, key=lambda name: spare[name])
-    margin = found[worst]
+    lines = [_line_at(limit, wished, name, margin) for name, margin in found.items()]
+    return min(lines, key=lambda line: (_SEVERITY[line.outcome], line.spare))
+
+
+def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Line:
+    """The line of one operating point."""
+    value = getattr(margin, limit.name)
+    interval = margin.intervals.get(limit.name)
+    low, high = (value, value) if interval is None else interval
+    sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
+    spare = sign * (bad - wished)
+    best = sign * (good - wished)
+    outcome = "passed" if spare >= 0.0 else "failed" if best < 0.0 else "undecided"
     return Line(
         quantity=limit.name,
         unit=limit.unit,
         wished=wished,
-        found=getattr(margin, limit.name),
-        spare=spare[worst],
-        passed=spare[worst] >= 0.0,
-        recording=worst,
+        found=value,
+        spare=spare,
+        outcome=outcome,
+        recording=recording,
         at_hz=margin.at_hz.get(limit.name),
+        interval=interval,
+        longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" else None,
     )
+
+
+def _longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:
+    """Factor on the measuring time after which the interval, shrunk as 1/sqrt(time), would leave out the limit."""
+    room = sign * (value - wished)
+    reach = abs(value - (bad if room >= 0.0 else good))
+    return float((reach / abs(room)) ** 2) if room else float("inf")

@@ -9,7 +9,7 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.tune import RequireFile
-from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
+from loopshape.cli.verdicts import WORDS, fits_of, report_verdicts, verdict_json
 
 
 def check(
@@ -45,11 +45,13 @@ def check_run(
     if junit is not None:
         write_junit(junit, verdicts)
     report_verdicts(verdicts, output)
-    passed = all(v.passed for v in verdicts)
+    outcomes = {v.outcome for v in verdicts}
+    outcome = next(word for word in ("failed", "undecided", "passed") if word in outcomes)
+    passed = outcome == "passed"
     drawn: list[str] = []
     for (mine, own, wished), verdict in zip(pairs, verdicts, strict=True):
         drawn += draw_loops(run / "figures", mine, own, wished, fits, verdict) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    output.say(f"verdict: {'pass' if passed else 'FAIL'}")
-    output.json({"passed": passed, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})
+    output.say(f"verdict: {WORDS[outcome]}")
+    output.json({"passed": passed, "outcome": outcome, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})
     return passed, drawn

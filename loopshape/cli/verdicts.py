@@ -11,7 +11,11 @@ from loopshape.cli.output import Output
 
 if TYPE_CHECKING:
     from loopshape.model import Fit
-    from loopshape.requirements import Verdict
+    from loopshape.requirements import Line, Verdict
+
+
+#: how an outcome is printed
+WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
 
 
 def fits_of(run: Path) -> tuple[Fit, ...]:
@@ -30,15 +34,16 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
                 line.unit,
                 line.wished,
                 line.found,
+                interval_text(line.interval),
                 line.spare,
                 line.recording,
                 line.at_hz,
-                _word(line.passed),
+                WORDS[line.outcome] + longer_text(line),
             ]
             for line in verdict.lines
         ]
-        columns = ["requirement", "unit", "wished", "worst found", "spare", "at", "at [Hz]", "verdict"]
-        output.table(f"Loop {verdict.loop}: {_word(verdict.passed)}", columns, rows)
+        columns = ["requirement", "unit", "wished", "worst found", "95 % interval", "spare", "at", "at [Hz]", "verdict"]
+        output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
         if margins:
             _margins(verdict, output)
         output.warn(verdict.warnings)
@@ -70,8 +75,16 @@ def _margins(verdict: Verdict, output: Output) -> None:
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
 
 
-def _word(passed: bool) -> str:
-    return "pass" if passed else "FAIL"
+def interval_text(interval: tuple[float, float] | None) -> str:
+    """A 95 % interval as people read it, a dash where there is none."""
+    return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
+
+
+def longer_text(line: Line) -> str:
+    """How much more measuring would decide an undecided line."""
+    if line.longer is None:
+        return ""
+    return f": {line.longer:.2g} times the data would decide" if line.longer < 100.0 else ": on the limit"
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
@@ -79,7 +92,8 @@ def verdict_json(verdict: Verdict) -> dict[str, Any]:
     return {
         "loop": verdict.loop,
         "passed": verdict.passed,
-        "lines": [asdict(line) for line in verdict.lines],
+        "outcome": verdict.outcome,
+        "lines": [asdict(line) | {"passed": line.passed} for line in verdict.lines],
         "margins": {name: asdict(m) for name, m in verdict.margins.items()},
         "unstable": list(verdict.unstable),
         "warnings": list(verdict.warnings),

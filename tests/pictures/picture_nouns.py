@@ -144,7 +144,7 @@ def margins(k: int = 0, stable: str = "stable") -> Margins:
 def verdict() -> Verdict:
     found = {f"r{k + 1:02d}": margins(k, "undecided" if k == 7 else "stable") for k in range(24)}
     lines = tuple(
-        Line(name, unit, wished, 0.0, 0.0, True, "r01", None)
+        Line(name, unit, wished, 0.0, 0.0, "passed", "r01", None)
         for name, unit, wished in (
             ("gain_margin_db", "dB", 6.0),
             ("gain_reduction_margin_db", "dB", 6.0),
