@@ -1,223 +1,66 @@
-"""A controller: blocks in series, discretised at the controller's rate.
+"""A controller: blocks in series (`loopshape.block`), discretised at the controller's rate, in the target's numbers.
 
-Blocks (transfer functions in s, w = 2 pi f; source: appendix H.1 of van den Brink, DCT 2007.002):
-
-| kind | parameters | transfer function |
-|---|---|---|
-| gain | gain | gain |
-| lead_lag | f1_hz, f2_hz | (s/w1 + 1)/(s/w2 + 1) |
-| notch | f1_hz, f2_hz, damping1, damping2 | (s²/w1² + 2 b1 s/w1 + 1)/(s²/w2² + 2 b2 s/w2 + 1), tilted where f1 != f2 |
-| low_pass, order 1 | f_hz | 1/(s/w + 1) |
-| low_pass, order 2 | f_hz, damping | 1/(s²/w² + 2 b s/w + 1) |
-| pi | f_hz | (s + w)/s |
-
-Tustin maps s to (2/T)(z-1)/(z+1); on the unit circle that is j 2 pi f' with f' = tan(pi f T)/(pi T). So the
-discrete response at f is the continuous one at f', and one formula serves both.
+Tustin maps s to k (z-1)/(z+1); on the unit circle that is j k tan(pi f T). k = 2/T, or, prewarped at f_p,
+k = w_p / tan(w_p T/2), which makes the discrete response at f_p that of the blocks (Franklin, Powell and Workman,
+Digital Control of Dynamic Systems, on prewarping). So the discrete response at f is the continuous one at a warped f',
+and one formula serves both. Where coefficients are rounded, the response is that of the rounded sections.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loopshape.block import BLOCK_KINDS, Block, Polynomial, Section, block_kind, series_response
 from loopshape.errors import WrongUseError
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.kernels import cascade
+from loopshape.precision import Precision
+from loopshape.units import TWO_PI, Array, ComplexArray, angular
 
-Polynomial = tuple[float, float, float]  # coefficients of s^0, s^1, s^2
-Section = tuple[Polynomial, Polynomial]
-
-_ONE: Polynomial = (1.0, 0.0, 0.0)
-_ZERO: Polynomial = (0.0, 0.0, 0.0)
+__all__ = ["BLOCK_KINDS", "Block", "Controller", "block_kind", "hold_and_delay", "series_response", "step"]
 
 
-def _quadratic(f_hz: float, damping: float) -> Polynomial:
-    w = TWO_PI * f_hz
-    return (1.0, 2.0 * damping / w, 1.0 / w**2)
+def hold_and_delay(frequency_hz: ArrayLike, rate_hz: float, delay_s: float = 0.0, *, hold: bool = True) -> ComplexArray:
+    """Response (nf,) of a zero-order hold at `rate_hz`, sinc(f/rate) exp(-j pi f/rate), and of a delay.
 
-
-def _quadratic_by_f(f_hz: float, damping: float) -> Polynomial:
-    w = TWO_PI * f_hz
-    return (0.0, -2.0 * damping / (w * f_hz), -2.0 / (w**2 * f_hz))
-
-
-def _quadratic_by_damping(f_hz: float) -> Polynomial:
-    return (0.0, 2.0 / (TWO_PI * f_hz), 0.0)
-
-
-def _gain(p: Mapping[str, float]) -> Section:
-    return (p["gain"], 0.0, 0.0), _ONE
-
-
-def _gain_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {"gain": (_ONE, _ZERO)}
-
-
-def _lead_lag(p: Mapping[str, float]) -> Section:
-    return (1.0, 1.0 / (TWO_PI * p["f1_hz"]), 0.0), (1.0, 1.0 / (TWO_PI * p["f2_hz"]), 0.0)
-
-
-def _lead_lag_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {
-        "f1_hz": ((0.0, -1.0 / (TWO_PI * p["f1_hz"] ** 2), 0.0), _ZERO),
-        "f2_hz": (_ZERO, (0.0, -1.0 / (TWO_PI * p["f2_hz"] ** 2), 0.0)),
-    }
-
-
-def _notch(p: Mapping[str, float]) -> Section:
-    return _quadratic(p["f1_hz"], p["damping1"]), _quadratic(p["f2_hz"], p["damping2"])
-
-
-def _notch_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {
-        "f1_hz": (_quadratic_by_f(p["f1_hz"], p["damping1"]), _ZERO),
-        "f2_hz": (_ZERO, _quadratic_by_f(p["f2_hz"], p["damping2"])),
-        "damping1": (_quadratic_by_damping(p["f1_hz"]), _ZERO),
-        "damping2": (_ZERO, _quadratic_by_damping(p["f2_hz"])),
-    }
-
-
-def _low_pass_1(p: Mapping[str, float]) -> Section:
-    return _ONE, (1.0, 1.0 / (TWO_PI * p["f_hz"]), 0.0)
-
-
-def _low_pass_1_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {"f_hz": (_ZERO, (0.0, -1.0 / (TWO_PI * p["f_hz"] ** 2), 0.0))}
-
-
-def _low_pass_2(p: Mapping[str, float]) -> Section:
-    return _ONE, _quadratic(p["f_hz"], p["damping"])
-
-
-def _low_pass_2_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {
-        "f_hz": (_ZERO, _quadratic_by_f(p["f_hz"], p["damping"])),
-        "damping": (_ZERO, _quadratic_by_damping(p["f_hz"])),
-    }
-
-
-def _pi(p: Mapping[str, float]) -> Section:
-    return (TWO_PI * p["f_hz"], 1.0, 0.0), (0.0, 1.0, 0.0)
-
-
-def _pi_slopes(p: Mapping[str, float]) -> dict[str, Section]:
-    return {"f_hz": ((TWO_PI, 0.0, 0.0), _ZERO)}
-
-
-@dataclass(frozen=True)
-class BlockKind:
-    """What a kind of block is: its parameters, its transfer function, and that function's slopes."""
-
-    parameters: tuple[str, ...]
-    section: Callable[[Mapping[str, float]], Section]
-    slopes: Callable[[Mapping[str, float]], dict[str, Section]]
-    order: int | None = None
-
-
-BLOCK_KINDS: dict[str, BlockKind] = {
-    "gain": BlockKind(("gain",), _gain, _gain_slopes),
-    "lead_lag": BlockKind(("f1_hz", "f2_hz"), _lead_lag, _lead_lag_slopes),
-    "notch": BlockKind(("f1_hz", "f2_hz", "damping1", "damping2"), _notch, _notch_slopes),
-    "low_pass_1": BlockKind(("f_hz",), _low_pass_1, _low_pass_1_slopes, order=1),
-    "low_pass_2": BlockKind(("f_hz", "damping"), _low_pass_2, _low_pass_2_slopes, order=2),
-    "pi": BlockKind(("f_hz",), _pi, _pi_slopes),
-}
-
-
-def block_kind(table: Mapping[str, Any]) -> str:
-    """Internal kind of a block written as in a run's TOML (`low_pass` carries its order)."""
-    kind = table.get("kind")
-    name = f"low_pass_{table.get('order', '?')}" if kind == "low_pass" else kind
-    if name not in BLOCK_KINDS or (kind != "low_pass" and "order" in table):
-        raise WrongUseError(
-            "a controller block is not known",
-            f"{dict(table)!r}",
-            "use kind gain, lead_lag, notch, pi, or low_pass with order 1 or 2",
-        )
-    return str(name)
-
-
-@dataclass(frozen=True)
-class Block:
-    """One block of a controller: an internal kind (`low_pass_2`, not `low_pass`) and its parameters."""
-
-    kind: str
-    parameters: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        if self.kind not in BLOCK_KINDS:
-            raise WrongUseError(
-                "a controller block is not known", f"{self.kind!r}", f"use one of {', '.join(BLOCK_KINDS)}"
-            )
-        wanted = BLOCK_KINDS[self.kind].parameters
-        if set(self.parameters) != set(wanted):
-            raise WrongUseError(
-                f"a {self.kind} block has the parameters {', '.join(wanted)}",
-                ", ".join(sorted(self.parameters)) or "none",
-                "name each once and no other",
-            )
-        values = {name: _finite(self.kind, name, self.parameters[name]) for name in wanted}
-        object.__setattr__(self, "parameters", MappingProxyType(values))
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Block:
-        """Block from a TOML table such as `{ kind = "low_pass", order = 1, f_hz = 10.0 }`."""
-        kind = block_kind(table)
-        return cls(kind, {k: v for k, v in table.items() if k not in ("kind", "order")})
-
-    def to_table(self) -> dict[str, Any]:
-        """The TOML table of this block, as `from_table` reads it."""
-        order = BLOCK_KINDS[self.kind].order
-        head: dict[str, Any] = {"kind": "low_pass", "order": order} if order is not None else {"kind": self.kind}
-        return head | dict(self.parameters)
-
-    def section(self) -> Section:
-        """Numerator and denominator, coefficients of s^0, s^1, s^2."""
-        return BLOCK_KINDS[self.kind].section(self.parameters)
-
-    def log_slopes(self, s: ComplexArray) -> dict[str, ComplexArray]:
-        """d log(block)/d parameter at each s, exact; keys are the block's parameters."""
-        num, den = (_polyval(p, s) for p in self.section())
-        slopes = BLOCK_KINDS[self.kind].slopes(self.parameters)
-        return {name: _polyval(dn, s) / num - _polyval(dd, s) / den for name, (dn, dd) in slopes.items()}
-
-
-def series_response(blocks: Sequence[Block], s: ComplexArray) -> ComplexArray:
-    """Response (ns,) of blocks in series at complex frequencies s (ns,)."""
-    out = np.ones_like(s)
-    for block in blocks:
-        num, den = block.section()
-        out = out * _polyval(num, s) / _polyval(den, s)
-    return out
-
-
-def _finite(kind: str, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
-    if name != "gain" and not (value > 0.0 or (name == "damping1" and value == 0.0)):
-        raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give it above zero")
-    return float(value)
-
-
-def _polyval(p: Polynomial, s: ComplexArray) -> ComplexArray:
-    return p[0] + s * (p[1] + s * p[2])
+    Without `hold` the delay alone. What the sampler folds down from above half the rate is neglected.
+    """
+    f = np.asarray(frequency_hz, dtype=float)
+    if not hold:
+        return np.asarray(np.exp(-1j * angular(f) * delay_s))
+    return np.asarray(np.sinc(f / rate_hz) * np.exp(-1j * angular(f) * (0.5 / rate_hz + delay_s)))
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Blocks in series for one loop, run at `rate_hz` after Tustin's rule.
+    """Blocks in series for one loop, as they will run: at `rate_hz` after Tustin's rule, in the target's numbers.
 
-    `response` is of the controller as it runs (discretised); the hold belongs to the measured plant.
+    `precision` is that of the coefficients (`loopshape.precision`); the sections of `biquads` are rounded to it, and
+    `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
+
+    `computation_delay_s` is from sampling to when the output takes effect, and `added_hold` adds the zero-order hold:
+    each only as far as the measured plant does not contain it. A FRF from the logged z to the sampled y contains the
+    hold, and the delay of the controller under which it was recorded; there `added_hold` would count the hold twice,
+    and only what the new controller takes longer is a delay. Both belong to a plant measured as continuous (drive
+    voltage to sensor). With `added_hold` |C| and |CS| are those of the held signal: up to 3.9 dB below z at half the
+    rate.
+
+    Refuses coefficients outside the range of `precision`, and sections that rounding makes unstable, empty, or robs
+    of their integrator. Arithmetic is taken as exact: noise by rounding of signals is not in the response.
     """
 
     loop: str
     blocks: tuple[Block, ...]
     rate_hz: float
     discretisation: str = "tustin"
+    prewarp_hz: float | None = None
+    computation_delay_s: float = 0.0
+    added_hold: bool = False
+    precision: str = "double"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "blocks", tuple(self.blocks))
@@ -229,6 +72,22 @@ class Controller:
             raise WrongUseError(
                 f"the controller of loop {self.loop!r} has no block", "an empty list", "give at least a gain"
             )
+        _check_timing(self)
+        if self.precision != "double":
+            self.check_sections()
+
+    @property
+    def number_format(self) -> Precision:
+        """The format of its coefficients."""
+        return Precision.of(self.precision)
+
+    @property
+    def tustin_constant(self) -> float:
+        """k of s = k (z-1)/(z+1) in rad/s."""
+        if self.prewarp_hz is None:
+            return 2.0 * self.rate_hz
+        w = TWO_PI * self.prewarp_hz
+        return float(w / np.tan(0.5 * w / self.rate_hz))
 
     def s_at(self, frequency_hz: ArrayLike) -> ComplexArray:
         """j 2 pi f' with Tustin's warped f'; refuses frequencies at or above half the rate."""
@@ -239,24 +98,135 @@ class Controller:
                 f"{f.max():g} Hz",
                 "ask below half the rate",
             )
-        return np.asarray(2.0j * self.rate_hz * np.tan(0.5 * TWO_PI * f / self.rate_hz))
+        return np.asarray(1.0j * self.tustin_constant * np.tan(0.5 * TWO_PI * f / self.rate_hz))
 
     def response(self, frequency_hz: ArrayLike) -> ComplexArray:
-        """Response (nf,) of the discretised controller at `frequency_hz` (nf,)."""
-        return series_response(self.blocks, self.s_at(frequency_hz))
+        """Response (nf,) at `frequency_hz` (nf,) of the controller as it runs, with its delay and added hold."""
+        s = self.s_at(frequency_hz)
+        if self.precision == "double":
+            own = series_response(self.blocks, s)
+        else:
+            own = cascade.response(self.biquads(), angular(frequency_hz) / self.rate_hz)
+        return own * self.outside(frequency_hz) if self.computation_delay_s or self.added_hold else own
+
+    def outside(self, frequency_hz: ArrayLike) -> ComplexArray:
+        """Response (nf,) of what follows the sections: the computation's delay and the added hold."""
+        return hold_and_delay(frequency_hz, self.rate_hz, self.computation_delay_s, hold=self.added_hold)
 
     def biquads(self) -> Array:
-        """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule."""
-        return np.array([_tustin(block.section(), self.rate_hz) for block in self.blocks])
+        """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule, rounded to `precision`."""
+        k = self.tustin_constant
+        return self.number_format.rounded([_tustin(block.section(), k) for block in self.blocks])
+
+    def check_sections(self) -> None:
+        """Refuse coefficients that the number format does not hold, and sections that rounding ruins.
+
+        Done when the controller is made, but for double: there only a corner far below 1e-7 of the rate is ruined,
+        `response` does not show it, and an export asks.
+        """
+        form, rounded = self.number_format, self.biquads()
+        for k, (block, row) in enumerate(zip(self.blocks, rounded, strict=True), start=1):
+            where = f"block {k} ({block.kind}) of loop {self.loop!r}"
+            for name, value, fits in zip(("b0", "b1", "b2", "a1", "a2"), row, form.fits(row), strict=True):
+                if not fits:
+                    raise _does_not_fit(f"coefficient {name} of {where}", float(value), rounded, form)
+            _check_section(where, block, row, form)
 
     def integrators(self) -> int:
         """Number of poles at s = 0."""
         return sum(block.kind == "pi" for block in self.blocks)
 
+    def as_recorded(self) -> Controller:
+        """As a recording under it shows it: from e to the logged z, without the delay and the added hold."""
+        return replace(self, computation_delay_s=0.0, added_hold=False)
 
-def _tustin(section: Section, rate_hz: float) -> tuple[float, float, float, float, float]:
+    def moved_by_rounding(self) -> float:
+        """Largest |C/C' - 1| from 1e-5 to 0.45 of the rate, C' being the controller in double precision."""
+        f = np.geomspace(1e-5, 0.45, 400) * self.rate_hz
+        return float(np.max(np.abs(self.response(f) / replace(self, precision="double").response(f) - 1.0)))
+
+    @property
+    def digest(self) -> str:
+        """A short mark of the controller as it runs: sections, precision, rate, delay and hold, not its loop's name."""
+        numbers = [v.hex() for v in (*self.biquads().ravel().tolist(), float(self.rate_hz), self.computation_delay_s)]
+        return sha256(" ".join([*numbers, str(self.added_hold), self.precision]).encode()).hexdigest()[:16]
+
+
+def step(controller: Controller, inputs: ArrayLike) -> np.ndarray:
+    """Outputs (n,) of inputs (n,) from rest, bit for bit those of the exported step function in C.
+
+    Floating point: float64, or float32 with every operation rounded. Fixed point: inputs and outputs are whole numbers
+    (int64), in the target's own unit, clipped to `signal_limit`. Plain Python: for comparison, not for long simulation.
+    """
+    form, given = controller.number_format, np.asarray(inputs)
+    if given.ndim != 1:
+        raise WrongUseError("a controller steps through one signal (n,)", f"an array {given.shape}")
+    if not form.fixed:
+        dtype = np.float32 if form.name == "single" else np.float64
+        return cascade.run_floating(controller.biquads(), np.asarray(given, dtype=dtype), dtype)
+    if given.dtype.kind not in "iu":
+        raise WrongUseError(
+            f"a controller in {form.name} answers to whole numbers", str(given.dtype), "scale and round the signal"
+        )
+    sections = controller.biquads()
+    feedback = [cascade.error_feedback(a1, a2) for *_, a1, a2 in sections.tolist()]
+    out = cascade.run_fixed(
+        form.integers(sections), feedback, given.tolist(), form.fraction_bits, form.signal_limit
+    )  # fmt: skip
+    return np.array(out, dtype=np.int64)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _check_timing(c: Controller) -> None:
+    if c.prewarp_hz is not None and not (_number(c.prewarp_hz) and 0.0 < c.prewarp_hz < 0.5 * c.rate_hz):
+        raise WrongUseError(
+            f"prewarp_hz of loop {c.loop!r} must lie above 0 and below half the rate, {0.5 * c.rate_hz:g} Hz",
+            f"{c.prewarp_hz!r}",
+            "name the frequency where the response is to be exact, or leave it out",
+        )
+    if not (_number(c.computation_delay_s) and c.computation_delay_s >= 0.0):
+        raise WrongUseError(
+            f"computation_delay_s of loop {c.loop!r} must not be negative", f"{c.computation_delay_s!r}", "give it in s"
+        )
+    if not isinstance(c.added_hold, bool):
+        raise WrongUseError(f"added_hold of loop {c.loop!r} must be true or false", f"{c.added_hold!r}")
+
+
+def _does_not_fit(what: str, value: float, rounded: Array, form: Precision) -> WrongUseError:
+    low, high = form.range
+    wider = form.wide_enough(rounded) if form.fixed else None
+    return WrongUseError(
+        f"{what} does not fit {form.name}",
+        f"{value:.6g}, and its range is {low:g} to {high:.10g}",
+        f'use "{wider.name}" or more bits' if wider else "use more integer bits, or spread the gain over blocks",
+    )
+
+
+def _check_section(where: str, block: Block, row: Array, form: Precision) -> None:
+    """Refuse a rounded section with a pole on or outside the unit circle, without a numerator or its integrator."""
+    b0, b1, b2, a1, a2 = row.tolist()
+    finer = "use a finer precision, or raise the frequency of the block"
+    if b0 == b1 == b2 == 0.0 and any(block.section()[0]):
+        raise WrongUseError(f"{where} lets nothing pass", f"a numerator that {form.name} rounds to 0", finer)
+    if block.kind == "pi":
+        if b0 + b1 == 0.0:
+            raise WrongUseError(
+                f"{where} has lost its integrator", f"a zero that {form.name} rounds onto its pole at z = 1", finer
+            )
+    elif not (abs(a2) < 1.0 and abs(a1) < 1.0 + a2):  # the stability triangle of 1 + a1/z + a2/z²
+        radius = float(np.max(np.abs(np.roots([1.0, a1, a2]))))
+        raise WrongUseError(
+            f"{where} has a pole on or outside the unit circle",
+            f"|z| = {radius:.9g} when rounded to {form.name}",
+            finer,
+        )
+
+
+def _tustin(section: Section, k: float) -> tuple[float, float, float, float, float]:
     num, den = section
-    k = 2.0 * rate_hz
     b, a = (_tustin_polynomial(p, k) for p in (num, den))
     if num[2] == den[2] == 0.0:  # first order: the common factor (z + 1) would stay as a hidden mode at -1
         b, a = ((p[0] + k * p[1], p[0] - k * p[1], 0.0) for p in (num, den))

@@ -21,6 +21,7 @@ import numpy as np
 from loopshape.controller import Controller
 from loopshape.frf import FRF
 from loopshape.model import TransferFunction
+from loopshape.smoothed import Scatter
 from loopshape.units import TWO_PI, Array, ComplexArray
 
 
@@ -36,7 +37,8 @@ class Loop:
     `integrators` is the number of poles of the plant at s = 0 (None: not known), `unstable_poles` in the right
     half plane; the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
     says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
-    lines above those that are judged, less sure: they may still show that |L| comes up again.
+    lines above those that are judged, less sure: they may still show that |L| comes up again. Where `plant` was
+    smoothed over its lines, `raw` are these as they were measured, and `scatter` draws what noise does to `plant`.
     """
 
     plant: FRF
@@ -45,6 +47,8 @@ class Loop:
     unstable_poles: int = 0
     model: TransferFunction | None = None
     beyond: FRF | None = None
+    raw: FRF | None = None
+    scatter: Scatter | None = None
 
     @property
     def frequency_hz(self) -> Array:

@@ -40,6 +40,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("process_peak_db", "at_most", "dB", "peak |PS|"),
     Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
     Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
+    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
 )
 
 
@@ -51,7 +52,8 @@ class Margins:
     `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
     `stable` is "stable", "unstable" or "undecided", with `stability_reason`, and where it is undecided
     `stability_band_hz`, the band to measure. Frequencies of the peaks and of the worst margins stand beside them in
-    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used.
+    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
+    those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
     `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
     """
 
@@ -74,8 +76,11 @@ class Margins:
     process_peak_db: float = float("nan")
     sensitivity_bandwidth_hz: float = float("nan")
     complementary_bandwidth_hz: float = float("nan")
+    controller_bandwidth_hz: float = float("nan")
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     stability_band_hz: tuple[float, float] | None = None
+    crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,52 @@ def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
     return Free(low, high, None if start is None else float(start))
 
 
+@dataclass(frozen=True)
+class Objective:
+    """What `tune` makes large, over the operating points at their worst each: a weighted sum of two terms.
+
+    `bandwidth` weighs ln of the first 0 dB crossing of L; `disturbance` the mean of ln 1/|S| over ln f on the lines up
+    to `disturbance_below_hz`. |S| is the error with the loop over the error without it, wherever a disturbance
+    enters, so that operating points compare. Refuses weights below zero, none above, and half a disturbance term.
+    """
+
+    bandwidth: float = 1.0
+    disturbance: float = 0.0
+    disturbance_below_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        weights = (self.bandwidth, self.disturbance)
+        if not all(_is_number(w) and 0.0 <= w < np.inf for w in weights) or max(weights) == 0.0:
+            raise WrongUseError("the weights of an objective are not negative, and one is above zero", f"{weights}")
+        below = self.disturbance_below_hz
+        if (self.disturbance > 0.0) != (below is not None):
+            raise WrongUseError(
+                "disturbance and disturbance_below_hz of an objective go together", "one of them", "give both or none"
+            )
+        if below is not None and not (_is_number(below) and 0.0 < below < np.inf):
+            raise WrongUseError("disturbance_below_hz must be above zero and finite", f"{below!r}")
+
+    @classmethod
+    def from_toml(cls, given: Any, below_hz: Any = None) -> Objective:
+        """Objective from "bandwidth", "disturbance" (with `disturbance_below_hz` beside it) or a table of weights."""
+        if isinstance(given, Mapping):
+            if unknown := set(given) - {f.name for f in fields(cls)}:
+                raise WrongUseError(
+                    "an objective has the keys bandwidth, disturbance and disturbance_below_hz",
+                    ", ".join(sorted(unknown)),
+                )
+            below = {} if below_hz is None else {"disturbance_below_hz": below_hz}
+            return cls(**({"bandwidth": 0.0} | below | dict(given)))
+        if given not in ("bandwidth", "disturbance"):
+            raise WrongUseError('an objective is "bandwidth", "disturbance" or a table of weights', f"{given!r}")
+        asked = given == "disturbance"
+        return cls(0.0 if asked else 1.0, 1.0 if asked else 0.0, below_hz)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
 @dataclass(frozen=True, eq=False)
 class Requirements:
     """What one loop must keep at every operating point; None asks for nothing.
@@ -138,7 +189,8 @@ class Requirements:
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
     are looked at, and None takes the FRF's trusted band. `integrators` and `unstable_poles` declare the
-    plant's; None leaves them to its fit or its lowest lines. Refuses values that make no sense.
+    plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
+    Refuses values that make no sense.
     """
 
     loop: str
@@ -157,10 +209,12 @@ class Requirements:
     process_peak_db: float | None = None
     sensitivity_bandwidth_hz: float | None = None
     complementary_bandwidth_hz: float | None = None
+    controller_bandwidth_hz: float | None = None
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
     unstable_poles: int | None = None
+    objective: Objective = Objective()
 
     def __post_init__(self) -> None:
         self._check_values()
@@ -180,6 +234,7 @@ class Requirements:
             "disk_margin",
             "sensitivity_bandwidth_hz",
             "complementary_bandwidth_hz",
+            "controller_bandwidth_hz",
         ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
@@ -200,7 +255,7 @@ class Requirements:
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Requirements:
         """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
-        known = {f.name for f in fields(cls)}
+        known = {f.name for f in fields(cls)} | {"disturbance_below_hz"}
         given = dict(table)
         if "name" not in given:
             raise WrongUseError("a [[loop]] of a requirements file needs a name", f"{given!r}")
@@ -213,12 +268,14 @@ class Requirements:
             )
         structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
         band = given.pop("band_hz", None)
+        objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
                 raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
         if band is not None and not _rising_pair(band):
             raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
-        return cls(**given, structure=structure, band_hz=None if band is None else (band[0], band[1]))
+        band_hz = None if band is None else (band[0], band[1])
+        return cls(**given, structure=structure, band_hz=band_hz, objective=objective)
 
 
 def _rising_pair(band: Any) -> bool:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.algebra.propagation import MEASURED
+from loopshape.controller import hold_and_delay
 from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
-from loopshape.units import angular
 
 HELD = "zero-order hold"
 _LINEWISE = ("response", "covariance", "noise_covariance", *MEASURED)
@@ -37,7 +37,7 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
             "a hold needs lines below half its rate, and a delay that is not negative",
             f"lines up to {f[-1]:g} Hz, {rate_hz:g} Hz, {delay_s:g} s", "take frf.between(...) first",
         )  # fmt: skip
-    factor = np.sinc(f / rate_hz) * np.exp(-1j * angular(f) * (0.5 / rate_hz + delay_s))
+    factor = hold_and_delay(f, rate_hz, delay_s)
     power, words = np.abs(factor[:, None, None]) ** 2, f"{HELD} at {rate_hz:g} Hz and {delay_s:g} s of delay"
     noise = None if frf.noise_covariance is None else power * frf.noise_covariance
     return replace(

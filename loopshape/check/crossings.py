@@ -38,13 +38,18 @@ def nearest_to_minus_one(f: Array, L: ComplexArray) -> tuple[float, float]:
     """Least distance of L's chords from -1, and the frequency in Hz where it lies."""
     if L.size == 1:
         return float(abs(1.0 + L[0])), float(f[0])
-    start, step = 1.0 + L[:-1], np.diff(L)
+    distance, share = chords_to_minus_one(L)
+    k = int(np.argmin(distance))
+    return float(distance[k]), float(f[k] + share[k] * (f[k + 1] - f[k]))
+
+
+def chords_to_minus_one(L: ComplexArray) -> tuple[Array, Array]:
+    """Distance of each chord of L (..., n) from -1, and at which share of the chord it lies, (..., n - 1) each."""
+    start, step = 1.0 + L[..., :-1], np.diff(L)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip(-(start.real * step.real + start.imag * step.imag) / np.abs(step) ** 2, 0.0, 1.0)
     share = np.where(np.isfinite(share), share, 0.0)
-    distance = np.abs(start + share * step)
-    k = int(np.argmin(distance))
-    return float(distance[k]), float(f[k] + share[k] * (f[k + 1] - f[k]))
+    return np.abs(start + share * step), share
 
 
 def first_level_crossing(f: Array, size: Array, level: float, *, rising: bool) -> float:

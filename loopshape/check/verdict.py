@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from loopshape.algebra.sampling import HELD
 from loopshape.check.margins import margins
 from loopshape.check.stability import count_unstable, uncountable
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
+from loopshape.estimate.smoothing import smoothed
 from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import Fit
@@ -29,7 +31,7 @@ KNOWN_BEYOND = 0.3
 def loops_of(
     frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()
 ) -> tuple[list[Loop], tuple[str, ...]]:
-    """Loops on the lines that a check looks at, and what it had to assume.
+    """Loops on the lines that a check looks at, smoothed, and what it had to assume.
 
     Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
     and slope of the lowest lines; unstable poles from the requirements, else from the loop that was recorded and
@@ -37,16 +39,22 @@ def loops_of(
     """
     found, notes = [], []
     for frf in frfs:
-        lines = frf.between(*requirements.band_hz) if requirements.band_hz else frf.trusted_lines()
+        band = requirements.band_hz
+        lines = frf.between(*band) if band else frf.trusted_lines()
         if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
             raise WrongUseError(
                 f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
             )
+        if controller.added_hold and (frf.held_by is not None or HELD in frf.method):
+            raise WrongUseError(
+                f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
+            )
         fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, frf)), None)
         beyond, model = _beyond(frf, lines), None if fit is None else fit.model
-        integrators, unstable, note = _open_loop_poles(lines, requirements, fit, beyond)
-        found.append(Loop(lines, controller, integrators, unstable, model, beyond))
+        plant, scatter = smoothed(frf, band)
+        integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond)
+        found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
         notes += [note] if note else []
     return found, tuple(dict.fromkeys(notes))
 

@@ -12,6 +12,7 @@ from loopshape.cli.effects import effects
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.exam import exam
 from loopshape.cli.export import export
+from loopshape.cli.export_controller import export_controller
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
@@ -39,6 +40,7 @@ for command in (measure, simulate, frf, fit, tune, check, gap, exam, effects, fi
 app.command("import")(import_file)
 app.command("import-frf")(import_frf)
 app.command()(export)
+app.command("export-controller")(export_controller)
 app.command()(interaction)
 app.command()(plan)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isclose
 
+from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
@@ -47,7 +48,12 @@ def check_runs(real: Run, sim: Run) -> tuple[str, ...]:
 def _differ(one: LoopSetup, two: LoopSetup) -> bool:
     if one.controller is None or two.controller is None:
         return False
-    return [b.to_table() for b in one.controller.blocks] != [b.to_table() for b in two.controller.blocks]
+    return _runs(one.controller) != _runs(two.controller)
+
+
+def _runs(controller: Controller) -> tuple[object, ...]:
+    """What a controller runs, whatever the rate."""
+    return [b.to_table() for b in controller.blocks], controller.prewarp_hz, controller.precision
 
 
 def _names(run: Run) -> str:

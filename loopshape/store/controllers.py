@@ -9,7 +9,7 @@ from typing import Any
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.store.files import write_toml
-from loopshape.store.run_tables import controller_table, read_controller
+from loopshape.store.run_tables import CONTROLLER_KEYS, controller_table, read_controller
 from loopshape.store.words import Words, read_words, refuse_doubles
 
 FORMAT = "loopshape-controllers/1"
@@ -32,7 +32,7 @@ def read_controllers(path: Path) -> tuple[Controller, ...]:
 
 
 def _read(words: Words, rate_hz: float) -> Controller:
-    words.only("name", "discretisation", "controller")
+    words.only("name", *CONTROLLER_KEYS)
     words.need("name", "controller")
     return read_controller(words, rate_hz)
 

@@ -13,7 +13,9 @@ from loopshape.store.files import plain_name
 from loopshape.store.tables import check_ending
 from loopshape.store.words import Words, refuse_doubles, said_in
 
-LOOP_KEYS = ("name", "reference", "injected", "control", "output", "discretisation", "controller")
+#: keys of a controller's table, beside the name of its loop
+CONTROLLER_KEYS = ("discretisation", "prewarp_hz", "computation_delay_s", "added_hold", "precision", "controller")
+LOOP_KEYS = ("name", "reference", "injected", "control", "output", *CONTROLLER_KEYS)
 INFO_KEYS = (
     "role", "kind", "excites", "excites_also", "injection", "closed_loop", "operating_point", "period_s",
     "periodic_from_s", "parameters", "ended_early",
@@ -34,21 +36,60 @@ def read_blocks(words: Words) -> tuple[Block, ...]:
 
 
 def read_controller(words: Words, rate_hz: float) -> Controller:
-    """Controller of a table with `name`, `discretisation` ("tustin" if missing) and `controller`."""
+    """Controller of a table with `name`, `controller`, and what else of `CONTROLLER_KEYS` is not at its default."""
     with said_in(words.where):
-        return Controller(words.text("name"), read_blocks(words), rate_hz, words.text("discretisation", "tustin"))
+        return Controller(
+            words.text("name"),
+            read_blocks(words),
+            rate_hz,
+            words.text("discretisation", "tustin"),
+            prewarp_hz=words.maybe_number("prewarp_hz"),
+            computation_delay_s=words.number("computation_delay_s", 0.0),
+            added_hold=words.truth("added_hold", False),
+            precision=words.text("precision", "double"),
+        )
 
 
 def controller_table(controller: Controller) -> dict[str, Any]:
-    """The keys `discretisation` and `controller`, as `read_controller` reads them."""
+    """The keys of a controller, as `read_controller` reads them; those at their default are left out."""
+    own = {
+        "prewarp_hz": controller.prewarp_hz,
+        "computation_delay_s": controller.computation_delay_s or None,
+        "added_hold": controller.added_hold or None,
+        "precision": None if controller.precision == "double" else controller.precision,
+    }
     return {
         "discretisation": controller.discretisation,
+        **{key: value for key, value in own.items() if value is not None},
         "controller": [block.to_table() for block in controller.blocks],
     }
 
 
+def _read_recorded(words: Words, rate_hz: float) -> Controller | None:
+    """The controller of a run's loop, None without one."""
+    if "controller" in words.table:
+        return _recorded(read_controller(words, rate_hz))
+    if lone := [key for key in CONTROLLER_KEYS[1:] if key in words.table]:
+        raise WrongUseError(f"{lone[0]} goes with a controller", "no controller", "write its blocks")
+    return None
+
+
+def _recorded(controller: Controller) -> Controller:
+    """The controller itself; refuses a delay or a hold beside a plant whose recording contains both."""
+    if controller.computation_delay_s or controller.added_hold:
+        raise WrongUseError(
+            "a recording from the logged z on contains the hold and the delay of its controller",
+            f"computation_delay_s = {controller.computation_delay_s:g}, added_hold = {controller.added_hold}".lower(),
+            "leave them out of a run; in a controller file they add what its plant's FRF does not contain",
+        )
+    return controller
+
+
 def read_loop(words: Words, rate_hz: float) -> LoopSetup:
-    """One `[[loop]]`; `controller`, `discretisation`, `reference` and `injected` may be missing."""
+    """One `[[loop]]`; the controller and its keys, `reference` and `injected` may be missing.
+
+    Refuses `computation_delay_s` and `added_hold`: the recorded plant contains both.
+    """
     words.only(*LOOP_KEYS)
     words.need("name", "control", "output")
     with said_in(words.where):
@@ -58,7 +99,7 @@ def read_loop(words: Words, rate_hz: float) -> LoopSetup:
             injected=words.maybe_text("injected"),
             control=words.text("control"),
             output=words.text("output"),
-            controller=read_controller(words, rate_hz) if "controller" in words.table else None,
+            controller=_read_recorded(words, rate_hz),
         )
         _ = loop.output_unit  # refuses a sum of different units
     return loop
@@ -90,7 +131,10 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
         "control": loop.control,
         "output": loop.output,
     }
-    return table | (controller_table(loop.controller) if loop.controller else {})
+    if loop.controller is None:
+        return table
+    with said_in(f"loop {loop.name!r}"):
+        return table | controller_table(_recorded(loop.controller))
 
 
 def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:

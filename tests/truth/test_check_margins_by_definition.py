@@ -196,7 +196,7 @@ def test_without_a_last_line_below_1_there_is_no_room():
 
 def test_bandwidth_is_the_first_crossing_and_crossings_have_gain_one(case):
     _, found, open_loop = case
-    assert found.bandwidth_hz == found.crossings_hz[0]
+    assert found.bandwidth_hz == pytest.approx(found.crossings_hz[0], rel=1e-12)
     np.testing.assert_allclose(np.abs(open_loop(np.array(found.crossings_hz))), 1.0, atol=2e-4)
     at_axis = open_loop(np.array(found.phase_crossings_hz))
     np.testing.assert_allclose(at_axis.imag / np.abs(at_axis), 0.0, atol=1e-3)
