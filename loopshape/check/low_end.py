@@ -32,3 +32,9 @@ def judged_lines(loop: Loop) -> tuple[Array, ComplexArray, ComplexArray] | None:
     if abs(L_led[0]) < 1.0:
         return None
     return np.concatenate([led, f]), np.concatenate([L_led, L]), np.concatenate([C_led, C])
+
+
+def crossover_below(loop: Loop) -> tuple[float, float]:
+    """The band in Hz below the first line where L, continued along its integrators, reaches 1 and twice that."""
+    first, slope = loop.frequency_hz[0], max((loop.integrators or 0) + loop.controller.integrators(), 1)
+    return float(first * (0.5 * min(abs(loop.L[0]), 1.0)) ** (1.0 / slope)), float(first)

@@ -1,8 +1,9 @@
 """Closed-loop stability from the data: the Nyquist count with the contour closed.
 
 The count of 1 + L on measured lines alone proves nothing: below the first line an open-loop integrator
-carries L along a large arc, above the last one L must have died out. Both ends are closed here, the first
-by L ~ 1/s^k with the declared k, and where the data cannot carry the count the answer is "undecided".
+carries L along a large arc, above the last one L must have died out, and between two of them a resonance may hide.
+The ends are closed here, the first by L ~ 1/s^k with the declared k, what lies between the lines is looked for
+(`loopshape.check.sampling`), and where the data cannot carry the count the answer is "undecided".
 """
 
 from __future__ import annotations
@@ -11,24 +12,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.check.crossings import nearest_to_minus_one
-from loopshape.check.low_end import judged_lines
+from loopshape.check.low_end import crossover_below, judged_lines
+from loopshape.check.obstacles import Obstacle, obstacle, sampling, unseen_resonance
 from loopshape.loop import Loop
 from loopshape.units import ComplexArray, deg
 
-#: between lines 1 + L may turn by this much before the sampling is called too coarse to count, in deg
-COARSE_DEG = 135.0
 #: without a model L must start this close to the phase of its integrators, in deg
 FIT_DEG = 75.0
+#: where the first line does not show how L starts, measure down to this share of it
+LOWER = 0.1
 
 
 @dataclass(frozen=True)
 class Stability:
-    """`stable`, `unstable` or `undecided`, the number of unstable closed-loop poles counted, and why."""
+    """`stable`, `unstable` or `undecided`, the number of unstable closed-loop poles counted, and why.
+
+    `band_hz` is the band to measure where it is undecided, None where measuring does not help. Where it is decided, a
+    resonance between lines with less damping than `unseen_damping` could, at `unseen_at_hz` first, change the count and
+    leave no trace on them.
+    """
 
     outcome: str
     unstable_poles: int | None
     reason: str
+    band_hz: tuple[float, float] | None = None
+    unseen_damping: float = float("nan")
+    unseen_at_hz: float = float("nan")
 
 
 def closed_loop_stability(loop: Loop) -> Stability:
@@ -38,75 +47,78 @@ def closed_loop_stability(loop: Loop) -> Stability:
     contour passes integrators on the right. Below the lowest line the loop's model carries it; without one
     L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain.
     Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
-    turns too far between lines, or where -1 lies within the FRF's own 95 % reach.
+    turns or bends too far between lines, where a resonance that hides between them might encircle -1, where -1 lies
+    within the FRF's own 95 % reach, or where its errors together make the count wrong with a chance above 0.5 %.
+    A resonance whose tails drown in the noise (`unseen_damping`), or one with less damping than 1e-4, is not seen.
     """
-    L, f = loop.L, loop.frequency_hz
+    f, L = loop.frequency_hz, loop.L
     if loop.integrators is None:
-        return Stability(
-            "undecided",
-            None,
+        return _undecided(
             "the number of integrators of the plant is not known: declare integrators in the requirements' [[loop]],"
-            " or fit a model that follows the lines",
+            " or fit a model that follows the lines"
         )
-    integrators = loop.integrators + loop.controller.integrators()
     if judged_lines(loop) is None:
         reason = (
             f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
         )
-    else:
-        reason = uncountable(loop)
-    if reason:
-        return Stability("undecided", None, reason)
-    below = loop.controller.response(loop.below_hz) * loop.P_below
-    poles = count_unstable(L, integrators, loop.unstable_poles, below)
-    if poles is None:
-        return Stability(
-            "undecided",
-            None,
-            f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
-            f" {integrators} integrators (the controller's included): fit a model, measure lower, or declare"
-            " integrators in the requirements' [[loop]]",
-        )
+        return _undecided(reason, crossover_below(loop))
+    poles = unstable_count(loop)
+    if isinstance(poles, Obstacle):
+        return _undecided(poles.reason, poles.band_hz)
     if poles < 0:
-        return Stability("undecided", None, f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
+        return _undecided(f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
+    unseen = unseen_resonance(loop)
     if poles:
-        return Stability("unstable", poles, f"{poles} closed-loop poles in the right half plane")
-    return Stability("stable", 0, "the encirclements of -1 balance the unstable poles")
+        return Stability("unstable", poles, f"{poles} closed-loop poles in the right half plane", None, *unseen)
+    return Stability("stable", 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
+
+
+def _undecided(reason: str, band_hz: tuple[float, float] | None = None) -> Stability:
+    return Stability("undecided", None, reason, band_hz)
+
+
+def unstable_count(loop: Loop) -> int | Obstacle:
+    """Closed-loop poles in the right half plane, or what keeps the lines from telling; integrators must be known.
+
+    Negative where the loop's unstable poles are fewer than those that its encirclements would need.
+    """
+    integrators = (loop.integrators or 0) + loop.controller.integrators()
+    between = sampling(loop)
+    below = loop.controller.response(loop.below_hz) * loop.P_below
+    odd = loop.unstable_poles % 2 == 1
+    found = obstacle(loop, between, 1.0 + _before_first(loop.L, integrators, odd, below))
+    if found is not None:
+        return found
+    poles = count_unstable(loop.L, integrators, loop.unstable_poles, below)
+    return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
 
 
 def uncountable(loop: Loop) -> str:
     """Why the lines cannot carry a count of encirclements, empty where they can."""
-    L, f = loop.L, loop.frequency_hz
-    if abs(L[-1]) >= 1.0:
-        return f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
-    again = _comes_up_again(loop)
-    if again:
-        return again
-    distance, where = nearest_to_minus_one(f, L)
-    if distance < 1e-3:
-        return f"L passes -1 within {distance:.1g} at {where:.3g} Hz"
-    steps = np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1]))))
-    if steps.size and steps.max() > COARSE_DEG:
-        k = int(np.argmax(steps))
-        return f"1 + L turns by {steps[k]:.0f} deg between {f[k]:.4g} and {f[k + 1]:.4g} Hz: measure finer there"
-    reach = 2.45 * np.abs(loop.C) * np.sqrt(0.5 * loop.plant.variance[:, 0, 0])  # radius of 95 % of a circular error
-    unclear = np.flatnonzero(np.abs(1.0 + L) < reach)
-    if unclear.size:
-        return f"-1 lies within the uncertainty of L at {f[unclear[0]]:.3g} Hz: measure longer or excite more"
-    return ""
+    integrators = (loop.integrators or 0) + loop.controller.integrators()
+    below = loop.controller.response(loop.below_hz) * loop.P_below
+    before = 1.0 + _before_first(loop.L, integrators, loop.unstable_poles % 2 == 1, below)
+    found = obstacle(loop, sampling(loop), before)
+    return "" if found is None else found.reason
 
 
-def _comes_up_again(loop: Loop) -> str:
-    """Where |L| reaches 1 above the judged lines, as far as less sure lines there show it."""
-    if loop.beyond is None:
-        return ""
-    f = loop.beyond.frequency_hz
-    f = f[f < 0.5 * loop.controller.rate_hz]
-    size = np.abs(loop.controller.response(f) * loop.beyond.siso[: f.size])
-    if not size.size or size.max() < 1.0:
-        return ""
-    k = int(np.argmax(size))
-    return f"|L| reaches {size[k]:.2g} at {f[k]:.3g} Hz, above the band that is known well: excite more there"
+def _misfit(loop: Loop, integrators: int) -> Obstacle:
+    f, L = loop.frequency_hz, loop.L
+    reason = (
+        f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
+        f" {integrators} integrators (the controller's included): fit a model, measure lower, or declare"
+        " integrators in the requirements' [[loop]]"
+    )
+    return Obstacle(reason, (LOWER * float(f[0]), float(f[0])))
+
+
+def _before_first(L: ComplexArray, integrators: int, negative: bool, below: ComplexArray) -> complex:
+    """Where L (nf,) comes from to the first line: the model's last value, or along the phase of its integrators."""
+    if below.size:
+        return complex(below[-1])
+    if not integrators:
+        return -abs(L[0].real) if negative else abs(L[0].real)
+    return 1e3 * (1.0 + abs(complex(L[0]))) * (-1j) ** integrators * (-1.0 if negative else 1.0)
 
 
 def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray) -> int | None:

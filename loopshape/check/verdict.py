@@ -8,6 +8,7 @@ import numpy as np
 
 from loopshape.algebra.sampling import HELD
 from loopshape.check.margins import margins
+from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.stability import count_unstable, uncountable
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
@@ -22,8 +23,6 @@ from loopshape.units import deg
 WITNESS_DB = 6.0
 #: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
 CONTRADICTED = 0.75
-#: the line that a verdict shows is the worst: first those that failed, then those not decided
-_SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
 #: lines above the judged band count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
 
@@ -183,7 +182,7 @@ def _names(frfs: Sequence[FRF]) -> list[str]:
 
 def _line(limit: Limit, wished: float, found: Mapping[str, Margins]) -> Line:
     lines = [_line_at(limit, wished, name, margin) for name, margin in found.items()]
-    return min(lines, key=lambda line: (_SEVERITY[line.outcome], line.spare))
+    return min(lines, key=lambda line: (SEVERITY[line.outcome], line.spare))
 
 
 def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Line:
@@ -192,15 +191,13 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
     interval = margin.intervals.get(limit.name)
     low, high = (value, value) if interval is None else interval
     sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-    spare = sign * (bad - wished)
-    best = sign * (good - wished)
-    outcome = "passed" if spare >= 0.0 else "failed" if best < 0.0 else "undecided"
+    outcome = point_outcome(margin, limit.name, wished)
     return Line(
         quantity=limit.name,
         unit=limit.unit,
         wished=wished,
         found=value,
-        spare=spare,
+        spare=sign * (bad - wished),
         outcome=outcome,
         recording=recording,
         at_hz=margin.at_hz.get(limit.name),

@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from loopshape.check.words import WORDS, outcome_of
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.tune import RequireFile
-from loopshape.cli.verdicts import WORDS, fits_of, report_verdicts, verdict_json
+from loopshape.cli.verdicts import comparison_json, report_comparisons, report_verdicts, verdict_json
+
+if TYPE_CHECKING:
+    from loopshape.check_files import Baseline, LoopCheck
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Files that a check writes or is compared with; None where they are not wanted."""
+
+    junit: Path | None = None
+    markdown: Path | None = None
+    save_verdict: Path | None = None
+    baseline: Path | None = None
+    allow_worse: bool = False
 
 
 def check(
@@ -17,41 +34,91 @@ def check(
     controller: Annotated[Path, typer.Argument(help="A controller file (TOML).", show_default=False)],
     require: RequireFile,
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
+    markdown: Annotated[Path | None, typer.Option(help="Write a Markdown summary too.")] = None,
+    save_verdict: Annotated[Path | None, typer.Option(help="Keep the verdict (JSON), a baseline for later.")] = None,
+    baseline: Annotated[Path | None, typer.Option(help="A kept verdict: say what got better or worse.")] = None,
+    allow_worse: Annotated[
+        bool, typer.Option("--allow-worse", help="Say what got worse, and exit by the requirements alone.")
+    ] = False,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check margins, peaks and stability at every operating point; exit code 1 where one is missed."""
-    passed, _ = check_run(run, controller, require, Output(as_json, quiet), junit=junit, figures=figures)
+    """Check margins, peaks and stability at every operating point.
+
+    Exit code 1 where a requirement is missed or not decided by these data, or where something is worse than the
+    baseline.
+    """
+    reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
+    passed, _ = check_run(run, controller, require, Output(as_json, quiet), reports=reports, figures=figures)
     if not passed:
         raise typer.Exit(1)
 
 
 def check_run(
-    run: Path, controller: Path, require: Path, output: Output, *, junit: Path | None = None, figures: bool = True
+    run: Path, controller: Path, require: Path, output: Output, *, reports: Reports | None = None, figures: bool = True
 ) -> tuple[bool, list[str]]:
-    """Check each loop of a requirements file, draw and report; gives the verdict and the figures' paths."""
-    from loopshape.check.verdict import check as check_loop
-    from loopshape.cli.figures import controller_of, draw_loops
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.junit import write_junit
-    from loopshape.store.requirements import read_requirements
+    """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
+    from loopshape.check_files import against, check_files
 
-    controllers, requirements = read_controllers(controller), read_requirements(require)
-    frfs, fits = read_frfs(run), fits_of(run)
-    pairs = [([one for one in frfs if one.loop == w.loop], controller_of(controllers, w.loop), w) for w in requirements]
-    verdicts = [check_loop(mine, own, wished, fits) for mine, own, wished in pairs]
-    if junit is not None:
-        write_junit(junit, verdicts)
+    reports = reports or Reports()
+    if reports.allow_worse and reports.baseline is None:
+        from loopshape.errors import WrongUseError
+
+        raise WrongUseError("--allow-worse speaks of a baseline", "none", "name it: --baseline FILE")
+    loops = check_files(run, controller, require)
+    verdicts = [loop.verdict for loop in loops]
+    outcome = outcome_of(verdicts)
+    compared = None if reports.baseline is None else against(reports.baseline, loops)
+    _write(reports, loops, compared)
     report_verdicts(verdicts, output)
-    outcomes = {v.outcome for v in verdicts}
-    outcome = next(word for word in ("failed", "undecided", "passed") if word in outcomes)
-    passed = outcome == "passed"
-    drawn: list[str] = []
-    for (mine, own, wished), verdict in zip(pairs, verdicts, strict=True):
-        drawn += draw_loops(run / "figures", mine, own, wished, fits, verdict) if figures else []
+    drawn = _draw(run / "figures", loops) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    output.say(f"verdict: {WORDS[outcome]}")
-    output.json({"passed": passed, "outcome": outcome, "loops": [verdict_json(v) for v in verdicts], "figures": drawn})
+    if compared is not None:
+        output.say("")
+        report_comparisons(compared.parts, output)
+    worse = compared is not None and compared.worse and not reports.allow_worse
+    passed = outcome == "passed" and not worse
+    output.say(f"verdict: {WORDS[outcome]}{', and worse than the baseline' if worse else ''}")
+    output.json(
+        {
+            "passed": passed,
+            "outcome": outcome,
+            "loops": [verdict_json(v) for v in verdicts],
+            "baseline": _compared_json(compared),
+            "figures": drawn,
+        }
+    )
     return passed, drawn
+
+
+def _write(reports: Reports, loops: Sequence[LoopCheck], compared: Baseline | None) -> None:
+    from loopshape.store.junit import write_junit
+    from loopshape.store.markdown import write_markdown
+    from loopshape.store.verdicts import write_verdicts
+
+    verdicts = [loop.verdict for loop in loops]
+    if reports.junit is not None:
+        whole = None if compared is None else compared.whole
+        write_junit(reports.junit, verdicts, whole, allow_worse=reports.allow_worse)
+    if reports.markdown is not None:
+        write_markdown(reports.markdown, verdicts, None if compared is None else compared.parts)
+    if reports.save_verdict is not None:
+        write_verdicts(reports.save_verdict, [loop.checked for loop in loops])
+
+
+def _draw(folder: Path, loops: Sequence[LoopCheck]) -> list[str]:
+    from loopshape.cli.figures import draw_loops
+
+    return [path for x in loops for path in draw_loops(folder, x.frfs, x.controller, x.requirements, x.fits, x.verdict)]
+
+
+def _compared_json(compared: Baseline | None) -> dict[str, Any] | None:
+    if compared is None:
+        return None
+    parts = {"by_controller": compared.by_controller, "by_plant": compared.by_plant}
+    return {
+        "worse": compared.worse,
+        **comparison_json(compared.whole),
+        **{name: None if one is None else comparison_json(one) for name, one in parts.items()},
+    }

@@ -26,6 +26,7 @@ def figures(
     quiet: Quiet = False,
 ) -> None:
     """Draw FRFs with their fits, parameter maps, and with a controller its loops."""
+    from loopshape.check.verdict import check
     from loopshape.cli.verdicts import fits_of
     from loopshape.store.controllers import read_controllers
     from loopshape.store.frfs import read_frfs
@@ -39,7 +40,8 @@ def figures(
     for own in read_controllers(controller) if controller is not None else ():
         mine = [one for one in frfs if one.loop == own.loop]
         if mine:
-            drawn += draw_loops(folder, mine, own, _wish(wishes, own.loop), fits, None)
+            wished = _wish(wishes, own.loop)
+            drawn += draw_loops(folder, mine, own, wished, fits, check(mine, own, wished, fits))
     output.say("\n".join(drawn))
     output.json({"figures": drawn})
 
@@ -48,16 +50,6 @@ def _wish(wishes: Sequence[Requirements], loop: str) -> Requirements:
     from loopshape.requirements import Requirements
 
     return next((w for w in wishes if w.loop == loop), Requirements(loop))
-
-
-def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:
-    """The controller of a loop; refuses a file without it."""
-    from loopshape.errors import WrongUseError
-
-    for one in controllers:
-        if one.loop == loop:
-            return one
-    raise WrongUseError(f"the controller file has no loop {loop!r}", f"loops {', '.join(c.loop for c in controllers)}")
 
 
 def draw_estimates(
@@ -94,19 +86,29 @@ def draw_loops(
     fits: Sequence[Fit],
     verdict: Verdict | None,
 ) -> list[str]:
-    """Nichols, loop and sensitivity pictures of one loop at all operating points."""
+    """Pictures of one loop at all operating points; with several a Bode page of the worst one too."""
+    from loopshape.check.points import worst_of
     from loopshape.check.verdict import loops_of
     from loopshape.cli.pictures import save
-    from loopshape.draw.loops import loop_page, nichols, sensitivities
+    from loopshape.draw.atlas import sensitivity_atlas
+    from loopshape.draw.bode import bode_page
+    from loopshape.draw.loops import loop_page, sensitivities
+    from loopshape.draw.nichols import nichols
     from loopshape.draw.style import figure_of
     from loopshape.draw.verdicts import margins_map
 
     loops, _ = loops_of(frfs, controller, requirements, fits)
+    page = bode_page(loops[0], requirements, verdict=verdict) if len(loops) == 1 else None
+    name = controller.loop
     made = {
-        "nichols": figure_of(nichols(loops, requirements)),
-        "loop": loop_page(loops, requirements, verdict=verdict),
-        "sensitivities": sensitivities(loops, requirements),
+        f"nichols_{name}": figure_of(nichols(loops, requirements, verdict=verdict)),
+        f"loop_{name}": page or loop_page(loops, requirements, verdict=verdict),
+        f"sensitivities_{name}": sensitivities(loops, requirements, verdict=verdict),
+        f"atlas_{name}": sensitivity_atlas(loops, requirements, verdict=verdict),
     }
+    if len(loops) > 1:
+        worst = loops[worst_of(loops, verdict).index]
+        made[f"bode_{name}_{worst.plant.recording}"] = bode_page(worst, requirements, verdict=verdict)
     if verdict is not None and verdict.lines:
-        made["margins"] = margins_map(verdict)
-    return [str(save(figure, folder / f"{name}_{controller.loop}.png")) for name, figure in made.items()]
+        made[f"margins_{name}"] = margins_map(verdict)
+    return [str(save(figure, folder / f"{stem}.png")) for stem, figure in made.items()]

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet
 
+if TYPE_CHECKING:
+    from loopshape.controller import Block
+
 StudyFile = Annotated[Path, typer.Argument(help="A study (TOML).", show_default=False)]
+ControllersFile = Annotated[
+    Path | None,
+    typer.Option("--controllers", help="A controller file: its loops' controllers in place of the study's."),
+]
 
 
 def measure(
     study: StudyFile,
     out: Annotated[Path, typer.Option(help="The run folder to write; an interrupted run goes on.")],
+    controllers: ControllersFile = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -23,16 +31,23 @@ def measure(
     from loopshape.cli.frf import estimate_and_report
 
     output = Output(as_json, quiet)
-    ended = record(study, out, output)
+    ended = record(study, out, output, controllers=controllers)
     estimate_and_report(out, output, extra={"ended_early": ended})
 
 
 def record(
-    study_file: Path, out: Path, output: Output, *, states: bool = False, effects: Sequence[str] = ()
+    study_file: Path,
+    out: Path,
+    output: Output,
+    *,
+    states: bool = False,
+    effects: Sequence[str] = (),
+    controllers: Path | None = None,
 ) -> list[str]:
     """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
 
-    `effects`, words NAME or NAME=MAGNITUDE, stand in for the study's own where they name the same.
+    `effects`, words NAME or NAME=MAGNITUDE, and the loops of a `controllers` file stand in for the study's own where
+    they name the same.
     """
     import hashlib
     from dataclasses import replace
@@ -49,6 +64,8 @@ def record(
         raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated"')
     plant = registry.plant(study.plant)
     study = replace(study, effects=merged(study.effects, asked(plant, effects)))
+    if controllers is not None:
+        study = replace(study, controllers={**study.controllers, **blocks_of(controllers, study.rate_hz)})
     todo = plan(study, plant)
     digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
     start_run(out, header(study, plant, {"study_sha256": digest}))
@@ -62,3 +79,28 @@ def record(
             output.warn([f"interrupted; what {out / 'run.toml'} lists is kept, the same command goes on"])
             raise typer.Exit(130) from None
     return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(out).recordings if r.info.ended_early]
+
+
+def blocks_of(controllers: Path, rate_hz: float) -> dict[str, tuple[Block, ...]]:
+    """Blocks by loop of a controller file; refuses another rate, and what the simulated rig does not run otherwise."""
+    from dataclasses import MISSING, fields
+
+    from loopshape.errors import WrongUseError
+    from loopshape.store.controllers import read_controllers
+
+    found = read_controllers(controllers)
+    for one in found:
+        settings = [f for f in fields(one) if f.default is not MISSING]
+        if other := [f.name for f in settings if getattr(one, f.name) != f.default]:
+            raise WrongUseError(
+                f"the simulated rig runs plain Tustin in double precision, and loop {one.loop!r} asks for more",
+                ", ".join(f"{name} = {getattr(one, name)!r}" for name in other),
+                "leave that out of the file that it is simulated with",
+            )
+    if found[0].rate_hz != rate_hz:
+        raise WrongUseError(
+            f"the controllers of {controllers.name} run at another rate than the study",
+            f"{found[0].rate_hz:g} and {rate_hz:g} Hz",
+            "tune them on FRFs recorded at the study's rate",
+        )
+    return {one.loop: one.blocks for one in found}

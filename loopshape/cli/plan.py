@@ -123,7 +123,7 @@ def _first(run: Run, name: str | None) -> Recording:
 def _controller(path: Path | None, loop: str) -> Controller | None:
     if path is None:
         return None
-    from loopshape.cli.figures import controller_of
+    from loopshape.check_files import controller_of
     from loopshape.store.controllers import read_controllers
 
     return controller_of(read_controllers(path), loop)

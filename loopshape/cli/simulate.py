@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from loopshape.cli.measure import StudyFile, record
+from loopshape.cli.measure import ControllersFile, StudyFile, record
 from loopshape.cli.output import AsJson, Output, Quiet, point
 
 
@@ -22,6 +22,7 @@ def simulate(
             " loopshape effects lists them.",
         ),
     ] = None,
+    controllers: ControllersFile = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -32,7 +33,7 @@ def simulate(
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")
-    ended = record(study, folder, output, states=True, effects=effect or ())
+    ended = record(study, folder, output, states=True, effects=effect or (), controllers=controllers)
     run = read_run(folder)
     rows, figures = [], []
     for recording in run.recordings:

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from loopshape.check.words import (
+    WORDS,
+    comparison_counts,
+    interval_text,
+    line_change_words,
+    longer_text,
+    unstable_text,
+)
 from loopshape.cli.output import Output
 
 if TYPE_CHECKING:
+    from loopshape.baseline import Comparison
     from loopshape.model import Fit
-    from loopshape.requirements import Line, Verdict
-
-
-#: how an outcome is printed
-WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
+    from loopshape.requirements import Verdict
 
 
 def fits_of(run: Path) -> tuple[Fit, ...]:
     """The run's fits, none where nothing was fitted yet."""
-    from loopshape.store.fits import read_fits
+    from loopshape.check_files import fits_of as read
 
-    return read_fits(run) if (run / "fits.json").exists() else ()
+    return read(run)
 
 
 def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
@@ -46,11 +51,13 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
         if margins:
             _margins(verdict, output)
-        output.warn(verdict.warnings)
-        output.warn(
-            f"loop {verdict.loop} is {verdict.margins[name].stable} at {name}: {verdict.margins[name].stability_reason}"
-            for name in verdict.unstable
-        )
+        _warn(output, [*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+
+
+def _warn(output: Output, lines: Iterable[str]) -> None:
+    """Warnings are part of a verdict: where it is not wanted, neither are they."""
+    if not output.quiet:
+        output.warn(lines)
 
 
 def _margins(verdict: Verdict, output: Output) -> None:
@@ -75,26 +82,77 @@ def _margins(verdict: Verdict, output: Output) -> None:
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
 
 
-def interval_text(interval: tuple[float, float] | None) -> str:
-    """A 95 % interval as people read it, a dash where there is none."""
-    return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
+def report_comparisons(comparisons: Mapping[str, Comparison], output: Output) -> None:
+    """What became of a baseline: outcomes that changed, then margins that did, then what lies underneath."""
+    for title, comparison in comparisons.items():
+        lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
+        lines += [["stability", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
+        if lines:
+            output.table(f"{title}: outcomes", ["requirement", "loop", "before", "wished", "now", "wished now"], lines)
+        if moved := comparison.largest():
+            columns = [
+                "margin",
+                "loop",
+                "unit",
+                "before",
+                "now",
+                "change",
+                "its 95 % interval",
+                "at",
+                "points",
+                "outcome",
+            ]
+            output.table(f"{title}: margins", columns, [_moved(*one) for one in moved])
+        came = [f"gone: {name}" for name in comparison.gone] + [f"new: {name}" for name in comparison.new]
+        for line in (*came, *comparison.notes):
+            output.say(line)
+        output.say(f"{title}: {comparison_counts(comparison)}\n")
 
 
-def longer_text(line: Line) -> str:
-    """How much more measuring would decide an undecided line."""
-    if line.longer is None:
-        return ""
-    return f": {line.longer:.2g} times the data would decide" if line.longer < 100.0 else ": on the limit"
+def _moved(change: Any, points: int) -> list[Any]:
+    interval = "exact" if change.interval is None else interval_text(change.interval)
+    numbers = [change.before, change.now, change.change]
+    return [
+        change.quantity, change.loop, change.unit, *numbers, interval, change.recording, points, change.outcome,
+    ]  # fmt: skip
 
 
 def verdict_json(verdict: Verdict) -> dict[str, Any]:
-    """A verdict as JSON."""
+    """A verdict as JSON; what was not found is null."""
     return {
         "loop": verdict.loop,
         "passed": verdict.passed,
         "outcome": verdict.outcome,
-        "lines": [asdict(line) | {"passed": line.passed} for line in verdict.lines],
-        "margins": {name: asdict(m) for name, m in verdict.margins.items()},
+        "lines": [_table(line) | {"passed": line.passed} for line in verdict.lines],
+        "margins": {name: _table(m) for name, m in verdict.margins.items()},
         "unstable": list(verdict.unstable),
         "warnings": list(verdict.warnings),
     }
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """A comparison as JSON."""
+    return {
+        "outcome": comparison.outcome,
+        "lines": [
+            {
+                "loop": x.loop,
+                "quantity": x.quantity,
+                "before": None if x.before is None else _table(x.before),
+                "now": None if x.now is None else _table(x.now),
+                "worse": x.worse,
+            }
+            for x in comparison.lines
+        ],
+        "stabilities": [_table(s) | {"worse": s.worse} for s in comparison.stabilities],
+        "margins": [_table(change) | {"change": change.change} for change in comparison.margins],
+        "gone": list(comparison.gone),
+        "new": list(comparison.new),
+        "notes": list(comparison.notes),
+    }
+
+
+def _table(noun: Any) -> dict[str, Any]:
+    """Fields of a flat dataclass, NaN as null."""
+    values = {f.name: getattr(noun, f.name) for f in fields(noun)}
+    return {name: None if value != value else value for name, value in values.items()}

@@ -2,8 +2,8 @@
 
 A margin read from noisy lines is biased: the largest of many noisy numbers is too large. A plant's response is smooth
 between its resonances, so at each line a polynomial of fourth degree in ln f is fitted over the widest window in which
-one of second degree leaves nothing but the FRF's own noise. The higher degree keeps the bias of the window's choice below
-its noise (Calonico, Cattaneo and Titiunik, Econometrica 82(6), 2014: robust bias-corrected inference). Where a
+one of second degree leaves nothing but the FRF's own noise. The higher degree keeps the bias of the window's choice
+below its noise (Calonico, Cattaneo and Titiunik, Econometrica 82(6), 2014: robust bias-corrected inference). Where a
 resonance is as narrow as a few lines, the lines stay as they are.
 """
 

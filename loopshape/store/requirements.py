@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 from loopshape.errors import WrongUseError
 from loopshape.requirements import Requirements
+from loopshape.several import SeveralRequirements
 from loopshape.store.words import Words, is_number, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-requirements/1"
@@ -17,13 +19,29 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
     Refuses another format, unknown keys, values of the wrong kind, no loop, and two of one name.
     """
     words = read_words(path, FORMAT)
-    words.only("format", "loop")
+    words.only("format", "loop", "several")
     words.need("loop")
     requirements = tuple(_read(table) for table in words.tables("loop"))
     if not requirements:
         raise WrongUseError(f"{path.name} asks for nothing", "no [[loop]]", "write a [[loop]] with a name")
     refuse_doubles((one.loop for one in requirements), path.name, "loops")
     return requirements
+
+
+def read_several(path: Path) -> SeveralRequirements:
+    """The table `[several]` of a requirements file: what all loops must keep together; nothing where it is missing.
+
+    Refuses another format, unknown keys and values of the wrong kind.
+    """
+    words = read_words(path, FORMAT).inner("several")
+    words.only(*(f.name for f in fields(SeveralRequirements)))
+    if "band_hz" in words.table:
+        words.list_of_numbers("band_hz")
+    for key in words.table:
+        if key not in ("band_hz", "integrators", "unstable_poles"):  # whole numbers are the noun's to check
+            words.number(key)
+    with said_in(words.where):
+        return SeveralRequirements.from_table(words.table)
 
 
 def _read(words: Words) -> Requirements:

@@ -7,10 +7,12 @@ evaluation is a handful of array operations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from loopshape.check.controller_bandwidth import controller_grid_hz
 from loopshape.controller import Block, Controller, series_response
 from loopshape.errors import WrongUseError
 from loopshape.loop import Loop, above_hz
@@ -35,17 +37,21 @@ class Problem:
 
     `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
     flat line to its unique frequency, at which the controller is evaluated once. The arrays with `below` do
-    the same for the models' lines below the measured ones, which only the count of encirclements sees.
+    the same for the models' lines below the measured ones, which only the count of encirclements sees; those with
+    `beyond` for less sure lines above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle
+    of P at each flat line: -1 must lie outside that of L.
     """
 
     requirements: Requirements
     templates: tuple[BlockTemplate, ...]
     variables: tuple[Variable, ...]
-    rate_hz: float
+    unit: Controller
     names: tuple[str, ...]
     f: Array
     P: ComplexArray
+    reach: Array
     first: np.ndarray
+    unique_f: Array
     unique_s: ComplexArray
     line: np.ndarray
     integrators: np.ndarray
@@ -54,16 +60,83 @@ class Problem:
     s_below: ComplexArray
     first_below: np.ndarray
     f_above: Array
+    f_beyond: Array
+    P_beyond: ComplexArray
+    owner_beyond: np.ndarray
+    f_wide: Array
 
-    @property
+    @cached_property
     def low(self) -> Array:
         """Lower bounds of x."""
         return np.log([v.low for v in self.variables])
 
-    @property
+    @cached_property
     def high(self) -> Array:
         """Upper bounds of x."""
         return np.log([v.high for v in self.variables])
+
+    @property
+    def points(self) -> int:
+        """How many operating points there are."""
+        return len(self.names)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """Operating point of each flat line."""
+        return np.repeat(np.arange(self.points), np.diff(self.first))
+
+    @cached_property
+    def ln_P(self) -> Array:
+        """ln |P| on the flat lines."""
+        return np.log(np.abs(self.P))
+
+    @cached_property
+    def ln_f(self) -> Array:
+        """ln f on the flat lines."""
+        return np.log(self.f)
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Which flat lines have the next one at the same operating point, all but the last."""
+        return np.diff(self.owner) == 0
+
+    def largest(self, size: Array) -> np.ndarray:
+        """Flat line of each operating point where `size` (flat) is largest."""
+        counts = np.diff(self.first)
+        if np.ptp(counts) == 0:
+            return self.first[:-1] + size.reshape(self.points, -1).argmax(axis=1)
+        return np.array([a + np.argmax(size[a : a + n]) for a, n in zip(self.first[:-1], counts, strict=True)])
+
+    @cached_property
+    def s(self) -> ComplexArray:
+        """Columns: every s at which the controller is looked at (unique lines, above, beyond, wide)."""
+        grid = np.concatenate([self.f_above, self.f_beyond, self.f_wide])
+        return np.concatenate([self.unique_s, self.unit.s_at(grid)])
+
+    @cached_property
+    def outside(self) -> ComplexArray | None:
+        """What follows the sections on the columns, 1 on the wide ones: delay and added hold; None without."""
+        return self._outside(np.concatenate([self.unique_f, self.f_above, self.f_beyond]), self.f_wide.size)
+
+    def _outside(self, f: Array, ones: int) -> ComplexArray | None:
+        if not (self.unit.computation_delay_s or self.unit.added_hold):
+            return None
+        return np.concatenate([self.unit.outside(f), np.ones(ones)])
+
+    @cached_property
+    def above(self) -> slice:
+        """Columns above the last line, up to 0.45 of the rate."""
+        return slice(self.unique_s.size, self.unique_s.size + self.f_above.size)
+
+    @cached_property
+    def beyond(self) -> slice:
+        """Columns of the less sure lines above those that are judged."""
+        return slice(self.above.stop, self.above.stop + self.f_beyond.size)
+
+    @cached_property
+    def wide(self) -> slice:
+        """Columns on which the bandwidth of C is read; none where it is not limited."""
+        return slice(self.beyond.stop, self.s.size)
 
     def blocks(self, x: Array) -> tuple[Block, ...]:
         """Blocks at x."""
@@ -74,65 +147,101 @@ class Problem:
 
     def controller(self, x: Array) -> Controller:
         """Controller at x."""
-        return Controller(self.requirements.loop, self.blocks(x), self.rate_hz)
+        return replace(self.unit, blocks=self.blocks(x))
 
-    def response(self, x: Array) -> ComplexArray:
-        """C on the flat lines."""
-        return series_response(self.blocks(x), self.unique_s)[self.line]
-
-    def below(self, x: Array) -> ComplexArray:
+    def below(self, blocks: Sequence[Block]) -> ComplexArray:
         """L below the lowest lines, by the models of the plants, flat."""
-        return series_response(self.blocks(x), self.s_below) * self.P_below
+        return series_response(blocks, self.s_below) * self.P_below
 
-    def above(self, x: Array) -> tuple[ComplexArray, ComplexArray]:
-        """C above the last lines, where it is CS, and its slopes d ln C/d x."""
-        s = Controller(self.requirements.loop, self.blocks(x), self.rate_hz).s_at(self.f_above)
-        return series_response(self.blocks(x), s), self._slopes(x, s)
+    def place(self, at: int, point: int) -> tuple[str, float]:
+        """Operating point (-1: every one) and frequency in Hz of a flat line, or of a column above all lines."""
+        name = self.names[point] if point >= 0 else "every operating point"
+        if at < self.f.size:
+            return name, float(self.f[at])
+        return name, float(np.concatenate([self.f_above, self.f_beyond, self.f_wide])[at - self.f.size])
 
-    def place(self, at: int) -> tuple[str, float]:
-        """Operating point and frequency in Hz of a flat line, or of a frequency above all lines."""
-        if at >= self.f.size:
-            return "every operating point", float(self.f_above[at - self.f.size])
-        return self.names[int(np.searchsorted(self.first, at, side="right")) - 1], float(self.f[at])
-
-    def slopes(self, x: Array) -> ComplexArray:
-        """d ln C/d x (variables, flat lines), exact."""
-        return self._slopes(x, self.unique_s)[:, self.line]
-
-    def _slopes(self, x: Array, s: ComplexArray) -> ComplexArray:
-        blocks = self.blocks(x)
-        by_block = [b.log_slopes(s) for b in blocks]
-        rows = []
-        for v in self.variables:
+    def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
+        """d ln C/d x (variables, columns), exact; `pi` blocks count as 1 on the wide columns."""
+        s = self.s[columns]
+        by_block = {k: blocks[k].log_slopes(s) for k in {v.block for v in self.variables}}
+        rows = np.empty((len(self.variables), s.size), dtype=complex)
+        for row, v in zip(rows, self.variables, strict=True):
             template, block = self.templates[v.block], blocks[v.block]
             names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
-            rows.append(sum(block.parameters[v.name] * by_block[v.block][name] for name in names))
-        return np.array(rows)
+            row[:] = block.parameters[v.name] * sum(by_block[v.block][name] for name in names)
+            if block.kind == "pi":
+                row[columns >= self.wide.start] = 0.0
+        return rows
+
+
+#: a problem needs one of these: without them a loop comes as near to -1 as it likes
+NEAR = (
+    "sensitivity_peak_db",
+    "modulus_margin",
+    "phase_margin_deg",
+    "gain_margin_db",
+    "delay_margin_s",
+    "disk_margin",
+)
+#: radius of 95 % of a circular error, in standard deviations of its real part
+REACH = 2.45
 
 
 def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -> Problem:
-    """Problem from loops (their controllers do not matter) and requirements with a structure."""
-    templates = requirements.structure
-    if not templates:
+    """Problem from loops and requirements with a structure.
+
+    Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold.
+    """
+    _refuse(loops, requirements)
+    f = np.concatenate([loop.frequency_hz for loop in loops])
+    unique, line = np.unique(f, return_inverse=True)
+    unit = replace(loops[0].controller, loop=requirements.loop, blocks=(Block("gain", {"gain": 1.0}),), rate_hz=rate_hz)
+    below_hz = np.concatenate([loop.below_hz for loop in loops])
+    outside = unit.outside(below_hz) if unit.computation_delay_s or unit.added_hold else np.ones(below_hz.size)
+    beyond = [_beyond(loop, rate_hz) for loop in loops]
+    variance = np.concatenate([loop.plant.variance[:, 0, 0] for loop in loops])
+    return Problem(
+        requirements=requirements,
+        templates=requirements.structure,
+        variables=_variables(requirements),
+        unit=unit,
+        names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
+        f=f,
+        P=np.concatenate([loop.plant.siso for loop in loops]),
+        reach=REACH * np.sqrt(0.5 * variance),
+        first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
+        unique_f=unique,
+        unique_s=unit.s_at(unique),
+        line=line,
+        integrators=np.array([loop.integrators or 0 for loop in loops])
+        + sum(t.kind == "pi" for t in requirements.structure),
+        unstable=np.array([loop.unstable_poles for loop in loops]),
+        P_below=np.concatenate([loop.P_below for loop in loops]) * outside,
+        s_below=unit.s_at(below_hz),
+        f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),
+        first_below=np.concatenate([[0], np.cumsum([loop.below_hz.size for loop in loops])]),
+        f_beyond=np.concatenate([lines for lines, _ in beyond]),
+        P_beyond=np.concatenate([P for _, P in beyond]),
+        owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
+        f_wide=_wide(requirements, rate_hz),
+    )
+
+
+def _refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
+    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, integrators unknown."""
+    if not requirements.structure:
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} name no structure to tune",
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
-    near = ("sensitivity_peak_db", "modulus_margin", "phase_margin_deg", "gain_margin_db", "delay_margin_s")
-    if all(getattr(requirements, name) is None for name in near):
+    if all(getattr(requirements, name) is None for name in NEAR):
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",
             "no limit on a margin or on |S|",
-            f"give one of {', '.join(near)}",
+            f"give one of {', '.join(NEAR)}",
         )
-    variables = tuple(
-        Variable(k, name, value.low, value.high, value.start)
-        for k, template in enumerate(templates)
-        for name, value in template.parameters.items()
-        if isinstance(value, Free)
-    )
-    if not variables:
+    if not _variables(requirements):
         raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
     unknown = [loop.plant.recording for loop in loops if loop.integrators is None]
     if unknown:
@@ -141,24 +250,37 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
             f"lowest lines that fit no whole number at {', '.join(unknown)}",
             "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
         )
-    f = np.concatenate([loop.frequency_hz for loop in loops])
-    unique, line = np.unique(f, return_inverse=True)
-    unit = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), rate_hz)
-    return Problem(
-        requirements=requirements,
-        templates=templates,
-        variables=variables,
-        rate_hz=rate_hz,
-        names=tuple(loop.plant.recording for loop in loops),
-        f=f,
-        P=np.concatenate([loop.plant.siso for loop in loops]),
-        first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
-        unique_s=unit.s_at(unique),
-        line=line,
-        integrators=np.array([loop.integrators or 0 for loop in loops]) + sum(t.kind == "pi" for t in templates),
-        unstable=np.array([loop.unstable_poles for loop in loops]),
-        P_below=np.concatenate([loop.P_below for loop in loops]),
-        s_below=unit.s_at(np.concatenate([loop.below_hz for loop in loops])),
-        f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),
-        first_below=np.concatenate([[0], np.cumsum([loop.below_hz.size for loop in loops])]),
+    below = requirements.objective.disturbance_below_hz
+    blind = [loop.plant.recording for loop in loops if below is not None and loop.frequency_hz[0] > below]
+    if blind:
+        raise WrongUseError(
+            f"the objective of loop {requirements.loop!r} asks for lines below {below:g} Hz",
+            f"none that is judged at {', '.join(blind)}",
+            "measure lower, or raise disturbance_below_hz",
+        )
+
+
+def _variables(requirements: Requirements) -> tuple[Variable, ...]:
+    return tuple(
+        Variable(k, name, value.low, value.high, value.start)
+        for k, template in enumerate(requirements.structure)
+        for name, value in template.parameters.items()
+        if isinstance(value, Free)
     )
+
+
+def _beyond(loop: Loop, rate_hz: float) -> tuple[Array, ComplexArray]:
+    """Less sure lines above the judged ones, below half the rate."""
+    if loop.beyond is None:
+        return np.zeros(0), np.zeros(0, dtype=complex)
+    f = loop.beyond.frequency_hz
+    return f[f < 0.5 * rate_hz], loop.beyond.siso[f < 0.5 * rate_hz]
+
+
+def _wide(requirements: Requirements, rate_hz: float) -> Array:
+    """Lines on which the bandwidth of C is read, and its limit; none where it is not limited."""
+    limit = requirements.controller_bandwidth_hz
+    if limit is None:
+        return np.zeros(0)
+    grid = controller_grid_hz(rate_hz)
+    return np.unique(np.append(grid, min(limit, float(grid[-1]))))

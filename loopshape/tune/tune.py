@@ -15,7 +15,7 @@ from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
 from loopshape.tune.measures import measure
 from loopshape.tune.problem import Problem, problem
-from loopshape.tune.search import Found, scaled_start, search
+from loopshape.tune.search import LARGEST, Found, Goal, scaled_start, search
 from loopshape.units import Array
 
 
@@ -92,7 +92,9 @@ def _race(p: Problem, candidates: list[Found]) -> tuple[Found, int]:
     dropped = 0
     for keep, most in ((len(candidates), 15), (max(3, len(candidates) // 3), 40), (3, 300)):
         dropped += sum(found.steps for found in candidates[keep:])
-        candidates = sorted((search(p, found, {}, most) for found in candidates[:keep]), key=lambda found: found.merit)
+        candidates = sorted(
+            (search(p, found, LARGEST, most) for found in candidates[:keep]), key=lambda found: found.merit
+        )
     return candidates[0], dropped + sum(found.steps for found in candidates)
 
 
@@ -108,7 +110,7 @@ def _polish(p: Problem, best: Found, judge: Callable[[Controller], Verdict]) -> 
         for name, miss in misses.items():
             tighten[name] = tighten.get(name, 0.0) + 1.05 * miss + 1e-6
         anew = Found(best.x, measure(p, best.x, tighten), 1e-3, best.steps, False)
-        best = search(p, anew, tighten, 60)
+        best = search(p, anew, Goal(tighten), 60)
     return best, judge(p.controller(best.x)), best.steps - before
 
 
@@ -136,7 +138,7 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
     for k in np.argsort(m.room):
         if m.room[k] > tolerance:
             break
-        owner, at_hz = p.place(int(m.at[k]))
+        owner, at_hz = p.place(int(m.at[k]), int(m.point[k]))
         if (m.what[k], owner) not in seen:
             seen.add((m.what[k], owner))
             out.append(Binding(m.what[k], owner, at_hz))

@@ -8,8 +8,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 
-from loopshape.draw import equilibria, fits, time, verdicts
-from loopshape.draw.style import figure_of
+from loopshape.draw import equilibria, fits, time
 from loopshape.errors import WrongUseError
 from loopshape.units import deg
 
@@ -117,17 +116,3 @@ def test_fits_without_operating_points_stand_by_recording() -> None:
 def test_a_map_without_fits_is_refused() -> None:
     with pytest.raises(WrongUseError, match="needs fits"):
         fits.parameter_map([], "kappa")
-
-
-def test_the_margins_map_shows_every_recording_against_the_wish() -> None:
-    verdict = nouns.verdict()
-    figure = verdicts.margins_map(verdict)
-    gain, reduction, *_ = figure.axes
-    drawn = np.concatenate([by_gid(gain, gid)[0].get_ydata() for gid in ("found", "unstable")])
-    assert sorted(drawn) == sorted(m.gain_margin_db for m in verdict.margins.values())
-    assert by_gid(gain, "unstable")[0].get_xdata() == [7]
-    assert by_gid(gain, "wished")[0].get_ydata()[0] == 6.0
-    assert len(by_gid(reduction, "without end")[0].get_xdata()) == 24
-    assert gain.get_ylabel() == "[dB]"
-    assert "r08" in figure.texts[1].get_text()
-    assert figure_of(gain) is figure

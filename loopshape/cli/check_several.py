@@ -1,0 +1,160 @@
+"""`loopshape check-several`: hold the controllers of several loops against what is wished of each and of all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.tune import RequireFile
+
+if TYPE_CHECKING:
+    from loopshape.controller import Controller
+    from loopshape.frf import FRF
+    from loopshape.several import SeveralMargins, SeveralVerdict
+
+_COLUMNS = [
+    "recordings",
+    "closed loops",
+    "disk margin",
+    "95 % interval",
+    "GM [dB]",
+    "PM [deg]",
+    "in and out",
+    "modulus",
+]
+_COLUMNS += ["S [dB]", "T [dB]", "at [Hz]", "lost by"]
+
+
+def check_several(
+    run: RunFolder,
+    controllers: Annotated[Path, typer.Argument(help="A controller file (TOML) with all loops.", show_default=False)],
+    require: RequireFile,
+    loops: Annotated[
+        str | None, typer.Option(help="Loops that are closed, as a,b; default: all of the matrix.")
+    ] = None,
+    junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw loci, singular values and margins.")] = True,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check several loops of one plant at once, from its matrix FRFs; needs `frf RUN --matrix` before.
+
+    Each loop is held against its limits with all others closed, then all together: stability by det(I + L), and what
+    the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
+    """
+    from loopshape.check.several import check_several as check
+    from loopshape.check.words import WORDS
+    from loopshape.cli.verdicts import report_verdicts, verdict_json
+    from loopshape.store.controllers import read_controllers
+    from loopshape.store.junit import write_junit
+    from loopshape.store.requirements import read_requirements, read_several
+
+    output = Output(as_json, quiet)
+    wished, several = read_requirements(require), read_several(require)
+    chosen = tuple(name.strip() for name in loops.split(",")) if loops else None
+    frfs, own = _matrices(run), read_controllers(controllers)
+    verdict = check(frfs, own, wished, several, loops=chosen, held=_held(run))
+    if junit is not None:
+        write_junit(junit, [*verdict.each, verdict.together])
+    report_verdicts(verdict.each, output)
+    report_verdicts([verdict.together], output, margins=False)
+    output.table("All loops at once", _COLUMNS, [_row(name, m) for name, m in verdict.margins.items()])
+    drawn = _draw(run, verdict, frfs, own, several) if figures else []
+    output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
+    output.say(f"verdict: {WORDS[verdict.outcome]}")
+    output.json(
+        {
+            "passed": verdict.passed,
+            "outcome": verdict.outcome,
+            "loops": list(verdict.loops),
+            "each": [verdict_json(one) for one in verdict.each],
+            "together": verdict_json(verdict.together)
+            | {"margins": {name: _json(m) for name, m in verdict.margins.items()}},
+            "figures": drawn,
+        }
+    )
+    if not verdict.passed:
+        raise typer.Exit(1)
+
+
+def _matrices(run: Path) -> list[FRF]:
+    """A run's matrices: those that `frf --matrix` left, else imported FRFs of several inputs; refuses a run without."""
+    from loopshape.errors import WrongUseError
+    from loopshape.store.frfs import MATRICES, read_frfs, read_matrices
+
+    found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
+    found = found or [one for one in read_frfs(run) if len(one.inputs) > 1]
+    if not found:
+        raise WrongUseError(
+            "several loops are checked on the plant's matrix, and the run has FRFs of single loops only",
+            str(run), "estimate it first: loopshape frf RUN --matrix",
+        )  # fmt: skip
+    return found
+
+
+def _held(run: Path) -> Sequence[Controller]:
+    """Controllers under which the run was recorded, as far as it knows them."""
+    from loopshape.store.run_folder import RUN_TOML, read_run
+
+    if not (run / RUN_TOML).exists():
+        return ()
+    return [loop.controller for loop in read_run(run).loops if loop.controller is not None]
+
+
+def _row(recording: str, m: SeveralMargins) -> list[Any]:
+    from loopshape.check.words import interval_text
+
+    numbers: list[Any] = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
+    numbers += [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
+    interval = interval_text(m.intervals.get("disk_margin"))
+    return [recording, m.stable, m.disk_margin, interval, *numbers, m.at_hz["disk_margin"], _changes_text(m)]
+
+
+def _changes_text(m: SeveralMargins) -> str:
+    """The changes that bring all loops to their limit: "theta1 +1.2 dB -8 deg, theta2 -0.9 dB +3 deg"."""
+    changes = zip(m.loops, _changes(m), strict=True)
+    return ", ".join(f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in changes)
+
+
+def _changes(m: SeveralMargins) -> list[dict[str, float]]:
+    import numpy as np
+
+    from loopshape.units import db, deg
+
+    return [{"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for x in m.worst_changes]
+
+
+def _json(m: SeveralMargins) -> dict[str, Any]:
+    """Margins as JSON; what is not defined is null."""
+    from dataclasses import fields
+
+    values = {f.name: getattr(m, f.name) for f in fields(m)}
+    made = {name: None if value != value else value for name, value in values.items()}
+    worst = dict(zip(m.loops, _changes(m), strict=True))
+    return made | {
+        "worst_changes": worst,
+        "gain_margin_db": m.gain_margin_db,
+        "phase_margin_deg": m.phase_margin_deg,
+    }
+
+
+def _draw(
+    run: Path, verdict: SeveralVerdict, frfs: Sequence[FRF], controllers: Sequence[Controller], several: Any
+) -> list[str]:
+    """A page for each operating point."""
+    from loopshape.check.several import loop_matrices
+    from loopshape.cli.pictures import save
+    from loopshape.draw.several import several_page
+
+    drawn = []
+    matrices = loop_matrices(frfs, controllers, several, loops=verdict.loops)[0]
+    for k, (recording, matrix) in enumerate(matrices.items()):
+        each = {one.loop: one.margins[recording] for one in verdict.each}
+        page = several_page(matrix, verdict.margins[recording], each, several)
+        tail = f"_{k + 1:02d}" if len(matrices) > 1 else ""
+        drawn.append(str(save(page, run / "figures" / f"several_{'+'.join(verdict.loops)}{tail}.png")))
+    return drawn

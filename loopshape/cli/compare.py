@@ -1,0 +1,152 @@
+"""`loopshape compare`: hold a run under new controllers against what was predicted of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+from loopshape.cli.predict import STEP_COLUMNS, indicator_text
+
+if TYPE_CHECKING:
+    from loopshape.check.remeasured import Remeasured
+    from loopshape.prediction import Comparison, StepComparison
+
+
+def compare(
+    run: RunFolder,
+    prediction: Annotated[Path, typer.Argument(help="What `loopshape predict` wrote (.npz).", show_default=False)],
+    tolerance_db: Annotated[
+        float, typer.Option(min=0.0, help="Deviations of |S| of this rms size count as none, in dB.")
+    ] = 0.0,
+    resolution_hz: Annotated[float | None, typer.Option(help="As of `loopshape frf`; default: as it chooses.")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw predicted over measured.")] = True,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say of each prediction whether it held, where it did not and by how much; exit code 0 where all held."""
+    from loopshape.check.remeasured import remeasure
+    from loopshape.estimate.settings import Settings
+    from loopshape.store.frfs import read_frfs
+    from loopshape.store.predictions import read_predictions
+    from loopshape.store.run_folder import read_run
+
+    output = Output(as_json, quiet)
+    frfs = read_frfs(run) if (run / "frf").is_dir() else ()
+    settings = Settings(resolution_hz=resolution_hz)
+    found = remeasure(
+        read_run(run), read_predictions(prediction), frfs=frfs, settings=settings, tolerance_db=tolerance_db
+    )
+    drawn = _draw(found, run / "figures") if figures else []
+    outcome = report(found, output)
+    output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {outcome}"]))
+    output.json({"outcome": outcome, "predictions": [_json(one) for one in found], "figures": drawn})
+    if outcome != "held":
+        raise typer.Exit(1)
+
+
+def report(found: Sequence[Remeasured], output: Output) -> str:
+    """Tables of sensitivities, steps and profiles; gives the outcome of all: the worst of them."""
+    comparisons = [c for one in found for c in one.comparisons]
+    for loop in dict.fromkeys(c.loop for c in comparisons):
+        rows = [_row(c) for c in comparisons if c.loop == loop]
+        columns = ["recording", "operating point", "prediction", "p-value", "lines", "|S| pred. [dB]", "meas. [dB]"]
+        columns += ["worst band [Hz]", "S off [dB]", "T off [dB]", "would notice [dB]"]
+        output.table(f"Sensitivity of loop {loop}", columns, rows)
+    steps = [s for one in found for s in one.steps]
+    for loop in dict.fromkeys(s.loop for s in steps):
+        rows = [_step_row(s) for s in steps if s.loop == loop]
+        columns = ["recording", "operating point", "at [s]", "step", *STEP_COLUMNS, "largest miss [%]", "outside [%]"]
+        output.table(f"Steps of loop {loop}, measured (predicted)", columns, rows)
+    profiles = [[name, one.prediction.loop, *_tracked(t)] for one in found for name, t in one.profiles.items()]
+    if profiles:
+        columns = ["recording", "loop", "largest error", "predicted", "rms error", "predicted"]
+        output.table("Profiles", columns, profiles)
+    notes = [(c.measured_from, note) for c in comparisons for note in c.notes]
+    notes += [(frf.recording, note) for one in found for frf in one.measured for note in frf.notes]
+    notes += [(s.recording, note) for s in steps for note in s.notes]
+    output.warn(f"{name}: {note}" for name, note in notes)
+    unseen = [one for one in found if not one.comparisons]
+    output.warn(
+        f"nothing measured of loop {one.prediction.loop} predicted from {one.prediction.recording}" for one in unseen
+    )
+    outcomes = {c.outcome for c in comparisons}
+    return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
+
+
+def _row(c: Comparison) -> list[Any]:
+    worst = c.worst
+    where = ["-", "-", "-"]
+    if worst is not None:
+        where = [
+            f"{worst.low_hz:.3g} .. {worst.high_hz:.3g}",
+            f"{worst.sensitivity_db:+.2f}",
+            f"{worst.complementary_db:+.2f}",
+        ]
+    return [
+        c.measured_from, point(c.operating_point), c.outcome, f"{c.p_value:.2g}", c.lines,
+        c.predicted_peak_db, c.measured_peak_db, *where, c.noticed_db,
+    ]  # fmt: skip
+
+
+def _step_row(s: StepComparison) -> list[Any]:
+    from loopshape.prediction import INDICATORS
+
+    cells = []
+    for name in INDICATORS:
+        text = indicator_text(s.measured, name)
+        if s.predicted is not None:
+            text += f" ({indicator_text(s.predicted.indicators, name).split(' ')[0]})"
+        cells.append(text)
+    return [
+        s.recording, point(s.operating_point), s.at_s, s.size, *cells, 100.0 * s.largest_miss, 100.0 * s.outside,
+    ]  # fmt: skip
+
+
+def _tracked(t: Any) -> list[float]:
+    return [t.largest_error, t.predicted_largest_error, t.rms_error, t.predicted_rms_error]
+
+
+def _json(one: Remeasured) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "loop": one.prediction.loop,
+        "predicted_from": one.prediction.recording,
+        "operating_point": dict(one.prediction.sensitivity.operating_point),
+        "comparisons": [asdict(c) for c in one.comparisons],
+        "steps": [
+            {
+                "recording": s.recording,
+                "at_s": s.at_s,
+                "size": s.size,
+                "measured": asdict(s.measured),
+                "predicted": None if s.predicted is None else asdict(s.predicted.indicators),
+                "largest_miss": s.largest_miss,
+                "miss_at_s": s.miss_at_s,
+                "outside": s.outside,
+                "notes": list(s.notes),
+            }
+            for s in one.steps
+        ],
+        "profiles": {name: asdict(t) for name, t in one.profiles.items()},
+    }
+
+
+def _draw(found: Sequence[Remeasured], folder: Path) -> list[str]:
+    from loopshape.cli.pictures import save
+    from loopshape.draw.prediction import comparison_grid, steps_grid
+
+    drawn = []
+    for loop in dict.fromkeys(one.prediction.loop for one in found):
+        mine = [one for one in found if one.prediction.loop == loop]
+        seen = [(one.prediction, frf, c) for one in mine for frf, c in zip(one.measured, one.comparisons, strict=True)]
+        if seen:
+            figure = comparison_grid([p for p, _, _ in seen], [m for _, m, _ in seen], [c for _, _, c in seen])
+            drawn.append(str(save(figure, folder / f"compare_{loop}.png")))
+        if steps := [s for one in mine for s in one.steps]:
+            drawn.append(str(save(steps_grid(steps), folder / f"steps_{loop}.png")))
+    return drawn

@@ -1,0 +1,118 @@
+"""For a project's own tests: a controller that no longer holds is a failed test, with the verdict as its message.
+
+    from loopshape.testing import ControllerTest, assert_controller
+
+    def test_axis():
+        assert_controller("runs/axis", "controller.toml", "requirements.toml", baseline="verdict.json")
+
+    AXIS = ControllerTest("runs/axis", "controller.toml", "requirements.toml")
+
+    @pytest.mark.parametrize("case", AXIS.cases)
+    def test_each_requirement(case):
+        AXIS.assert_case(case)
+
+Needs no pytest: any runner that takes an `AssertionError` will do.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+
+from loopshape.check.words import (
+    WORDS,
+    comparison_text,
+    line_text,
+    outcome_of,
+    stability_text,
+    verdict_text,
+)
+from loopshape.check_files import Baseline, LoopCheck, against, check_files
+from loopshape.errors import WrongUseError
+from loopshape.requirements import LIMITS, Verdict
+from loopshape.store.requirements import read_requirements
+
+AnyPath = str | PathLike[str]
+STABILITY = "stability"
+
+
+def assert_controller(
+    run: AnyPath,
+    controller: AnyPath,
+    require: AnyPath,
+    *,
+    baseline: AnyPath | None = None,
+    allow_worse: bool = False,
+) -> None:
+    """Check a controller on a run's FRFs as `loopshape check` does.
+
+    Raises AssertionError with the verdict where a requirement is missed or not decided by these data, where a loop is
+    not known to be stable, or where something is worse than the `baseline` (a verdict that `loopshape check
+    --save-verdict` kept; with `allow_worse` it is only part of the message). Files that cannot be read raise
+    `loopshape.errors.LoopshapeError`: the test has an error, it does not fail.
+    """
+    __tracebackhide__ = True
+    test = ControllerTest(run, controller, require)
+    compared = None if baseline is None else against(Path(baseline), test.loops)
+    worse = compared is not None and compared.worse and not allow_worse
+    if outcome_of(test.verdicts) != "passed" or worse:
+        raise AssertionError(test.message(compared))
+
+
+class ControllerTest:
+    """One controller on one run, for a test of each requirement; it is checked once, when the first test asks.
+
+    `cases` come from the requirements' file alone, so that collecting tests is quick and needs no run.
+    """
+
+    def __init__(self, run: AnyPath, controller: AnyPath, require: AnyPath) -> None:
+        self.run, self.controller, self.require = Path(run), Path(controller), Path(require)
+
+    @cached_property
+    def cases(self) -> tuple[str, ...]:
+        """Each requirement as "loop: quantity", and the stability of each loop as "loop: stability"."""
+        return tuple(
+            f"{wished.loop}: {name}"
+            for wished in read_requirements(self.require)
+            for name in (*(limit.name for limit in LIMITS if getattr(wished, limit.name) is not None), STABILITY)
+        )
+
+    @cached_property
+    def loops(self) -> tuple[LoopCheck, ...]:
+        """Each loop's check."""
+        return check_files(self.run, self.controller, self.require)
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Each loop's verdict."""
+        return tuple(loop.verdict for loop in self.loops)
+
+    def assert_case(self, case: str) -> None:
+        """Assert one of `cases`; refuses one that is not among them."""
+        __tracebackhide__ = True
+        if case not in self.cases:
+            raise WrongUseError("a case is not one of the requirements", repr(case), f"use {', '.join(self.cases)}")
+        loop, _, quantity = case.rpartition(": ")
+        verdict = next(v for v in self.verdicts if v.loop == loop)
+        text = _stability(verdict) if quantity == STABILITY else _line(verdict, quantity)
+        if text:
+            raise AssertionError(text)
+
+    def message(self, compared: Baseline | None = None) -> str:
+        """All verdicts, and the comparison with a baseline, as a failed test shows them."""
+        head = f"{self.controller} on {self.run}: {WORDS[outcome_of(self.verdicts)]}"
+        parts = {} if compared is None else compared.parts
+        texts = [comparison_text(title, one) for title, one in parts.items()]
+        return "\n".join([head, *(verdict_text(verdict) for verdict in self.verdicts), *texts])
+
+
+def _line(verdict: Verdict, quantity: str) -> str:
+    """The line's sentence where it does not pass, else nothing."""
+    line = next(line for line in verdict.lines if line.quantity == quantity)
+    return "" if line.passed else f"{WORDS[line.outcome]}: {quantity} of loop {verdict.loop}: {line_text(line)}"
+
+
+def _stability(verdict: Verdict) -> str:
+    named = [f"{name}: {stability_text(verdict.margins[name])}" for name in verdict.unstable]
+    return "" if not named else "\n".join([f"loop {verdict.loop} is not known to be stable", *named])

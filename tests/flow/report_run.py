@@ -1,0 +1,107 @@
+"""A small run with everything that a report shows: two operating points of a known plant, and words that break out."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.controller import Block, Controller
+from loopshape.draw.style import new_figure, png
+from loopshape.experiment import LoopSetup
+from loopshape.fit.fit import fit, structure_by_name
+from loopshape.frf import FRF
+from loopshape.recording import Recording, RecordingInfo
+from loopshape.run import Run
+from loopshape.store.fits import write_fits
+from loopshape.store.frfs import write_frfs
+from loopshape.store.run_folder import write_run
+from loopshape.units import TWO_PI
+
+RATE = 500.0
+HOSTILE = "</script><script>document.title='owned'</script><!-- & \"quoted\" 'single'"
+CONTROLLER = """format = "loopshape-controllers/1"
+rate_hz = 500.0
+# a comment with </script><script>document.title='owned'</script>
+[[loop]]
+name = "axis"
+controller = [{ kind = "gain", gain = 1.5 }, { kind = "low_pass", order = 1, f_hz = 60.0 }]
+"""
+REQUIRE = """format = "loopshape-requirements/1"
+[[loop]]
+name = "axis"
+integrators = 1
+phase_margin_deg = 30.0
+sensitivity_peak_db = 8.0
+complementary_peak_db = 8.0
+control_high_frequency_db = 20.0
+control_high_frequency_from_hz = 30.0
+bandwidth_hz = {bandwidth}
+"""
+
+
+def plant(f: np.ndarray, gain: float) -> np.ndarray:
+    """gain/(s (s/w + 1)), a corner at 20 Hz."""
+    s = 2j * np.pi * f
+    return gain / (s * (s / (TWO_PI * 20.0) + 1.0))
+
+
+def frf(name: str, gain: float, where_m: float, lines: int = 240) -> FRF:
+    """A FRF of the known plant, 2 % noise, the last lines not trusted."""
+    rng = np.random.default_rng(round(1000 * gain))
+    f = np.linspace(0.25, 60.0, lines)
+    truth = plant(f, gain)
+    noise = 0.02 * np.abs(truth) * (rng.standard_normal(lines) + 1j * rng.standard_normal(lines)) / np.sqrt(2.0)
+    return FRF(
+        f, (truth + noise)[:, None, None], (0.02 * np.abs(truth))[:, None, None].astype(complex) ** 2, f < 55.0,
+        ("z_v",), ("y_m",), "local polynomials, <b>bold</b>", name, "axis", RATE, {"where_m": where_m},
+        notes=(HOSTILE,),
+    )  # fmt: skip
+
+
+def recording(name: str, where_m: float) -> Recording:
+    rng = np.random.default_rng(len(name))
+    n = rng.standard_normal(2000)
+    y = np.convolve(n, np.ones(5) / 5.0, mode="same")
+    y[700] += 40.0  # a fault that a report must name
+    columns = {"r_m": np.zeros(2000), "n_m": n, "z_v": 2.0 * n - y, "y_m": y}
+    info = RecordingInfo(
+        f"{name}.parquet", "noise", "controller_input", excites="axis", operating_point={"where_m": where_m}
+    )
+    return Recording(info, RATE, columns)
+
+
+def recordings_only(folder: Path) -> Path:
+    """A run of two recordings; its note tries to break out."""
+    loops = (LoopSetup("axis", "r_m", "n_m", "z_v", "y_m", None),)
+    made = (recording("near", 0.1), recording("far-away", 0.4))
+    write_run(folder, Run(RATE, loops, made, extra={"notes": [HOSTILE]}))
+    return folder
+
+
+def whole_run(folder: Path) -> Path:
+    """Recordings, FRFs, fits and pictures; controller and requirements beside it."""
+    recordings_only(folder)
+    frfs = [frf("near", 40.0, 0.1), frf("far-away", 25.0, 0.4)]
+    write_frfs(folder, frfs)
+    write_fits(folder, [fit(one, structure_by_name("integrator")) for one in frfs])
+    figures = folder / "figures"
+    figures.mkdir(exist_ok=True)
+    figure = new_figure(1, 1, (2.0, 1.5))
+    figure.axes[0].plot([0.0, 1.0])
+    (figures / "nichols_axis.png").write_bytes(png(figure))
+    (figures / "drawn.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"><script>alert(1)</script></svg>')
+    (figures / "zz_large.png").write_bytes(png(figure) + bytes(2_000_000))
+    (figures / "no_picture.png").write_text("text")
+    (folder.parent / "controller.toml").write_text(CONTROLLER)
+    (folder.parent / "require.toml").write_text(REQUIRE.format(bandwidth=2.0))
+    (folder.parent / "wild.toml").write_text(REQUIRE.format(bandwidth=200.0))
+    return folder
+
+
+def controller() -> Controller:
+    return Controller("axis", (Block("gain", {"gain": 1.5}), Block("low_pass_1", {"f_hz": 60.0})), RATE)
+
+
+def many(count: int) -> list[FRF]:
+    """FRFs of many operating points."""
+    return [replace(frf(f"r{k:02d}", 20.0 + k, 0.01 * k, 120), recording=f"r{k:02d}") for k in range(count)]

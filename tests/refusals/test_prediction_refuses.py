@@ -1,0 +1,102 @@
+"""What predictions and comparisons refuse, and the sentence."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopshape.check.prediction import compare, plant_behind, predict, sensitivity_of
+from loopshape.check.remeasured import remeasure
+from loopshape.cli.measure import blocks_of
+from loopshape.controller import Block, Controller
+from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.estimate.sensitivity import estimate_sensitivity
+from loopshape.experiment import LoopSetup
+from loopshape.frf import FRF
+from loopshape.prediction import Prediction
+from loopshape.recording import Recording, RecordingInfo
+from loopshape.run import Run
+from loopshape.store.predictions import read_predictions, write_predictions
+
+GAIN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
+
+
+def plant(loop: str = "a", rate_hz: float = 1000.0, trusted: bool = True, held: Controller | None = GAIN) -> FRF:
+    f = np.arange(1.0, 11.0)
+    P = 1.0 / (2j * np.pi * f)
+    return FRF(
+        f, P[:, None, None], (1e-4 * np.abs(P) ** 2)[:, None, None].astype(complex), np.full(10, trusted), ("z_v",),
+        ("a_rad",), "made", recording="r", loop=loop, rate_hz=rate_hz, held_by=held,
+    )  # fmt: skip
+
+
+def prediction() -> Prediction:
+    return Prediction(sensitivity_of(plant()), "stable")
+
+
+def test_another_controller_another_loop_and_another_rate_are_refused() -> None:
+    other = Controller("a", (Block("gain", {"gain": 1.01}),), 1000.0)
+    with pytest.raises(WrongUseError, match="held by another controller"):
+        compare(prediction(), sensitivity_of(plant(held=other)))
+    with pytest.raises(WrongUseError, match="not of the loop"):
+        compare(prediction(), replace(sensitivity_of(plant()), loop="b"))
+    with pytest.raises(WrongUseError, match="not of the loop"):
+        compare(prediction(), replace(sensitivity_of(plant()), rate_hz=500.0))
+
+
+def test_a_controller_that_is_not_known_is_noted_and_lines_that_nobody_trusts_tell_nothing() -> None:
+    measured = replace(sensitivity_of(plant()), held_by=None)
+    assert any("taken to be" in note for note in compare(prediction(), measured).notes)
+    blind = compare(prediction(), replace(measured, trusted=np.zeros(10, dtype=bool)))
+    assert (blind.outcome, blind.lines, blind.worst) == ("cannot tell", 0, None)
+
+
+def test_a_sensitivity_needs_its_controller_and_a_closed_loop() -> None:
+    with pytest.raises(WrongUseError, match="does not follow"):
+        sensitivity_of(plant(held=None))
+    with pytest.raises(WrongUseError, match="its controller"):
+        plant_behind(plant(held=None), "z_v")
+    info = RecordingInfo("r.parquet", "multisine", "control", excites="a", closed_loop=False)
+    loop = LoopSetup("a", None, None, "z_v", "a_rad", None)
+    with pytest.raises(BadSignalError, match="loop was open"):
+        estimate_sensitivity(Recording(info, 1000.0, {"z_v": np.ones(10), "a_rad": np.ones(10)}), loop)
+
+
+def test_nothing_to_predict_from_and_nothing_that_belongs_are_refused() -> None:
+    with pytest.raises(WrongUseError, match="no FRF of loop 'a'"):
+        predict([], GAIN)
+    run = Run(1000.0, (LoopSetup("a", None, None, "z_v", "a_rad", GAIN),), ())
+    with pytest.raises(WrongUseError, match="no recording of the run belongs"):
+        remeasure(run, [prediction()])
+
+
+def test_damaged_and_foreign_prediction_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "p.npz"
+    with pytest.raises(UnreadableInputError, match="does not exist"):
+        read_predictions(path)
+    path.write_bytes(b"half a file")
+    with pytest.raises(UnreadableInputError, match="cannot be read as predictions"):
+        read_predictions(path)
+    np.savez(path, header=np.array('{"format": "other/1", "predictions": []}'))
+    with pytest.raises(UnreadableInputError, match="not of the format"):
+        read_predictions(path)
+    with pytest.raises(WrongUseError, match="no prediction to write"):
+        write_predictions(path, [])
+    with pytest.raises(WrongUseError, match="two predictions"):
+        write_predictions(path, [prediction(), prediction()])
+
+
+@pytest.mark.parametrize(
+    ("head", "word"),
+    [("rate_hz = 500.0", "another rate"), ("rate_hz = 1000.0\nprewarp", "plain Tustin")],
+)
+def test_controllers_that_the_simulated_rig_does_not_run_are_refused(tmp_path: Path, head: str, word: str) -> None:
+    rate, prewarp = head.split("\n")[0], "prewarp_hz = 5.0\n" if "prewarp" in head else ""
+    path = tmp_path / "c.toml"
+    path.write_text(
+        f'format = "loopshape-controllers/1"\n{rate}\n[[loop]]\nname = "a"\n{prewarp}'
+        'controller = [{ kind = "gain", gain = 1.0 }]\n'
+    )
+    with pytest.raises(WrongUseError, match=word):
+        blocks_of(path, 1000.0)

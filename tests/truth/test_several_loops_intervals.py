@@ -1,0 +1,103 @@
+"""Intervals of the margins of several loops: what they cover, and that noise leaves no bias."""
+
+import numpy as np
+import pytest
+from several_cases import frf_of, gain, loops, noisy
+
+from loopshape.algebra.closed_loop import controller_frf, feedback
+from loopshape.check.determinant import determinant_variance
+from loopshape.check.several_margins import several_margins
+from loopshape.estimate.smoothing_matrix import smoothed_matrix
+from loopshape.loop_matrix import LoopMatrix
+from loopshape.units import TWO_PI
+
+F = np.arange(0.1, 12.0, 0.1)
+S = 1j * TWO_PI * F
+CONTROLLERS = (gain("a", 0.55), gain("b", 0.55))
+
+
+def mode(f_hz, damping):
+    w = TWO_PI * f_hz
+    return TWO_PI * w * w / (S * (S * S + 2.0 * damping * w * S + w * w)) * np.exp(-0.01 * S)
+
+
+G = np.stack([mode(5.0, 0.15), 0.35 * mode(4.0, 0.3), -0.35 * mode(4.5, 0.3), mode(6.0, 0.15)], axis=1).reshape(
+    -1, 2, 2
+)
+
+
+def exact():
+    return several_margins(loops(F, G, CONTROLLERS, 2, relative=0.0))
+
+
+def test_without_covariance_there_are_no_intervals():
+    found = exact()
+    assert not found.intervals
+    assert found.stable == "stable"
+
+
+def test_intervals_of_95_percent_cover_and_medians_are_true():
+    noise, truth, rng, count = 0.05, exact(), np.random.default_rng(0), 45
+    frf = frf_of(F, G, noise)
+    found = [several_margins(LoopMatrix(noisy(frf, rng), CONTROLLERS, ("a", "b"), 2)) for _ in range(count)]
+    raw = [
+        several_margins(loops(F, noisy(frf, rng).response, CONTROLLERS, 2, relative=0.0)).disk_margin for _ in range(20)
+    ]
+    for name in ("disk_margin", "modulus_margin", "sensitivity_peak_db"):
+        true = getattr(truth, name)
+        hits = sum(m.intervals[name][0] <= true <= m.intervals[name][1] for m in found)
+        assert hits >= 0.83 * count  # measured over 150: 0.94, 0.92, 0.91 at 2, 5, 10 %; binomial spread 0.035
+        assert np.median([getattr(m, name) for m in found]) == pytest.approx(true, rel=0.02)
+    assert np.median(raw) < truth.disk_margin * (1.0 - 0.2 * noise)  # read at face value they are too small
+    widths = [np.ptp(m.intervals["disk_margin"]) for m in found]
+    assert np.median(widths) < 2.0 * noise * truth.disk_margin
+
+
+def test_the_same_matrix_gives_the_same_interval():
+    frf = noisy(frf_of(F, G, 0.05), np.random.default_rng(1))
+    one, two = (several_margins(LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2)) for _ in range(2))
+    assert one == two
+
+
+def test_draws_have_the_covariance_of_the_lines():
+    frf = frf_of(F, G, 0.05)
+    mixed = frf.covariance.copy()
+    mixed[:, 0, 3] = mixed[:, 3, 0] = 0.9 * np.sqrt(mixed[:, 0, 0] * mixed[:, 3, 3])
+    correlated = type(frf)(F, G, mixed, frf.trusted, frf.inputs, frf.outputs, "mixed", rate_hz=frf.rate_hz)
+    scatter = smoothed_matrix(correlated)
+    one, two = scatter.deviations[:, :, 0, 0], scatter.deviations[:, :, 1, 1]
+    correlation = np.abs(np.vdot(one, two)) / np.sqrt(np.vdot(one, one).real * np.vdot(two, two).real)
+    assert correlation > 0.6
+    apart = smoothed_matrix(frf).deviations
+    other = np.abs(np.vdot(apart[:, :, 0, 0], apart[:, :, 1, 1])) / np.sqrt(
+        np.vdot(apart[:, :, 0, 0], apart[:, :, 0, 0]).real * np.vdot(apart[:, :, 1, 1], apart[:, :, 1, 1]).real
+    )
+    assert other < 0.1
+
+
+def test_the_determinant_s_variance_is_that_of_draws():
+    rng, frf = np.random.default_rng(0), frf_of(F, G, 0.01)
+    made = LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2)
+    drawn = [
+        np.log(LoopMatrix(noisy(frf, rng), CONTROLLERS, ("a", "b"), 2).determinant / made.determinant)
+        for _ in range(600)
+    ]
+    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx(determinant_variance(made), rel=0.3)
+    other = LoopMatrix(frf, (gain("a", 0.3), gain("b", 0.7)), ("a", "b"), 2)
+    ratio = []
+    for _ in range(600):
+        one = noisy(frf, rng)
+        D = [LoopMatrix(one, m.controllers, m.names, 2).determinant / m.determinant for m in (other, made)]
+        ratio.append(np.log(D[0] / D[1]))
+    assert np.mean(np.abs(ratio) ** 2, axis=0) == pytest.approx(determinant_variance(other, made), rel=0.3)
+
+
+def test_the_noun_s_responses_are_those_of_the_algebra():
+    made = LoopMatrix(frf_of(F, G), CONTROLLERS, ("a", "b"), 2)
+    closed = feedback(made.plant, controller_frf(CONTROLLERS, F, made.plant.outputs, made.plant.inputs))
+    for name, other in (("S_o", "S_o"), ("T_o", "T_o"), ("S_i", "S_i"), ("T_i", "T_i"), ("PS", "PS"), ("CS", "KS")):
+        np.testing.assert_allclose(getattr(made, name), getattr(closed, other).response, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(made.S_o + made.T_o, np.broadcast_to(np.eye(2), G.shape), atol=1e-12)
+    np.testing.assert_allclose(made.C @ made.P, made.L_i)
+    np.testing.assert_allclose(made.P @ made.C, made.L_o)
+    np.testing.assert_allclose(np.linalg.det(np.eye(2) + made.L_o), made.determinant)
