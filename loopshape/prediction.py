@@ -29,8 +29,8 @@ class Indicators:
     - `steady_state_error`: (r1 - y1)/(r1 - r0).
 
     `outcome` is "settled", or "not settled" where y does not stay within 2 % for the last fifth of what was seen: then
-    y1 is no final value, and the numbers describe the time seen only. A time that is not reached by then is nan. `intervals`
-    are 95 % intervals by field name, empty where the spread is not known.
+    y1 is no final value, and the numbers describe the time seen only. A time that is not reached by then is nan.
+    `intervals` are 95 % intervals by field name, empty where the spread is not known.
     """
 
     rise_time_s: float

@@ -17,7 +17,7 @@ from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.doubt import chance_of_error, reach_of
 from loopshape.check.loci import characteristic_loci
 from loopshape.check.obstacles import COARSE_DEG, ON_IT, REACH_95, WRONG, Obstacle, Sampling, sampling
-from loopshape.check.sampling import hidden_poles
+from loopshape.check.sampling import HiddenPole, hidden_poles
 from loopshape.check.several_low_end import LowEnd, low_doubt, low_end, slopes
 from loopshape.controller import Block, Controller
 from loopshape.frf import FRF
@@ -137,7 +137,7 @@ def _sampling(loops: LoopMatrix, as_one: Loop) -> Sampling:
     """
     f, freedom = loops.frequency_hz, loops.plant.variance_freedom
     nothing = Sampling(0, np.zeros(max(f.size - 1, 0), dtype=bool), None)
-    poles = []
+    poles: list[HiddenPole] = []
     for element, variance in zip(_elements(loops.P), _elements(loops.plant.variance), strict=True):
         if element.any():
             poles += hidden_poles(f, element, np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2), freedom)

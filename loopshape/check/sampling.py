@@ -216,8 +216,8 @@ def _allowed(
         grid = window.low[0] + gap * places.ravel() + 1j * widths.ravel()
         every = np.concatenate([every, grid, grid.conj() if unstable else grid[:0]])
     possible = [_possible(complex(np.clip(x.real, low, high), x.imag), unstable) for x in every]
-    every = np.array(possible, dtype=np.complex128)
-    likely = every[_explained(window, left, every.reshape(1, -1))[0][0] >= least]
+    tried = np.array(possible, dtype=np.complex128)
+    likely = tried[_explained(window, left, tried[None, :])[0][0] >= least]
     return np.concatenate([[z], z + UNEXACT * abs(z.imag) * circle[::3], likely])
 
 

@@ -8,6 +8,7 @@ import typer
 
 from loopshape.cli.bound import bound
 from loopshape.cli.check import check
+from loopshape.cli.compare import compare
 from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
 from loopshape.cli.equilibria import equilibria
@@ -23,6 +24,7 @@ from loopshape.cli.import_frf import import_frf
 from loopshape.cli.interaction import interaction
 from loopshape.cli.measure import measure
 from loopshape.cli.plan import plan
+from loopshape.cli.predict import predict
 from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
 from loopshape.cli.simulate import simulate
@@ -31,9 +33,9 @@ from loopshape.errors import LoopshapeError
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
-measure or import a run -> frf -> fit -> tune -> check -> report; frf -> interaction, plan, export; run -> gap. Exit
-codes: 0 pass, 1 a requirement is missed or undecided or something is worse than a baseline, 2 wrong use or unreadable
-input.
+measure or import a run -> frf -> fit -> tune -> check -> predict; measure again -> compare; any run -> report, gap;
+frf -> interaction, plan, export; controller -> export-controller, bound, schedule. Exit codes: 0 pass, 1 a requirement
+is missed or undecided or something is worse than a baseline, 2 wrong use or unreadable input.
 """
 
 app = typer.Typer(
@@ -47,6 +49,8 @@ app.command()(export)
 app.command("export-controller")(export_controller)
 app.command()(interaction)
 app.command()(plan)
+app.command()(predict)
+app.command()(compare)
 app.command()(report)
 app.command()(bound)
 app.command()(schedule)

@@ -187,3 +187,21 @@ def test_noise_alone_changes_no_answer():
     ]
     assert "unstable" not in found
     assert found.count("stable") > 50
+
+
+def test_loci_that_start_off_the_real_axis_or_about_the_limit_are_counted_right():
+    rng, wrong, decided = np.random.default_rng(7), [], []
+    f = np.geomspace(0.002, 500.0, 400)
+    for _ in range(150):
+        n = int(rng.integers(2, 4))
+        gains = -np.eye(n) + rng.normal(size=(n, n)) * log_uniform(rng, 0.01, 1.0)
+        corners = np.diag(TWO_PI * np.exp(rng.uniform(-1.0, 3.0, n)))
+        controllers = [gain("abc"[k]) for k in range(n)]
+        found = closed_loops_stability(loops(f, response_of(f, -corners, corners, gains), controllers))
+        unstable = int(np.sum(poles(-corners, corners, gains, controllers).real > 0.0))
+        if found.unstable_poles is not None:
+            decided.append(unstable > 0)
+            wrong += [(found, unstable)] if found.unstable_poles != unstable else []
+    assert not wrong
+    assert decided.count(True) > 30
+    assert decided.count(False) > 15

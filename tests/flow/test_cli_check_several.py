@@ -1,0 +1,129 @@
+"""`loopshape check-several` on a small run: exit codes, tables, JSON, JUnit and the figure."""
+
+import json
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+import typer
+from several_cases import frf_of, gain, noisy
+from typer.testing import CliRunner
+
+from loopshape.check.several import check_several as check
+from loopshape.cli.check_several import check_several
+from loopshape.errors import WrongUseError
+from loopshape.several import SeveralRequirements
+from loopshape.store.controllers import write_controllers
+from loopshape.store.frfs import write_frfs, write_matrices
+from loopshape.store.requirements import read_requirements, read_several
+from loopshape.units import TWO_PI
+
+F = np.arange(0.1, 20.0, 0.1)
+S = 1j * TWO_PI * F
+APP = typer.Typer()
+APP.command()(check_several)
+REQUIREMENTS = """
+format = "loopshape-requirements/1"
+
+[[loop]]
+name = "a"
+modulus_margin = 0.5
+
+[[loop]]
+name = "b"
+modulus_margin = 0.5
+
+[several]
+disk_margin = {disk}
+sensitivity_peak_db = 8.0
+integrators = 2
+unstable_poles = 0
+"""
+
+
+def matrix(coupling, recording="exact"):
+    G = np.array([[1.0, coupling], [-coupling, 1.0]]) * (4.0 / (S * (0.02 * S + 1.0)))[:, None, None]
+    return noisy(frf_of(F, G, 0.01, loop="a+b", recording=recording), np.random.default_rng(0))
+
+
+@pytest.fixture
+def run(tmp_path):
+    write_matrices(tmp_path, [matrix(0.3)])
+    write_controllers(tmp_path / "c.toml", [gain("a"), gain("b")])
+    (tmp_path / "r.toml").write_text(REQUIREMENTS.format(disk=0.5))
+    return tmp_path
+
+
+def said(run, *more):
+    return CliRunner().invoke(APP, [str(run), str(run / "c.toml"), "--require", str(run / "r.toml"), *more])
+
+
+def test_what_holds_passes_and_is_drawn(run):
+    done = said(run, "--junit", str(run / "j.xml"))
+    assert done.exit_code == 0, done.output
+    for words in ("Loop a: pass", "Loop b: pass", "Loop a + b: pass", "All loops at once", "verdict: pass"):
+        assert words in done.output
+    assert (run / "figures" / "several_a+b.png").stat().st_size > 20_000
+    suites = ET.parse(run / "j.xml").getroot()
+    assert [suite.get("name") for suite in suites] == ["a", "b", "a + b"]
+    assert {suite.get("failures") for suite in suites} == {"0"}
+    assert [case.get("name") for case in suites[2]] == ["disk_margin", "sensitivity_peak_db", "stability in exact"]
+
+
+def test_what_is_missed_is_exit_code_1_and_says_which(run):
+    (run / "r.toml").write_text(REQUIREMENTS.format(disk=1.9))
+    done = said(run, "--json", "--no-figures")
+    assert done.exit_code == 1
+    told = json.loads(done.stdout)
+    assert (told["outcome"], told["passed"], told["loops"], told["figures"]) == ("failed", False, ["a", "b"], [])
+    assert [one["outcome"] for one in told["each"]] == ["passed", "passed"]
+    assert [line["outcome"] for line in told["together"]["lines"]] == ["failed", "passed"]
+    margins = told["together"]["margins"]["exact"]
+    assert margins["stable"] == "stable"
+    low, high = margins["intervals"]["disk_margin"]
+    assert low < margins["disk_margin"] < high
+    assert set(margins["worst_changes"]) == {"a", "b"}
+    assert margins["phase_margin_deg"] == pytest.approx(2.0 * np.degrees(np.arctan(margins["disk_margin"] / 2.0)))
+
+
+def test_quiet_says_nothing(run):
+    done = said(run, "--quiet", "--no-figures")
+    assert (done.exit_code, done.output) == (0, "")
+
+
+def test_a_run_of_single_loops_is_refused(tmp_path, run):
+    folder = tmp_path / "single"
+    one = matrix(0.0)
+    write_frfs(folder, [type(one)(F, one.response[:, :1, :1], one.covariance[:, :1, :1], one.trusted, one.inputs[:1],
+                                  one.outputs[:1], "m", "exact", "a", one.rate_hz)])  # fmt: skip
+    done = CliRunner().invoke(APP, [str(folder), str(run / "c.toml"), "--require", str(run / "r.toml")])
+    assert isinstance(done.exception, WrongUseError)
+    assert "frf RUN --matrix" in str(done.exception)
+
+
+def test_the_worst_operating_point_stands_in_the_line():
+    matrices = [matrix(0.1, "one"), matrix(0.6, "two")]
+    found = check(matrices, [gain("a"), gain("b")], [], SeveralRequirements(disk_margin=0.3))
+    assert set(found.margins) == {"one", "two"}
+    assert found.lines[0].recording == min(found.margins, key=lambda name: found.margins[name].disk_margin)
+
+
+def test_the_recorded_loops_stand_for_what_is_not_declared():
+    controllers = [gain("a"), gain("b")]
+    found = check([matrix(0.3)], controllers, [], held=[gain("b", 0.5), gain("a", 0.5)])
+    assert found.margins["exact"].stable == "stable"
+    assert "recorded and stood" in found.margins["exact"].stability_reason
+    assert not found.warnings
+    assumed = check([matrix(0.3)], controllers, [])
+    assert assumed.margins["exact"].stable == "stable"
+    assert any("2 integrators" in text for text in assumed.warnings)
+    assert any("no unstable poles" in text for text in assumed.warnings)
+
+
+def test_the_table_several_is_read(run):
+    assert read_several(run / "r.toml") == SeveralRequirements(
+        disk_margin=0.5, sensitivity_peak_db=8.0, integrators=2, unstable_poles=0
+    )
+    assert [one.loop for one in read_requirements(run / "r.toml")] == ["a", "b"]
+    (run / "r.toml").write_text('format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n')
+    assert read_several(run / "r.toml") == SeveralRequirements()

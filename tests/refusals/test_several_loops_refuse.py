@@ -1,0 +1,107 @@
+"""Each bad input to a check of several loops, and the sentence the user gets."""
+
+import numpy as np
+import pytest
+from several_cases import RATE_HZ, frf_of, gain
+
+from loopshape.check.several import check_several
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.loop_matrix import LoopMatrix
+from loopshape.requirements import Requirements
+from loopshape.several import SeveralRequirements
+from loopshape.store.requirements import read_several
+from loopshape.units import TWO_PI
+
+F = np.geomspace(0.01, 100.0, 100)
+G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (4.0 / (TWO_PI * 1j * F))[:, None, None]
+BOTH = [gain("a"), gain("b")]
+
+
+def frf(**fields):
+    return frf_of(F, G, loop="a+b", **fields)
+
+
+def test_no_matrix():
+    with pytest.raises(WrongUseError, match="there is no matrix FRF"):
+        check_several([], BOTH)
+
+
+def test_a_loop_without_a_controller():
+    with pytest.raises(WrongUseError, match=r"no controller for b.*controllers of a.*left out stay open"):
+        check_several([frf()], BOTH[:1])
+
+
+def test_one_loop_alone():
+    with pytest.raises(WrongUseError, match=r"several loops are two at least.*loopshape check"):
+        check_several([frf()], BOTH, loops=["a"])
+
+
+def test_requirements_of_a_loop_that_is_not_closed():
+    with pytest.raises(WrongUseError, match=r"requirements are of no loop that is closed.*c.*loops: a, b"):
+        check_several([frf()], BOTH, [Requirements("c", modulus_margin=0.5)])
+
+
+def test_another_rate():
+    slow = [Controller(own.loop, own.blocks, 0.5 * RATE_HZ) for own in BOTH]
+    with pytest.raises(WrongUseError, match=r"have one rate; received 500000 Hz, 1e\+06 Hz"):
+        check_several([frf()], slow)
+
+
+def test_matrices_of_one_recording_twice():
+    with pytest.raises(WrongUseError, match="two matrices come from the same recordings"):
+        check_several([frf(), frf()], BOTH)
+
+
+def test_singular_values_where_the_outputs_have_different_units():
+    mixed = frf(units=["rad", "bar"])
+    found = check_several([mixed], BOTH)
+    assert np.isnan(found.margins["exact"].sensitivity_peak_db)
+    assert any("different units" in text for text in found.warnings)
+    with pytest.raises(WrongUseError, match=r"not defined where outputs have different units.*modulus_margin"):
+        check_several([mixed], BOTH, several=SeveralRequirements(sensitivity_peak_db=6.0))
+
+
+def test_a_plant_that_is_not_square():
+    with pytest.raises(WrongUseError, match="a square plant, and a controller and a name for each"):
+        LoopMatrix(frf(), (gain("a"),), ("a",))
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"disk_margin": 2.5}, "disk_margin of several loops lies above 0 and is 2 at most"),
+        ({"modulus_margin": 1.5}, "modulus_margin of several loops lies above 0 and is 1 at most"),
+        ({"sensitivity_peak_db": np.inf}, "sensitivity_peak_db of several loops must be finite"),
+        ({"integrators": -1}, "integrators of several loops is a whole number from 0"),
+        ({"unstable_poles": True}, "unstable_poles of several loops is a whole number from 0"),
+        ({"band_hz": (3.0, 1.0)}, "band_hz is two rising frequencies"),
+    ],
+)
+def test_values_that_make_no_sense(fields, words):
+    with pytest.raises(WrongUseError, match=words):
+        SeveralRequirements(**fields)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("gain_margin_db = 6.0", "several: unknown key; received 'gain_margin_db'; known are disk_margin"),
+        ('disk_margin = "much"', "disk_margin must be a finite number"),
+        ("integrators = 1.5", "several: integrators of several loops is a whole number"),
+        ("band_hz = 3.0", "band_hz must be a list of numbers"),
+        ("band_hz = [3.0, 1.0]", "band_hz is two rising frequencies"),
+    ],
+)
+def test_a_bad_table(tmp_path, line, words):
+    path = tmp_path / "r.toml"
+    path.write_text(f'format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n[several]\n{line}\n')
+    with pytest.raises(WrongUseError, match=words):
+        read_several(path)
+
+
+def test_a_line_above_half_the_rate():
+    slow = [Controller(name, (Block("gain", {"gain": 1.0}),), 150.0) for name in "ab"]
+    other = type(frf())(F, G, frf().covariance, frf().trusted, frf().inputs, frf().outputs, "m", "exact", "a+b", 150.0)
+    with pytest.raises(WrongUseError, match="has no response at or above 75 Hz"):
+        check_several([other], slow)

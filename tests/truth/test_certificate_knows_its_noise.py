@@ -1,0 +1,122 @@
+"""Errors of the lines leave a count open where they may make it wrong, and do not where they cannot."""
+
+import numpy as np
+import pytest
+from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of
+
+from loopshape.check.doubt import chance_of_error, line_doubts, reach_of
+from loopshape.check.stability import closed_loop_stability
+
+STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")
+
+
+def answer(plant, std, gain, rng, **settings):
+    return closed_loop_stability(loop_of(plant, frf_of(LINES, plant.response(LINES), std, rng), gain, **settings))
+
+
+@pytest.mark.parametrize("name", STABLE)
+@pytest.mark.parametrize("noise", [1e-6, 0.02, 0.05, 0.1])
+def test_near_a_limit_noise_leaves_it_open_and_never_makes_it_wrong(name, noise):
+    plant, rng = PLANTS[name], np.random.default_rng(4)
+    limit, decided = limit_gain(plant), 0
+    for step in (0.9, 0.97, 1.03, 1.1) * 4:
+        found = answer(plant, noise * np.abs(plant.response(LINES)), step * limit, rng)
+        assert found.outcome == "undecided" or found.unstable_poles == by_roots(plant, step * limit)
+        decided += found.outcome != "undecided"
+    assert (decided == 16) if noise == 1e-6 else (decided >= (12 if noise == 0.02 else 1))
+
+
+@pytest.mark.parametrize("name", STABLE)
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_far_from_its_limits_a_loop_is_decided(name, noise):
+    plant, rng = PLANTS[name], np.random.default_rng(5)
+    for gain in (1.0, 3.0 * limit_gain(plant)):
+        found = answer(plant, noise * np.abs(plant.response(LINES)), gain, rng)
+        assert found.unstable_poles == by_roots(plant, gain)
+        assert found.outcome == ("unstable" if by_roots(plant, gain) else "stable")
+
+
+@pytest.mark.parametrize("name", STABLE)
+def test_a_noise_floor_far_above_l_does_not_spoil_the_count(name):
+    # at the last line |L| is below 0.01 and its error 0.3
+    plant, rng = PLANTS[name], np.random.default_rng(6)
+    std = 0.01 * np.abs(plant.response(LINES)) + 0.3 * (LINES / LINES[-1]) ** 2
+    assert abs(plant.response(LINES[-1:])[0]) < 0.03
+    for _ in range(5):
+        assert answer(plant, std, 1.0, rng).outcome == "stable"
+
+
+def test_a_floor_of_the_size_of_one_leaves_it_open():
+    plant = PLANTS["one integrator"]
+    std = 0.01 * np.abs(plant.response(LINES)) + np.where(LINES > 40.0, 2.0, 0.0)
+    found = answer(plant, std, 1.0, np.random.default_rng(7))
+    assert found.outcome == "undecided"
+    assert found.band_hz[0] > 38.0
+
+
+def test_raw_lines_are_left_open_where_their_neighbours_would_decide():
+    plant = PLANTS["one integrator"]
+    std, gain = 0.05 * np.abs(plant.response(LINES)), 0.85 * limit_gain(plant)
+    raw, smooth = (answer(plant, std, gain, np.random.default_rng(8), smooth=s) for s in (False, True))
+    assert smooth.outcome == "stable"
+    assert raw.outcome == "undecided"
+
+
+def test_the_band_to_measure_is_where_minus_one_is_covered():
+    plant = PLANTS["two integrators"]
+    found = answer(plant, 0.1 * np.abs(plant.response(LINES)), 0.98 * limit_gain(plant), np.random.default_rng(9))
+    assert found.outcome == "undecided"
+    crossing = np.roots(np.polyadd(plant.den, limit_gain(plant) * plant.num))
+    at_hz = np.abs(crossing[np.argmin(np.abs(crossing.real / crossing.imag))].imag) / (2.0 * np.pi)
+    assert found.band_hz[0] < at_hz < found.band_hz[1]
+    assert found.band_hz[1] < 2.0 * at_hz
+
+
+def test_a_start_on_the_real_axis_is_as_unsure_as_the_first_line():
+    # k/(s/a - 1) with L(0) = -0.95 is unstable; noise of 10 % on the first lines may show -1.05
+    plant = PLANTS["unstable pole"]
+    gain = 0.95 / abs(plant.num[0])
+    assert by_roots(plant, gain) == 1
+    rng = np.random.default_rng(10)
+    outcomes = [answer(plant, 0.1 * np.abs(plant.response(LINES)), gain, rng, smooth=False).outcome for _ in range(60)]
+    assert "stable" not in outcomes
+
+
+def test_the_chance_of_one_line_is_that_of_drawing_it_anew():
+    rng = np.random.default_rng(11)
+    g, std = np.array([1.0 + 0.5j, 0.3 + 0.1j, 0.2 - 0.6j]), 0.3
+    reach = np.array([1e9, abs(g[1]) / std, 1e9])
+    drawn = g[1] + std * errors(rng, 400_000)
+    turned = np.angle(drawn / g[0]) + np.angle(g[2] / drawn)
+    straight = np.angle(g[1] / g[0]) + np.angle(g[2] / g[1])
+    wrong = np.mean(np.abs(turned - straight) > 1.0)
+    assert line_doubts(g, reach, 1.0 + 0.9j, 1.0)[1] == pytest.approx(wrong, abs=4.0 * np.sqrt(wrong / 400_000))
+    assert wrong > 0.03
+
+
+def test_lines_that_each_may_be_right_are_wrong_together():
+    # a straight pass of -1 at 2.6 deviations: harmless once, not where noise redraws it fifty times
+    once = np.array([0.3 - 0.5j, 0.3 + 0.0j, 0.3 + 0.5j])
+    many = np.concatenate([once[:1], 0.3 + 0.2j * (-1.0) ** np.arange(50), once[2:]])
+    few, _ = chance_of_error(once, np.abs(once) / 0.1, 1.0 - 3.0j, 1.0 + 0.0j)
+    all_of_them, share = chance_of_error(many, np.abs(many) / 0.14, 1.0 - 3.0j, 1.0 + 0.0j)
+    assert few < 1e-3
+    assert all_of_them > 10.0 * share.max()
+
+
+def test_the_chance_of_all_lines_together_is_the_normal_one():
+    # the error moves the path as one: it passes zero with the chance that a normal number exceeds the distance
+    rng = np.random.default_rng(12)
+    path = 0.2 + 1j * np.linspace(-3.0, 3.0, 2001)
+    error = 0.1 * errors(rng, 20_000)
+    other_side = np.mean(0.2 + error.real < 0.0)
+    chance, _ = chance_of_error(path, np.abs(path) / 0.1, path[0], path[-1])
+    assert chance == pytest.approx(other_side, rel=0.4)
+
+
+def test_a_variance_known_badly_counts_for_less():
+    g, std = np.array([0.4 + 0.0j]), np.array([0.1])
+    assert reach_of(g, std)[0] == pytest.approx(4.0)
+    assert reach_of(g, std, 6.0)[0] < 2.5
+    assert reach_of(g, std, 1e6)[0] == pytest.approx(4.0, rel=1e-3)
+    assert np.isinf(reach_of(g, np.zeros(1))[0])

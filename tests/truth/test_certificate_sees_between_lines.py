@@ -1,0 +1,151 @@
+"""A resonance sharper than the lines is found by its tails, and either counted or left open, never stepped over."""
+
+import numpy as np
+import pytest
+from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, with_mode
+
+from loopshape.check.between import turns_of_controller
+from loopshape.check.sampling import hidden_poles
+from loopshape.check.stability import closed_loop_stability, count_unstable
+from loopshape.controller import Block
+from loopshape.model import TransferFunction
+from loopshape.units import TWO_PI
+
+PLANT = PLANTS["one integrator"]
+GAP = 0.1
+
+
+def mode_at(f_hz, width, peak):
+    """A mode `width` gaps wide, whose peak is `peak` times the plant's |P| there."""
+    return with_mode(PLANT, f_hz, width * GAP / f_hz, peak * abs(PLANT.response([f_hz])[0]))
+
+
+def answer(plant, noise, rng=None):
+    P = plant.response(LINES)
+    return closed_loop_stability(loop_of(plant, frf_of(LINES, P, noise * np.abs(P), rng)))
+
+
+@pytest.mark.parametrize("place", [0.05, 0.3, 0.5, 0.9])
+@pytest.mark.parametrize("width", [0.05, 0.2, 0.7])
+@pytest.mark.parametrize("noise", [1e-6, 0.02])
+def test_place_and_width_of_a_hidden_pole_are_found(place, width, noise):
+    rng, f_hz = np.random.default_rng(0), 14.2 + place * GAP
+    plant = mode_at(f_hz, width, 4.0)
+    P = plant.response(LINES)
+    std = noise * np.abs(P)
+    (pole,) = hidden_poles(LINES, P + std * errors(rng, LINES.size), std**2)
+    assert pole.low_hz - 0.01 < f_hz < pole.high_hz + 0.01
+    near = np.abs(pole.centre_hz - f_hz) < 0.2 * GAP
+    widths = pole.half_width_hz[near]
+    assert widths.min() < 1.02 * width * GAP
+    assert widths.max() > 0.98 * width * GAP
+    assert widths.max() < (2.0 if noise == 0.02 else 1.1) * width * GAP + 0.1 * GAP
+
+
+def test_a_pole_without_noise_is_told_with_its_residue():
+    f_hz, width, peak = 14.237, 0.1, 4.0
+    plant = mode_at(f_hz, width, peak)
+    p = plant.poles()[np.argmax(plant.poles().imag)]
+    residue = np.polyval(plant.num, p) / np.polyval(np.polyder(plant.den), p) / TWO_PI
+    P = plant.response(LINES)
+    (pole,) = hidden_poles(LINES, P, (1e-6 * np.abs(P)) ** 2)
+    assert pole.centre_hz[0] == pytest.approx(p.imag / TWO_PI, abs=1e-3 * GAP)
+    assert pole.half_width_hz[0] == pytest.approx(-p.real / TWO_PI, rel=0.02)
+    assert pole.residue[0] == pytest.approx(residue, rel=0.02)
+
+
+def test_resonances_that_encircle_minus_one_are_counted_though_no_line_meets_them():
+    right = stepped_over = 0
+    for place in (0.2, 0.5, 0.8):
+        for width in (0.03, 0.1, 0.4):
+            for peak in (-30.0, 30.0):
+                plant = mode_at(14.2 + place * GAP, width, peak)
+                found = answer(plant, 1e-6)
+                assert found.outcome == "undecided" or found.unstable_poles == by_roots(plant)
+                right += found.outcome != "undecided"
+                stepped_over += count_unstable(plant.response(LINES), 1, 0, np.zeros(0)) != by_roots(plant)
+    assert right >= 16
+    assert stepped_over >= 4  # what the bare count of these lines makes of them
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.05])
+def test_with_noise_they_are_counted_or_left_open_with_their_gap_to_measure(noise):
+    rng, open_ones = np.random.default_rng(1), 0
+    for _ in range(40):
+        f_hz = rng.uniform(6.0, 30.0)
+        plant = mode_at(
+            f_hz, np.exp(rng.uniform(np.log(0.1), np.log(0.6))), rng.choice([-1.0, 1.0]) * rng.uniform(5, 50)
+        )
+        found = answer(plant, noise, rng)
+        if found.outcome == "undecided" and "a resonance between" in found.reason:
+            open_ones += 1
+            assert found.band_hz[0] < f_hz < found.band_hz[1]
+            assert found.band_hz[1] - found.band_hz[0] < 12.0 * GAP
+        elif found.outcome != "undecided":
+            assert found.unstable_poles == by_roots(plant)
+    assert 1 <= open_ones <= 30
+
+
+def test_a_resonance_whose_tails_drown_is_not_seen_and_the_answer_says_how_sharp_it_may_be():
+    f_hz, width = 14.25, 0.01
+    plant = mode_at(f_hz, width, -12.0)
+    assert by_roots(plant) == 2
+    found = answer(plant, 0.1, np.random.default_rng(2))
+    assert found.outcome == "stable"
+    assert found.unseen_damping > width * GAP / f_hz
+    fine = answer(PLANT, 1e-3, np.random.default_rng(2))
+    assert fine.outcome == "stable"
+    assert fine.unseen_damping < 0.2 * answer(PLANT, 0.1, np.random.default_rng(2)).unseen_damping
+
+
+def test_smooth_plants_have_no_hidden_poles():
+    rng, alarms = np.random.default_rng(3), 0
+    for noise in (1e-6, 0.02, 0.1) * 60:
+        num = np.polymul(real(rng.uniform(0.5, 30.0)), real(rng.uniform(0.5, 30.0)))
+        den = np.polymul(real(rng.uniform(0.5, 30.0)), real(rng.uniform(0.5, 30.0)))
+        plant = TransferFunction(num, np.append(den, np.zeros(rng.integers(0, 3))), rng.uniform(0.001, 0.02))
+        f = LINES if rng.random() < 0.5 else np.geomspace(0.05, 200.0, 500)
+        std = noise * np.abs(plant.response(f))
+        alarms += bool(hidden_poles(f, plant.response(f) + std * errors(rng, f.size), std**2))
+    assert alarms <= 2  # a chance of 0.1 % a record, and what polynomials round off
+
+
+def test_a_resolved_resonance_is_none_of_them():
+    plant = mode_at(14.25, 5.0, 10.0)
+    P = plant.response(LINES)
+    assert not hidden_poles(LINES, P, (1e-3 * np.abs(P)) ** 2)
+
+
+def test_few_lines_show_none():
+    P = PLANT.response(LINES[:9])
+    assert hidden_poles(LINES[:9], P, (0.01 * np.abs(P)) ** 2) == ()
+    found = closed_loop_stability(loop_of(PLANT, frf_of(LINES[::75], PLANT.response(LINES[::75]), 1e-8), smooth=False))
+    assert np.isnan(found.unseen_damping)
+
+
+@pytest.mark.parametrize("peak", [60.0, 4.0])
+def test_a_resonance_of_the_controller_between_lines_is_counted(peak):
+    # an inverted notch 0.2 gaps wide lifts L to 0.06 or 0.9 times `peak` between two lines
+    f_hz = 30.03
+    notch = Block("notch", {"f1_hz": f_hz, "f2_hz": f_hz, "damping1": peak * 0.0005, "damping2": 0.0005})
+    loop = loop_of(PLANT, frf_of(LINES, PLANT.response(LINES), 1e-9 * np.abs(PLANT.response(LINES))), blocks=(notch,))
+    b, a = notch.section()
+    num, den = np.polymul(PLANT.num, b[::-1]), np.polymul(PLANT.den, a[::-1])
+    poles = int(np.sum(np.roots(np.polyadd(num, den)).real > 0.0))
+    assert poles == (2 if peak == 60.0 else 0)
+    assert closed_loop_stability(loop).unstable_poles == poles
+    (_, _, turns), *_ = turns_of_controller(loop.controller, loop.frequency_hz, loop.plant.siso)
+    assert turns == (-1 if poles else 0)
+
+
+def test_a_curve_between_lines_is_followed_where_its_chord_takes_the_other_side():
+    # |L| about 1 turning by 100 deg between two lines: the chord passes inside -1, the curve outside
+    f = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    phase, size = (
+        np.radians([-60.0, -120.0, -150.0, -210.0, -230.0, -250.0]),
+        np.array([6.0, 2.5, 1.06, 1.05, 0.5, 0.2]),
+    )
+    L = size * np.exp(1j * phase)
+    found = closed_loop_stability(loop_of(PLANT, frf_of(f, L, 1e-9), smooth=False))
+    assert found.outcome == "undecided" or found.unstable_poles == 2
+    assert count_unstable(L, 1, 0, np.zeros(0)) == 2 or found.outcome == "undecided"
