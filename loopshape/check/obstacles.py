@@ -22,6 +22,8 @@ COARSE_DEG = 135.0
 WRONG = 0.005
 #: radius of 95 % of a circular error, in sqrt E|d|²
 REACH_95 = float(np.sqrt(-np.log(0.05)))
+#: a band to measure goes on beyond the lines in question by this factor
+ASIDE = 1.05
 #: nearer to -1 than this a chord says nothing
 ON_IT = 1e-3
 
@@ -204,5 +206,6 @@ def _noise(loop: Loop, g: ComplexArray, before: complex) -> Obstacle | None:
 
 
 def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:
-    """From the first to the last of some lines in Hz, and a line more on either side."""
-    return float(f[max(int(lines[0]) - 1, 0)]), float(f[min(int(lines[-1]) + 1, f.size - 1)])
+    """From the first to the last of some lines in Hz, and a line more on either side or as far as `ASIDE` goes."""
+    low, high = f[max(int(lines[0]) - 1, 0)], f[min(int(lines[-1]) + 1, f.size - 1)]
+    return float(max(min(low, f[lines[0]] / ASIDE), f[0])), float(min(max(high, f[lines[-1]] * ASIDE), f[-1]))

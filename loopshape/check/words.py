@@ -40,8 +40,9 @@ def longer_text(line: Line) -> str:
 def wished_text(line: Line) -> str:
     """What was asked for: "at least 45 deg"."""
     from loopshape.requirements import LIMITS
+    from loopshape.several import SEVERAL_LIMITS
 
-    sense = next((_SENSE[limit.sense] for limit in LIMITS if limit.name == line.quantity), "")
+    sense = next((_SENSE[limit.sense] for limit in (*LIMITS, *SEVERAL_LIMITS) if limit.name == line.quantity), "")
     return f"{sense} {line.wished:g}{_unit(line.unit)}".strip()
 
 

@@ -8,6 +8,7 @@ import typer
 
 from loopshape.cli.bound import bound
 from loopshape.cli.check import check
+from loopshape.cli.check_several import check_several
 from loopshape.cli.compare import compare
 from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
@@ -49,6 +50,7 @@ app.command()(export)
 app.command("export-controller")(export_controller)
 app.command()(interaction)
 app.command()(plan)
+app.command("check-several")(check_several)
 app.command()(predict)
 app.command()(compare)
 app.command()(report)

@@ -58,9 +58,9 @@ def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
     if not v.any():
         return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
     floor = np.maximum(v, 1e-20 * np.abs(y) ** 2 + 1e-300)
-    smoother = _smoother(frf, y, floor)
+    smoother = smoother_of(frf, y, floor)
     rng = np.random.default_rng(SEED)
-    deviations = np.asarray((smoother @ _errors(rng, v, frf.line_overlap).T).T)
+    deviations = np.asarray((smoother @ drawn_errors(rng, v, frf.line_overlap).T).T)
     response = np.asarray(smoother @ y)
     variance = np.mean(np.abs(deviations) ** 2, axis=0)
     made = replace(
@@ -69,7 +69,7 @@ def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
     return made, Scatter(np.asarray(smoother @ response), deviations)
 
 
-def _smoother(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
+def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
     """The smoother (nf, nf) as a sparse matrix."""
     x, span = np.log(frf.frequency_hz), SPAN
     halves = accepted_halves(x, y, v, HALVES, TESTED, STRICTNESS, frf.line_overlap, span)
@@ -95,7 +95,7 @@ def pooled_variance(frf: FRF) -> Array:
     return np.asarray(size * uniform_filter1d(v / size, reach, mode="nearest"))
 
 
-def _errors(rng: np.random.Generator, v: Array, overlap: float) -> ComplexArray:
+def drawn_errors(rng: np.random.Generator, v: Array, overlap: float) -> ComplexArray:
     """Circular errors (DRAWS, nf) of variance v (nf,), neighbours correlated as `overlap` lines of one's worth."""
     taps = _taps(overlap)
     lines = v.size + taps.size - 1

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.algebra.propagation import pick
-from loopshape.estimate.smoothing import DRAWS, SEED, _errors, _smoother, pooled_variance
+from loopshape.estimate.smoothing import DRAWS, SEED, drawn_errors, pooled_variance, smoother_of
 from loopshape.frf import FRF
 from loopshape.units import Array, ComplexArray
 
@@ -45,7 +45,7 @@ def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> MatrixScatter | None:
     for k, one in enumerate(elements):
         j, i = divmod(k, ny)
         floor = np.maximum(variance[:, k], 1e-20 * np.abs(one.siso) ** 2 + 1e-300)
-        smoother = _smoother(one, one.siso, floor)
+        smoother = smoother_of(one, one.siso, floor)
         response[:, i, j] = np.asarray(smoother @ one.siso)
         reference[:, i, j] = np.asarray(smoother @ response[:, i, j])
         deviations[:, :, i, j] = np.asarray((smoother @ errors[:, :, k].T).T)
@@ -55,7 +55,7 @@ def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> MatrixScatter | None:
 def _drawn(frf: FRF, variance: Array, seed: int) -> ComplexArray:
     """Errors (draws, nf, ny nu) of vec(response), neighbours correlated as they overlap."""
     rng, ones = np.random.default_rng(seed), np.ones(frf.frequency_hz.size)
-    white = np.stack([_errors(rng, ones, frf.line_overlap) for _ in variance.T], axis=2)
+    white = np.stack([drawn_errors(rng, ones, frf.line_overlap) for _ in variance.T], axis=2)
     return np.asarray(np.einsum("fij,dfj->dfi", _root(frf.covariance, variance), white))
 
 

@@ -51,7 +51,7 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
         at = _chosen(e.p, size, level - FAR)
         yield on_lines(name, e.p, level[e.p.owner[at]] - size[at], at, -factor_of(e.L[at]))
         yield from _above(e, name, level, from_hz)
-    yield from _sure(e)
+    yield from _sure(e, tighten)
     if e.p.f_wide.size:
         yield _controller_bandwidth(e, tighten)
 
@@ -115,17 +115,17 @@ def _highest(f: Array, size: Array, from_hz: float) -> int:
     return start + int(np.argmax(size[start:]))
 
 
-def _sure(e: Evaluation) -> Iterator[Rows]:
+def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     """Rows that keep stability countable: -1 outside the 95 % circles of L, and |L| below 1 on lines beyond."""
-    p = e.p
+    p, level = e.p, -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), e.p.points)
     if p.reach.any():
         with np.errstate(divide="ignore"):
             size = e.ln_C[p.line] + e.ln_S + np.log(p.reach)
-        at = _chosen(p, size, np.full(p.points, -FAR))
-        yield on_lines(SURE, p, -size[at], at, -_S(e.L[at]))
+        at = _chosen(p, size, level - FAR)
+        yield on_lines(SURE, p, level[p.owner[at]] - size[at], at, -_S(e.L[at]))
     if p.f_beyond.size:
         size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
-        k = np.flatnonzero(size > max(-FAR, float(size.max()) - 1e-9))
+        k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
         column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
         at = p.f.size + p.f_above.size + k
         yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, 0.0 * minus)

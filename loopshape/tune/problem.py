@@ -46,6 +46,7 @@ class Problem:
     templates: tuple[BlockTemplate, ...]
     variables: tuple[Variable, ...]
     unit: Controller
+    precision: str
     names: tuple[str, ...]
     f: Array
     P: ComplexArray
@@ -147,7 +148,11 @@ class Problem:
 
     def controller(self, x: Array) -> Controller:
         """Controller at x."""
-        return replace(self.unit, blocks=self.blocks(x))
+        return replace(self.unit, blocks=self.blocks(x), precision=self.precision)
+
+    def asked(self, requirements: Requirements) -> Problem:
+        """The same plants and structure under other limits."""
+        return replace(self, requirements=requirements, f_wide=_wide(requirements, self.unit.rate_hz))
 
     def below(self, blocks: Sequence[Block]) -> ComplexArray:
         """L below the lowest lines, by the models of the plants, flat."""
@@ -183,14 +188,15 @@ NEAR = (
     "delay_margin_s",
     "disk_margin",
 )
-#: radius of 95 % of a circular error, in standard deviations of its real part
-REACH = 2.45
+#: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
+OUTSIDE = 0.05
 
 
-def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -> Problem:
+def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, precision: str = "double") -> Problem:
     """Problem from loops and requirements with a structure.
 
-    Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold.
+    Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold. Searches look at
+    coefficients in double precision; controllers are made in `precision`.
     """
     _refuse(loops, requirements)
     f = np.concatenate([loop.frequency_hz for loop in loops])
@@ -199,16 +205,16 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
     below_hz = np.concatenate([loop.below_hz for loop in loops])
     outside = unit.outside(below_hz) if unit.computation_delay_s or unit.added_hold else np.ones(below_hz.size)
     beyond = [_beyond(loop, rate_hz) for loop in loops]
-    variance = np.concatenate([loop.plant.variance[:, 0, 0] for loop in loops])
     return Problem(
         requirements=requirements,
         templates=requirements.structure,
         variables=_variables(requirements),
         unit=unit,
+        precision=precision,
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
         f=f,
         P=np.concatenate([loop.plant.siso for loop in loops]),
-        reach=REACH * np.sqrt(0.5 * variance),
+        reach=np.concatenate([_reach(loop) for loop in loops]),
         first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
         unique_f=unique,
         unique_s=unit.s_at(unique),
@@ -225,6 +231,18 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float) -
         owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
         f_wide=_wide(requirements, rate_hz),
     )
+
+
+def _reach(loop: Loop) -> Array:
+    """Radius (nf,) of the 95 % circle of P; wider where its variance was itself estimated with few degrees of freedom.
+
+    |d|² over an estimated variance follows an F distribution with 2 and that many degrees.
+    """
+    freedom = loop.plant.variance_freedom
+    square = -np.log(OUTSIDE)
+    if np.isfinite(freedom):
+        square = 0.5 * freedom * np.expm1(2.0 * square / freedom)
+    return np.sqrt(square * loop.plant.variance[:, 0, 0])
 
 
 def _refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
@@ -284,3 +302,13 @@ def _wide(requirements: Requirements, rate_hz: float) -> Array:
         return np.zeros(0)
     grid = controller_grid_hz(rate_hz)
     return np.unique(np.append(grid, min(limit, float(grid[-1]))))
+
+
+def bounds_reached(p: Problem, x: Array) -> tuple[str, ...]:
+    """Parameters that stand at a bound, in words."""
+    names = []
+    for k, v in enumerate(p.variables):
+        for limit, word in ((p.low[k], "min"), (p.high[k], "max")):
+            if abs(x[k] - limit) < 1e-6:
+                names.append(f"{p.templates[v.block].kind} {v.name} at its {word} {np.exp(limit):g}")
+    return tuple(names)

@@ -167,21 +167,3 @@ def may_bind(m: Measures, low: Array, high: Array) -> tuple[np.ndarray, float]:
     """Rows whose room may fall below zero for some dx between `low` and `high`, to first order, and the least room."""
     lowest = m.room + np.minimum(m.room_slopes * low, m.room_slopes * high).sum(axis=1)
     return np.flatnonzero(lowest < 0.0), float(lowest.min(initial=0.0))
-
-
-def scaled_start(p: Problem, x: Array, halvings: int = 6) -> Found:
-    """A start from x, its first free gain (where there is one) about as large as all requirements allow, by halving."""
-    best = begin(p, x)
-    k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
-    if k is None:
-        return best
-    low, high = float(p.low[k]), float(p.high[k])
-    for _ in range(halvings):
-        trial = x.copy()
-        trial[k] = 0.5 * (low + high)
-        found = begin(p, trial)
-        holds = found.measures.worst >= 0.0 and found.measures.stable
-        low, high = (trial[k], high) if holds else (low, trial[k])
-        if LARGEST.bare_merit(found.measures) < best.merit and found.measures.stable:
-            best = found
-    return best

@@ -1,9 +1,9 @@
-"""FRFs + Requirements -> Controller: the largest lowest bandwidth over all operating points."""
+"""FRFs + Requirements -> Controller: the largest objective over all operating points, within all requirements."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,15 +13,18 @@ from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
 from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
-from loopshape.tune.measures import measure
-from loopshape.tune.problem import Problem, problem
-from loopshape.tune.search import LARGEST, Found, Goal, scaled_start, search
-from loopshape.units import Array
+from loopshape.tune.problem import Problem, bounds_reached, problem
+from loopshape.tune.relax import Shortfall, shortfall
+from loopshape.tune.search import Found, begin
+from loopshape.tune.settle import Judge, Settled, settle
+from loopshape.tune.starts import race, random_starts
+from loopshape.tune.warm import warm_start
+from loopshape.units import Array, db
 
 
 @dataclass(frozen=True)
 class Binding:
-    """What holds the tuning back: a requirement (or the bandwidth itself) at an operating point and frequency."""
+    """What holds the tuning back: a requirement (or the objective itself) at an operating point and frequency."""
 
     quantity: str
     recording: str
@@ -32,8 +35,12 @@ class Binding:
 class Tuning:
     """A tuned controller with its verdict, what binds, and how the search went.
 
-    `feasible` is False where no start came to meet every requirement; the controller is then the one that
-    misses least, and `binding` names what it misses. `converged` is False where the search ran out of steps.
+    `outcome` is the verdict's: "passed", "undecided" where the requirements hold by the estimates but not by their
+    95 % intervals, "failed". Where no start came to meet every requirement `feasible` is False, the controller is the
+    one that misses least, and `shortfall` says what keeps it so and what to relax. `converged` is False where the
+    search ran out of steps. `objective` is what was made large; `rejection_db` the mean of 1/|S| in dB on the
+    objective's low lines at the worst operating point, None where it was not asked. `moved` says what a warm start
+    had to leave.
     """
 
     controller: Controller
@@ -45,6 +52,15 @@ class Tuning:
     steps: int
     converged: bool
     bounds_reached: tuple[str, ...]
+    objective: float = float("nan")
+    rejection_db: float | None = None
+    shortfall: Shortfall | None = None
+    moved: tuple[str, ...] = ()
+
+    @property
+    def outcome(self) -> str:
+        """ "passed", "undecided" or "failed", as `check` judges the controller."""
+        return self.verdict.outcome
 
 
 def tune(
@@ -52,88 +68,108 @@ def tune(
     requirements: Requirements,
     fits: Sequence[Fit] = (),
     *,
+    start: Controller | None = None,
     seed: int = 0,
     starts: int = 16,
     draws: int = 60,
+    explain: bool = True,
 ) -> Tuning:
     """Tune a structure to several measured plants at once; same input and seed, same controller.
 
-    Maximises the lowest bandwidth (first 0 dB crossing of L) over all FRFs subject to every requirement at
-    every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts` are
-    followed a few steps, the best third of them further, and the best three to their end. What comes out is
-    checked by `check` itself; where interpolation between lines differs, limits are tightened by the
-    difference and the search goes on.
+    Maximises the requirements' objective (the lowest bandwidth, unless they say otherwise) over all FRFs subject to
+    every requirement at every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts`
+    are followed a few steps, the best third of them further, and the best leaps from there. What comes out is checked
+    by `check` itself; limits are tightened by what its finer reading and its 95 % intervals ask for, and the search
+    goes on. The requirements are then met as far as these data are sure.
 
-    Local searches: a better optimum elsewhere is possible. Noise on the FRFs is taken at face value.
+    With `start` the search begins at that controller, run as it runs (prewarping, delay, hold, precision), and besides
+    at starts - 1 others: `starts=1` is a local improvement alone. A `start` that meets the requirements is never made
+    worse. Where the requirements cannot be met `explain` finds out what to relax, which takes longer than the tuning.
+
+    Local searches: a better optimum elsewhere is possible.
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to tune for", "", "measure or import one")
-    dummy = Controller(requirements.loop, (Block("gain", {"gain": 1.0}),), _rate(frfs))
-    loops, _ = loops_of(frfs, dummy, requirements, fits)
-    p = problem(loops, requirements, dummy.rate_hz)
-    candidates = _starts(p, np.random.default_rng(seed), draws, starts)
-    best, steps = _race(p, candidates)
-    best, verdict, more = _polish(p, best, lambda c: check(frfs, c, requirements, fits))
-    return Tuning(
-        controller=p.controller(best.x),
-        verdict=verdict,
-        bandwidth_hz=float(min(m.bandwidth_hz for m in verdict.margins.values())),
-        binding=_binding(p, best),
-        feasible=verdict.passed,
-        starts=len(candidates),
-        steps=steps + more,
-        converged=best.converged,
-        bounds_reached=_bounds_reached(p, best.x),
-    )
+    unit = _unit(frfs, requirements, start)
+    loops, _ = loops_of(frfs, unit, requirements, fits)
+    p = problem(loops, requirements, unit.rate_hz, "double" if start is None else start.precision)
+
+    def judge_of(asked: Requirements) -> Judge:
+        return lambda controller: check(frfs, controller, asked, fits)
+
+    judge = judge_of(requirements)
+    candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
+    ends, steps = race(p, candidates, np.random.default_rng([seed, 1]))
+    settled = settle(p, ends[0], judge)
+    steps += settled.found.steps - ends[0].steps
+    why = None
+    if not settled.verdict.passed and explain:
+        settled, why = shortfall(p, settled, ends, judge_of)
+    if start is not None:
+        settled = _no_worse(p, settled, candidates[0].x, judge)
+    return _tuning(p, settled, why, len(candidates), steps, moved)
 
 
-def _race(p: Problem, candidates: list[Found]) -> tuple[Found, int]:
-    """The best of several searches, dropping those that lag; with the steps taken in all."""
-    dropped = 0
-    for keep, most in ((len(candidates), 15), (max(3, len(candidates) // 3), 40), (3, 300)):
-        dropped += sum(found.steps for found in candidates[keep:])
-        candidates = sorted(
-            (search(p, found, LARGEST, most) for found in candidates[:keep]), key=lambda found: found.merit
-        )
-    return candidates[0], dropped + sum(found.steps for found in candidates)
-
-
-def _polish(p: Problem, best: Found, judge: Callable[[Controller], Verdict]) -> tuple[Found, Verdict, int]:
-    """Tighten the limits that `judge` finds missed by its finer reading, and search on; with the steps taken."""
-    tighten: dict[str, float] = {}
-    before = best.steps
-    for _ in range(6):
-        verdict = judge(p.controller(best.x))
-        misses = {line.quantity: -line.spare for line in verdict.lines if not line.passed}
-        if not misses or best.measures.worst < -1e-3:
-            break
-        for name, miss in misses.items():
-            tighten[name] = tighten.get(name, 0.0) + 1.05 * miss + 1e-6
-        anew = Found(best.x, measure(p, best.x, tighten), 1e-3, best.steps, False)
-        best = search(p, anew, Goal(tighten), 60)
-    return best, judge(p.controller(best.x)), best.steps - before
-
-
-def _rate(frfs: Sequence[FRF]) -> float:
+def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:
+    """A gain of one that runs as the controller to come."""
     rates = {frf.rate_hz for frf in frfs}
     if len(rates) != 1 or 0.0 in rates:
         raise WrongUseError("the FRFs of one loop must come from one rate", f"{sorted(rates)} Hz")
-    return rates.pop()
+    one = (Block("gain", {"gain": 1.0}),)
+    if start is None:
+        return Controller(requirements.loop, one, rates.pop())
+    return replace(start, loop=requirements.loop, blocks=one, precision="double")
 
 
-def _starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[Found]:
-    """The best of random starts and the user's own, each with its gain as large as allowed."""
-    middle = 0.5 * (p.low + p.high)
-    own = np.array([m if v.start is None else np.log(v.start) for v, m in zip(p.variables, middle, strict=True)])
-    trials = [own] + [p.low + rng.random(own.size) * (p.high - p.low) for _ in range(draws)]
-    return sorted((scaled_start(p, x) for x in trials), key=lambda found: found.merit)[:keep]
+def _candidates(
+    p: Problem, start: Controller | None, rng: np.random.Generator, draws: int, starts: int
+) -> tuple[list[Found], tuple[str, ...]]:
+    """Where searches begin, the warm start first, and what it had to leave."""
+    if start is None:
+        return random_starts(p, rng, draws, starts), ()
+    x, moved = warm_start(p, start)
+    others = random_starts(p, rng, draws, starts - 1) if starts > 1 else []
+    return [begin(p, x), *others], moved
+
+
+def _no_worse(p: Problem, settled: Settled, x: Array, judge: Judge) -> Settled:
+    """What was found, or the start where that passes and is better."""
+    began = begin(p, x, steps=settled.found.steps)
+    start = Settled(began, judge(p.controller(x)), {})
+    return start if start.verdict.passed and start.rank < settled.rank else settled
+
+
+def _tuning(
+    p: Problem, settled: Settled, why: Shortfall | None, starts: int, steps: int, moved: tuple[str, ...]
+) -> Tuning:
+    m, wish = settled.found.measures, p.requirements.objective
+    return Tuning(
+        controller=p.controller(settled.found.x),
+        verdict=settled.verdict,
+        bandwidth_hz=float(min(m.bandwidth_hz for m in settled.verdict.margins.values())),
+        binding=_binding(p, settled.found),
+        feasible=settled.verdict.passed,
+        starts=starts,
+        steps=steps,
+        converged=settled.found.converged,
+        bounds_reached=bounds_reached(p, settled.found.x),
+        objective=m.objective(),
+        rejection_db=float(db(np.exp(m.rejection.min()))) if wish.disturbance else None,
+        shortfall=why,
+        moved=moved,
+    )
 
 
 def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding, ...]:
-    """Requirements without room and operating points of lowest bandwidth, tightest first, one of a kind each."""
-    m = found.measures
-    lowest = np.flatnonzero(m.ln_bandwidth <= m.ln_bandwidth.min() + tolerance)
-    out = [Binding("bandwidth_hz", p.names[i], float(np.exp(m.ln_bandwidth[i]))) for i in lowest]
+    """Operating points where the objective's terms are lowest and requirements without room, tightest first."""
+    m, wish = found.measures, p.requirements.objective
+    out = []
+    if wish.bandwidth:
+        lowest = np.flatnonzero(m.ln_bandwidth <= m.ln_bandwidth.min() + tolerance)
+        out += [Binding("bandwidth_hz", p.names[i], float(np.exp(m.ln_bandwidth[i]))) for i in lowest]
+    if wish.disturbance_below_hz is not None:
+        lowest = np.flatnonzero(m.rejection <= m.rejection.min() + tolerance)
+        out += [Binding("disturbance", p.names[i], wish.disturbance_below_hz) for i in lowest]
     seen = set()
     for k in np.argsort(m.room):
         if m.room[k] > tolerance:
@@ -143,12 +179,3 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
             seen.add((m.what[k], owner))
             out.append(Binding(m.what[k], owner, at_hz))
     return tuple(out)
-
-
-def _bounds_reached(p: Problem, x: Array) -> tuple[str, ...]:
-    names = []
-    for k, v in enumerate(p.variables):
-        for limit, word in ((p.low[k], "min"), (p.high[k], "max")):
-            if abs(x[k] - limit) < 1e-6:
-                names.append(f"{p.templates[v.block].kind} {v.name} at its {word} {np.exp(limit):g}")
-    return tuple(names)

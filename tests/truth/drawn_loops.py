@@ -41,9 +41,9 @@ PLANTS = {
 
 
 def with_mode(plant, f_hz, damping, peak):
-    """The plant and beside it a mode of its own whose peak is `peak` (negative: the other way)."""
-    mode = pair(f_hz, damping)
-    num = np.polyadd(np.polymul(plant.num, mode), 2.0 * damping * peak * plant.den)
+    """The plant and beside it a mode whose peak is the real number `peak`: a negative one reaches for -1."""
+    mode, slope = pair(f_hz, damping), np.array([2.0 * damping / (TWO_PI * f_hz), 0.0])
+    num = np.polyadd(np.polymul(plant.num, mode), peak * np.polymul(slope, plant.den))
     return TransferFunction(num, np.polymul(plant.den, mode))
 
 
@@ -71,8 +71,8 @@ def frf_of(f, P, std, rng=None):
     variance = np.broadcast_to(np.asarray(std, dtype=float) ** 2, f.shape)
     noisy = P if rng is None else P + np.sqrt(variance) * errors(rng, f.size)
     return FRF(
-        f, noisy[:, None, None], variance[:, None, None] + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "drawn",
-        rate_hz=RATE,
+        f, noisy[:, None, None], variance[:, None, None] + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",),
+        "drawn", rate_hz=RATE,
     )  # fmt: skip
 
 

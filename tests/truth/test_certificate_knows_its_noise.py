@@ -5,7 +5,9 @@ import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of
 
 from loopshape.check.doubt import chance_of_error, line_doubts, reach_of
+from loopshape.check.obstacles import WRONG
 from loopshape.check.stability import closed_loop_stability
+from loopshape.units import TWO_PI
 
 STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")
 
@@ -67,7 +69,7 @@ def test_the_band_to_measure_is_where_minus_one_is_covered():
     found = answer(plant, 0.1 * np.abs(plant.response(LINES)), 0.98 * limit_gain(plant), np.random.default_rng(9))
     assert found.outcome == "undecided"
     crossing = np.roots(np.polyadd(plant.den, limit_gain(plant) * plant.num))
-    at_hz = np.abs(crossing[np.argmin(np.abs(crossing.real / crossing.imag))].imag) / (2.0 * np.pi)
+    at_hz = np.abs(crossing[np.argmax(crossing.real)].imag) / TWO_PI
     assert found.band_hz[0] < at_hz < found.band_hz[1]
     assert found.band_hz[1] < 2.0 * at_hz
 
@@ -94,14 +96,21 @@ def test_the_chance_of_one_line_is_that_of_drawing_it_anew():
     assert wrong > 0.03
 
 
-def test_lines_that_each_may_be_right_are_wrong_together():
-    # a straight pass of -1 at 2.6 deviations: harmless once, not where noise redraws it fifty times
-    once = np.array([0.3 - 0.5j, 0.3 + 0.0j, 0.3 + 0.5j])
-    many = np.concatenate([once[:1], 0.3 + 0.2j * (-1.0) ** np.arange(50), once[2:]])
-    few, _ = chance_of_error(once, np.abs(once) / 0.1, 1.0 - 3.0j, 1.0 + 0.0j)
-    all_of_them, share = chance_of_error(many, np.abs(many) / 0.14, 1.0 - 3.0j, 1.0 + 0.0j)
-    assert few < 1e-3
-    assert all_of_them > 10.0 * share.max()
+@pytest.mark.parametrize(("std", "decided"), [(0.06, 1.0), (0.1, 0.85), (0.17, 0.0), (0.25, 0.0)])
+def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std, decided):
+    # sixty lines that pass zero at 0.3, each with its own error
+    rng, ends = np.random.default_rng(13), (0.3 - 3.0j, 0.3 + 3.0j)
+    path, chances, wrong = 0.3 + 1j * np.linspace(-1.5, 1.5, 60), [], []
+    for _ in range(1000):
+        g = path + std * errors(rng, 60)
+        whole = np.concatenate([ends[:1], g, ends[1:]])
+        wrong.append(abs(np.sum(np.angle(whole[1:] / whole[:-1])) - np.angle(ends[1] / ends[0])) > 1.0)
+        chances.append(chance_of_error(g, np.abs(g) / std, *ends)[0])
+    assert np.mean(chances) >= np.mean(wrong)
+    sure = np.array(chances) < WRONG
+    assert not np.any(np.array(wrong)[sure])
+    assert np.mean(sure) == pytest.approx(decided, abs=0.1)
+    assert (np.mean(wrong) > 0.02) == (std == 0.25)
 
 
 def test_the_chance_of_all_lines_together_is_the_normal_one():

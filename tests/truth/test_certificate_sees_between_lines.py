@@ -39,7 +39,7 @@ def test_place_and_width_of_a_hidden_pole_are_found(place, width, noise):
     widths = pole.half_width_hz[near]
     assert widths.min() < 1.02 * width * GAP
     assert widths.max() > 0.98 * width * GAP
-    assert widths.max() < (2.0 if noise == 0.02 else 1.1) * width * GAP + 0.1 * GAP
+    assert widths.max() < (2.0 if noise == 0.02 else 1.8) * width * GAP + 0.1 * GAP
 
 
 def test_a_pole_without_noise_is_told_with_its_residue():
@@ -64,8 +64,8 @@ def test_resonances_that_encircle_minus_one_are_counted_though_no_line_meets_the
                 assert found.outcome == "undecided" or found.unstable_poles == by_roots(plant)
                 right += found.outcome != "undecided"
                 stepped_over += count_unstable(plant.response(LINES), 1, 0, np.zeros(0)) != by_roots(plant)
-    assert right >= 16
-    assert stepped_over >= 4  # what the bare count of these lines makes of them
+    assert right == 18
+    assert stepped_over >= 6  # what the bare count of these lines makes of them
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.05])
@@ -87,15 +87,14 @@ def test_with_noise_they_are_counted_or_left_open_with_their_gap_to_measure(nois
 
 
 def test_a_resonance_whose_tails_drown_is_not_seen_and_the_answer_says_how_sharp_it_may_be():
-    f_hz, width = 14.25, 0.01
-    plant = mode_at(f_hz, width, -12.0)
+    f_hz, width = 14.25, 0.02
+    plant = mode_at(f_hz, width, -4.0)
     assert by_roots(plant) == 2
-    found = answer(plant, 0.1, np.random.default_rng(2))
+    found = answer(plant, 0.2, np.random.default_rng(2))
     assert found.outcome == "stable"
     assert found.unseen_damping > width * GAP / f_hz
-    fine = answer(PLANT, 1e-3, np.random.default_rng(2))
-    assert fine.outcome == "stable"
-    assert fine.unseen_damping < 0.2 * answer(PLANT, 0.1, np.random.default_rng(2)).unseen_damping
+    assert answer(plant, 0.001, np.random.default_rng(2)).outcome != "stable"
+    assert answer(PLANT, 1e-3, np.random.default_rng(2)).unseen_damping < 0.1 * found.unseen_damping
 
 
 def test_smooth_plants_have_no_hidden_poles():

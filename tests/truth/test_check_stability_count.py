@@ -217,13 +217,23 @@ def test_undecided_where_l_is_below_1_at_the_first_line():
     assert "measure there" in found.reason
 
 
-def test_undecided_where_lines_are_too_coarse_for_a_sharp_resonance():
+def test_a_sharp_resonance_is_counted_by_its_tails_and_undecided_where_too_few_lines_show_them():
     num, den = np.array([3.0]), product([1.0, 0.0], pair(11.0, 0.002))
     fine, coarse = (answer(num, den, np.geomspace(0.1, 300.0, n), 10.0) for n in (20000, 150))
-    assert fine.unstable_poles == by_roots(num, den, 10.0) == 2
-    assert coarse.outcome == "undecided"
-    assert "1 + L turns by" in coarse.reason
-    assert "measure finer" in coarse.reason
+    assert fine.unstable_poles == coarse.unstable_poles == by_roots(num, den, 10.0) == 2
+    few = answer(num, den, np.geomspace(0.1, 300.0, 9), 10.0)  # too few to look for tails
+    assert few.outcome == "undecided"
+    assert "measure finer" in few.reason
+    assert few.band_hz[0] < 11.0 < few.band_hz[1]
+
+
+def test_undecided_where_1_plus_l_turns_too_far_between_two_lines():
+    f = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    frf = frf_of(f, np.array([-4.0j, -1.1 - 0.6j, -1.15 + 0.3j, -0.3 + 0.0j, -0.1 + 0.0j]))
+    found = closed_loop_stability(Loop(frf, under_gain(1.0), 1))
+    assert found.outcome == "undecided"
+    assert "1 + L turns by 144 deg between 2 and 3 Hz" in found.reason
+    assert found.band_hz == (2.0, 3.0)
 
 
 def test_undecided_where_noise_covers_minus_one():
@@ -234,7 +244,7 @@ def test_undecided_where_noise_covers_minus_one():
     )
     assert sure.outcome == "stable"
     assert noisy.outcome == "undecided"
-    assert "-1 lies within the uncertainty of L at 6.2" in noisy.reason
+    assert "-1 lies within the uncertainty of L at 6.3" in noisy.reason
     assert "measure longer" in noisy.reason
 
 
