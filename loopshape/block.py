@@ -27,6 +27,9 @@ from loopshape.units import TWO_PI, ComplexArray
 Polynomial = tuple[float, float, float]  # coefficients of s^0, s^1, s^2
 Section = tuple[Polynomial, Polynomial]
 
+#: largest frequency and largest magnitude of any other parameter: their powers stay finite numbers
+_LARGEST_HZ, _LARGEST = 1e9, 1e100
+
 _ONE: Polynomial = (1.0, 0.0, 0.0)
 _ZERO: Polynomial = (0.0, 0.0, 0.0)
 
@@ -191,9 +194,20 @@ def series_response(blocks: Sequence[Block], s: ComplexArray) -> ComplexArray:
     return out
 
 
+def refuse_too_large(kind: str, name: str, value: float) -> None:
+    """Refuse a parameter beyond what can be computed with: 1e9 Hz for a frequency, 1e100 for any other."""
+    largest, unit = (_LARGEST_HZ, " Hz") if name.endswith("_hz") else (_LARGEST, "")
+    if abs(value) > largest:
+        received = repr(value) if isinstance(value, float) else "a longer whole number"
+        raise WrongUseError(
+            f"{name} of a {kind} block must not exceed {largest:g}{unit} in magnitude", received, "check its unit"
+        )
+
+
 def _finite(kind: str, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < np.inf:
         raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
+    refuse_too_large(kind, name, value)
     if name != "gain" and not (value > 0.0 or (name == "damping1" and value == 0.0)):
         raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give it above zero")
     return float(value)

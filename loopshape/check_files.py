@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from loopshape.baseline import Checked, Comparison
 from loopshape.check.baseline import bridge, checked, compare
 from loopshape.check.verdict import check
 from loopshape.controller import Controller
-from loopshape.errors import WrongUseError
+from loopshape.errors import LoopshapeError, WrongUseError
 from loopshape.frf import FRF
 from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
@@ -87,16 +87,26 @@ def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
     """Compare with a stored verdict.
 
     Where a loop's controller and data have both changed, the baseline's controller is checked on the present data too:
-    what the controller did and what the plant did are told apart.
+    what the controller did and what the plant did are told apart. Where that check cannot be made, as at another
+    rate, a note says so instead.
     """
     before, now = read_verdicts(baseline), [loop.checked for loop in loops]
-    across = set(bridge(before, now))
+    whole, old = compare(before, now), {c.verdict.loop: c.controller for c in before}
+    bridges, notes = [], []
+    for x in _of(loops, set(bridge(before, now))):
+        try:
+            bridges.append(_check(x.frfs, old[x.verdict.loop], x.requirements, x.fits).checked)
+        except LoopshapeError as error:
+            why = f"{error.what} ({error.received})" if error.received else error.what
+            notes.append(
+                f"loop {x.verdict.loop}: the baseline's controller cannot be checked on the present data, so what the"
+                f" controller did and what the plant did are not told apart: {why}"
+            )
+    whole, across = replace(whole, notes=(*whole.notes, *notes)), {c.verdict.loop for c in bridges}
     if not across:
-        return Baseline(compare(before, now))
-    old = {c.verdict.loop: c.controller for c in before}
-    bridges = [_check(x.frfs, old[x.controller.loop], x.requirements, x.fits).checked for x in _of(loops, across)]
+        return Baseline(whole)
     return Baseline(
-        compare(before, now),
+        whole,
         by_controller=compare(bridges, [x.checked for x in _of(loops, across)]),
         by_plant=compare([c for c in before if c.verdict.loop in across], bridges),
     )

@@ -87,10 +87,13 @@ class FRF:
         if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
             raise WrongUseError("a covariance is (lines, outputs inputs, outputs inputs)")
         self._check_numbers()
+        self._check_words()
         for name in (*_ARRAYS, "trusted"):
             value = getattr(self, name)
             if value is not None:
                 copy = np.array(value)
+                if name == "response" and not np.iscomplexobj(copy):
+                    copy = copy.astype(np.complex128)
                 copy.setflags(write=False)
                 object.__setattr__(self, name, copy)
 
@@ -101,8 +104,8 @@ class FRF:
             raise WrongUseError("the lines of a FRF are finite, above zero and rise", f"{nf} lines")
         if not (np.isfinite(self.response).all() and np.isfinite(self.covariance).all()):
             raise WrongUseError("the responses and covariances of a FRF are finite numbers")
-        if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0) or self.line_overlap < 1.0:
-            raise WrongUseError("the variances of a FRF are not negative, and its line overlap is 1 at least")
+        if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
+            raise WrongUseError("the variances of a FRF are not negative")
         if np.asarray(self.trusted).dtype != bool:
             raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
         ny, nu = len(self.outputs), len(self.inputs)
@@ -113,6 +116,18 @@ class FRF:
             value = getattr(self, name)
             if value is not None and np.shape(value) != shape:
                 raise WrongUseError(f"{name} of a FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
+
+    def _check_words(self) -> None:
+        if not 1.0 <= self.line_overlap < np.inf:
+            raise WrongUseError("the line overlap of a FRF is finite and 1 at least", f"{self.line_overlap!r}")
+        if not self.variance_freedom > 0.0:
+            raise WrongUseError("the variance freedom of a FRF is above zero", f"{self.variance_freedom!r}")
+        if not self.variance_pooled >= 1:
+            raise WrongUseError("a FRF's variance is pooled over 1 line at least", f"{self.variance_pooled!r}")
+        if not 0.0 <= self.rate_hz < np.inf:
+            raise WrongUseError("the rate of a FRF is finite and not negative", f"{self.rate_hz!r} Hz")
+        if wrong := [f"{k} = {v!r}" for k, v in self.operating_point.items() if not np.isfinite(v)]:
+            raise WrongUseError("the operating point of a FRF has finite values", ", ".join(wrong))
 
     @property
     def digest(self) -> str:

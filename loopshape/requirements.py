@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from loopshape.block import refuse_too_large
 from loopshape.controller import BLOCK_KINDS, Block, block_kind
 from loopshape.errors import WrongUseError
 
@@ -133,6 +134,7 @@ def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
     low, high, start = float(value["min"]), float(value["max"]), value.get("start")
     if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
         raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
+    refuse_too_large(kind, name, high)
     return Free(low, high, None if start is None else float(start))
 
 
@@ -247,6 +249,13 @@ class Requirements:
             value = getattr(self, name)
             if value is not None and value < 0.0:
                 raise WrongUseError(f"{name} of loop {self.loop!r} must not be negative", f"{value!r}")
+        for name, most in (("phase_margin_deg", 180.0), ("modulus_margin", 1.0), ("disk_margin", 2.0)):
+            value = getattr(self, name)
+            if value is not None and value > most:
+                raise WrongUseError(
+                    f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
+                    f"{value!r}",
+                )
         for name in ("integrators", "unstable_poles"):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):

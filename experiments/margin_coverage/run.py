@@ -146,7 +146,7 @@ def as_hann(rng: np.random.Generator, lines: int) -> ComplexArray:
 ERRORS: dict[str, tuple[Callable[[np.random.Generator, int], ComplexArray], float, float]] = {
     "independent": (white, 1.0, np.inf),
     "Hann": (as_hann, 1.9444, np.inf),
-    "three periods": (white, 1.0, 2.0),
+    "three periods": (white, 1.0, 4.0),
 }
 
 
@@ -157,7 +157,7 @@ def measure(case: Case, noise: float, errors: str, rng: np.random.Generator) -> 
     variance = (noise * np.abs(P)) ** 2
     response = P + np.sqrt(variance) * draw(rng, P.size)
     if np.isfinite(freedom):
-        variance = variance * rng.chisquare(2.0 * freedom, P.size) / (2.0 * freedom)
+        variance = variance * rng.chisquare(freedom, P.size) / freedom
     return frf(case, response, variance, overlap, freedom)
 
 

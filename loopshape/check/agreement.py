@@ -39,6 +39,8 @@ POWER = 0.8
 KNOWN = 1e6
 #: p-values are truncated to this range before they are combined
 LEAST, MOST = 1e-300, 0.99
+#: a tolerance beyond this would let everything pass
+MOST_DB = 60.0
 _NOTHING = ("no line is trusted in both",)
 
 
@@ -116,8 +118,12 @@ def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0
     """S1 and S2 on the same lines with the variance of their difference; refuses lines that differ.
 
     With `tolerance_db` the prediction counts as unsure by so much of |S| at every line besides: deviations of that rms
-    size are then no contradiction.
+    size are then no contradiction. Refuses one that is not of 0 .. 60 dB.
     """
+    if not 0.0 <= tolerance_db <= MOST_DB:
+        raise WrongUseError(
+            f"a tolerance of |S| is of 0 .. {MOST_DB:g} dB", f"{tolerance_db:g} dB", "give how far off |S| may be"
+        )
     f, g = predicted.frequency_hz, measured.frequency_hz
     if f.size != g.size or np.any(np.abs(f - g) > 1e-9 * f):
         raise WrongUseError("sensitivities are compared on the same lines", f"{f.size} and {g.size} lines")

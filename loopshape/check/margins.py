@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.check.controller_bandwidth import controller_bandwidth_hz
 from loopshape.check.crossings import axis_crossings, unit_crossings
 from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import closed_loop_stability
@@ -36,6 +37,13 @@ _LOGARITHMS = {
     "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+}
+#: what these lie between, from 0
+_MOST = {
+    "gain_margin_db": np.inf,
+    "gain_reduction_margin_db": np.inf,
+    "phase_margin_deg": 180.0,
+    "disk_margin": 2.0,
 }
 
 
@@ -86,6 +94,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     intervals = {n: (min(a, b), max(a, b)) for n, a, b in _paired(*ends)} if j.deviations is not None else {}
     return Margins(
         **_fields(value),
+        controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
         at_hz=_places(at[0]),
@@ -122,14 +131,38 @@ def _with_intervals(loop: Loop, j: _Judged, found: Array, from_hz: float) -> tup
         return found, found, found
     drawn, _ = _read(loop, j, j.reference + j.deviations, from_hz)
     reference, _ = _read(loop, j, j.reference[None], from_hz)
+    if _drowned(j):
+        return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
+    ordered = np.sort(drawn, axis=0)
     usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
+    usual &= _of_one_piece(np.where(usual, ordered, 0.0))
     shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
     value = found - shift.mean(axis=0)
     reach = REACH * shift.std(axis=0)
-    ordered = np.sort(drawn, axis=0)  # where some draws never come to the crossing, their own order tells
-    k = round(0.025 * (len(drawn) - 1))
+    k = round(0.025 * (len(drawn) - 1))  # where draws jump, or never come to the crossing, their own order tells
     low = np.where(usual, value - reach, np.minimum(ordered[k], found))
     return value, low, np.where(usual, value + reach, np.maximum(ordered[-1 - k], found))
+
+
+def _of_one_piece(ordered: Array) -> np.ndarray:
+    """Whether ordered draws (n, columns) scatter as about one value, and do not jump from one crossing to another.
+
+    They do not where their deviation is twice what their middle two thirds tell, or all lie within two deviations.
+    """
+    last = len(ordered) - 1
+    spread = ordered.std(axis=0)
+    core = (ordered[round(0.84 * last)] - ordered[round(0.16 * last)]) / 1.989
+    tiny = 1e-12
+    return np.asarray((spread <= 2.0 * core + tiny) & (ordered[-1] - ordered[0] >= 4.0 * spread - tiny))
+
+
+def _drowned(j: _Judged) -> bool:
+    """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
+    if j.deviations is None:
+        return False
+    large = np.abs(j.L) > 0.1
+    relative = np.std(j.deviations[:, large], axis=0) / np.abs(j.L[large])
+    return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
 
 def _fields(columns: Array) -> dict[str, float]:
@@ -138,6 +171,9 @@ def _fields(columns: Array) -> dict[str, float]:
     out |= {name: float(np.exp(columns[k])) for name, k in _LOGARITHMS.items()}
     with np.errstate(over="ignore"):
         out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
+    for name, most in _MOST.items():  # a bias taken off may lead out of what can be
+        if np.isfinite(out[name]):
+            out[name] = min(max(out[name], 0.0), most)
     return out
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from loopshape.check.between import bulges, curved, turns_of_controller, turns_of_curves, turns_past
 from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.doubt import chance_of_error, reach_of
-from loopshape.check.sampling import SHARPEST, HiddenPole, hidden_poles, visible_residue
+from loopshape.check.holes import hole
+from loopshape.check.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, visible_residue
 from loopshape.estimate.smoothing import FREEDOM, pooled_variance
 from loopshape.frf import FRF
 from loopshape.loop import Loop
@@ -24,6 +25,8 @@ WRONG = 0.005
 REACH_95 = float(np.sqrt(-np.log(0.05)))
 #: a band to measure goes on beyond the lines in question by this factor
 ASIDE = 1.05
+#: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
+TAILS = 3.0
 #: nearer to -1 than this a chord says nothing
 ON_IT = 1e-3
 
@@ -72,7 +75,24 @@ def sampling(loop: Loop) -> Sampling:
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
             )
-    return Sampling(int(turns.sum()), followed, unclear)
+    return Sampling(int(turns.sum()), followed, unclear or _rough(loop))
+
+
+def _rough(loop: Loop) -> Obstacle | None:
+    """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1."""
+    f, lines = loop.frequency_hz, measured(loop)
+    rough = roughness(f, lines.siso, *_spread(lines), unstable=loop.unstable_poles > 1)
+    if not rough.any():
+        return None
+    g, C = np.abs(1.0 + loop.L), np.abs(loop.C)
+    gaps = np.flatnonzero(TAILS * np.maximum(C[1:], C[:-1]) * rough > np.minimum(g[1:], g[:-1]))
+    if not gaps.size:
+        return None
+    low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])
+    reason = (
+        f"neither noise nor one resonance explains the lines between {low:.4g} and {high:.4g} Hz: measure finer there"
+    )
+    return Obstacle(reason, (low, high))
 
 
 def measured(loop: Loop) -> FRF:
@@ -81,8 +101,8 @@ def measured(loop: Loop) -> FRF:
 
 
 def _spread(lines: FRF) -> tuple[Array, float]:
-    """Variance (nf,) of lines and its degrees of freedom, larger where `line_overlap` of them share their errors."""
-    return pooled_variance(lines) * lines.line_overlap, max(lines.variance_freedom, FREEDOM)
+    """Variance (nf,) of lines and its degrees of freedom, pooled where few are known."""
+    return pooled_variance(lines), max(lines.variance_freedom, FREEDOM)
 
 
 def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
@@ -115,6 +135,8 @@ def obstacle(loop: Loop, between: Sampling, before: complex) -> Obstacle | None:
 
 def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
     L, f = loop.L, loop.frequency_hz
+    missing = hole(loop)
+    yield None if missing is None else Obstacle(*missing)
     yield _too_short(loop, L, f)
     yield comes_up_again(loop)
     gaps = list(_gaps(f, L, between.followed))

@@ -45,6 +45,8 @@ def limit_of(quantity: str) -> Limit:
 def point_outcome(margins: Margins, quantity: str, wished: float) -> str:
     """What these data say of one requirement at one operating point: "passed", "failed" or "undecided"."""
     value = getattr(margins, quantity)
+    if value != value:
+        return "undecided"
     low, high = margins.intervals.get(quantity, (value, value))
     at_least = limit_of(quantity).sense == "at_least"
     surely, perhaps = (low >= wished, high >= wished) if at_least else (high <= wished, low <= wished)

@@ -54,7 +54,8 @@ def _fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
 
 def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int) -> Prediction:
     stability = closed_loop_stability(loop)
-    S = replace(feedback(loop.plant, loop.controller).S_o, held_by=loop.controller, loop=loop.plant.loop)
+    plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
+    S = replace(feedback(plant, loop.controller).S_o, held_by=loop.controller, loop=plant.loop)
     if stability.outcome != "stable":
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:

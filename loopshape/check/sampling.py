@@ -26,6 +26,8 @@ RESOLVED = 2.0
 REACH = 3.0
 #: a residue this many deviations (sqrt E|d|²) above the threshold is found in 99.9 % of cases
 SURE = 2.2
+#: what is left of lines counts where it is more than this share of |P|
+ROUGH = 0.02
 #: what a polynomial beside a pole rounds off of it, as a share of residue and half width
 UNEXACT = 0.01
 #: noise leaves over this much at most, in 99.9 % of windows; more is rounding off, and counts so many times
@@ -53,11 +55,12 @@ class HiddenPole:
 def hidden_poles(
     f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False
 ) -> tuple[HiddenPole, ...]:
-    """Poles between lines f (nf,) in Hz of a plant P (nf,) with independent errors of `variance` E|d|² (nf,).
+    """Poles between lines f (nf,) in Hz of a plant P (nf,) with errors of `variance` E|d|² (nf,).
 
-    `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. Lines
-    whose errors are smoothed together make poles of noise: give raw ones. A pole whose tails drown is not found
-    (`visible_residue`), nor are two within a few lines of each other; fewer than ten lines show none.
+    `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. Errors
+    that neighbouring lines share do no harm; lines that were smoothed on purpose have lost tails: give raw ones. A pole
+    whose tails drown is not found (`visible_residue`), nor are two within a few lines of each other (`roughness`), nor
+    any in the first and the last gap; fewer than ten lines show none.
     """
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[0]
 
@@ -72,6 +75,14 @@ def visible_residue(
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[1]
 
 
+def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
+    """What is left of the lines about each gap (nf - 1,), as |P|, where neither noise nor one pole explains it; else 0.
+
+    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]
+
+
 def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
     f, P, variance = arrays
     return f.tobytes(), np.asarray(P, dtype=complex).tobytes(), np.ascontiguousarray(variance).tobytes()
@@ -80,26 +91,30 @@ def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
 @lru_cache(maxsize=256)
 def _remembered(
     f: bytes, P: bytes, variance: bytes, freedom: float, unstable: bool
-) -> tuple[tuple[HiddenPole, ...], Array]:
-    """Both answers for a plant, which is asked about under many controllers."""
+) -> tuple[tuple[HiddenPole, ...], Array, Array]:
+    """All answers for a plant, which is asked about under many controllers."""
     lines = np.frombuffer(f)
     if lines.size < 2 * HALF:
-        return (), np.full(max(lines.size - 1, 0), np.inf)
+        return (), np.full(max(lines.size - 1, 0), np.inf), np.zeros(max(lines.size - 1, 0))
     windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
     share = FALSE_ALARM / (_TESTS * windows.gap.size)
-    threshold = float(f_distribution.isf(share, 2, freedom)) if np.isfinite(freedom) else float(-np.log(share))
-    significance, visible = _screen(windows)
+    freedom = min(freedom, 1e9)
+    threshold = float(f_distribution.isf(share, 2, freedom))
+    significance, visible, misfit = _screen(windows)
     found = [_pole(windows[int(k)], threshold, unstable) for k in np.flatnonzero(significance > threshold)]
+    poles = _apart([pole for pole in found if pole is not None])
+    rough = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
     visible = (np.sqrt(threshold) + SURE) * visible
     visible[[0, -1]] = np.inf
-    visible.setflags(write=False)
-    return _apart([pole for pole in found if pole is not None]), visible
+    for made in (visible, rough):
+        made.setflags(write=False)
+    return poles, visible, rough
 
 
-def _screen(windows: Windows) -> tuple[Array, Array]:
+def _screen(windows: Windows) -> tuple[Array, Array, Array]:
     """Drop of the squared misfit by the best pole in each gap (n,), in units of the noise and of what is left.
 
-    And the standard deviation of a sharp pole's residue amid the gap (n,).
+    And the standard deviation of a sharp pole's residue amid the gap (n,), and the squared misfit left (n,).
     """
     left = windows.rest(windows.data[:, :, None])
     drop, deviation = np.zeros(windows.gap.size), np.zeros(windows.gap.size)
@@ -108,10 +123,29 @@ def _screen(windows: Windows) -> tuple[Array, Array]:
         drops, _, variance = _explained(windows, left, z)
         drop = np.maximum(drop, drops.max(axis=1))
         deviation = np.sqrt(variance[:, len(_PLACES) // 2]) if width == _WIDTHS[0] else deviation
-    noise = np.maximum(((np.abs(left[:, :, 0]) ** 2).sum(1) - drop) / LEFT, 1.0)
+    misfit = (np.abs(left[:, :, 0]) ** 2).sum(1) - drop
+    noise = np.maximum(misfit / LEFT, 1.0)
     drop[[0, -1]] = 0.0  # beyond one line alone, which an error of its own explains as well
     scale = np.abs(windows.reference(windows.low + 0.5 * windows.gap))
-    return drop / noise, deviation * scale * np.sqrt(noise)
+    return drop / noise, deviation * scale * np.sqrt(noise), misfit
+
+
+def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array, limit: float) -> Array:
+    """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
+    rough = np.zeros(misfit.size)
+    known = np.array([x.centre_hz[0] + 1j * x.half_width_hz[0] for x in poles])
+    for k in np.flatnonzero((misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
+        window = windows[int(k)]
+        left = window.rest(window.data[:, :, None])
+        before = float((np.abs(left) ** 2).sum())
+        enough = max(limit, LEFT * float((ROUGH * window.size[0] / window.std[0]) ** 2))
+        tried = known[(known.real > window.around[0, 0]) & (known.real < window.around[0, -1])]
+        if tried.size and before - _explained(window, left, tried[None, :])[0].max() < enough:
+            continue
+        z = _improved(window, left, _start(window, left, reach=HALF - 0.5))
+        rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
+        rough[k] = np.sqrt(rest / LEFT) * window.std[0] if rest > enough else 0.0
+    return rough
 
 
 def _noise(misfit: Array) -> Array:
@@ -166,10 +200,11 @@ def _possible(z: complex, unstable: bool) -> complex:
     return complex(z.real, -size if unstable and z.imag < 0.0 else size)
 
 
-def _start(window: Windows, left: ComplexArray) -> complex:
-    """The best of a grid of poles about the gap."""
+def _start(window: Windows, left: ComplexArray, reach: float = 0.45) -> complex:
+    """The best of a grid of poles in the gap and as many gaps beside it."""
     gap = float(window.gap[0])
-    places, widths = np.meshgrid(np.linspace(-0.45, 1.45, 39), [0.003, 0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0])
+    count = 2 * round(20.0 * (0.5 + reach)) + 1
+    places, widths = np.meshgrid(np.linspace(-reach, 1.0 + reach, count), [0.003, 0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0])
     z = window.low[0] + gap * (places + 1j * widths).ravel()
     return complex(z[np.argmax(_explained(window, left, z[None, :])[0])])
 

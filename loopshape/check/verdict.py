@@ -37,8 +37,9 @@ def loops_of(
     stood, else from the fit. What had to be assumed is noted.
     """
     found, notes = [], []
-    for frf in frfs:
+    for measured in frfs:
         band = requirements.band_hz
+        frf, left_out = _without_zeros(measured, band)
         lines = frf.between(*band) if band else frf.trusted_lines()
         if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
             raise WrongUseError(
@@ -49,13 +50,32 @@ def loops_of(
             raise WrongUseError(
                 f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
             )
-        fit = next((x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, frf)), None)
+        fit = next(
+            (x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, measured)), None
+        )
         beyond, model = _beyond(frf, lines), None if fit is None else fit.model
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
-        notes += [note] if note else []
+        notes += [text for text in (left_out, note) if text]
     return found, tuple(dict.fromkeys(notes))
+
+
+def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
+    """The lines that are not exactly zero, and a note of those left out; refuses a FRF that has no other."""
+    lines = frf.between(*band) if band else frf.trusted_lines()
+    if not lines.siso.any():
+        raise WrongUseError(
+            f"the FRF of loop {frf.loop}, recording {frf.recording}, is zero: a dead sensor?",
+            f"{lines.siso.size} lines of 0",
+            "look at its signals, then measure again",
+        )
+    zero = frf.siso == 0.0
+    if not zero.any():
+        return frf, ""
+    first_hz = frf.frequency_hz[zero][0]
+    note = f"lines of {frf.recording} that are exactly zero were left out: {zero.sum()}, the first at {first_hz:.4g} Hz"
+    return frf.select(~zero), note
 
 
 def _beyond(frf: FRF, lines: FRF) -> FRF | None:
@@ -209,5 +229,7 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
 def _longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:
     """Factor on the measuring time after which the interval, shrunk as 1/sqrt(time), would leave out the limit."""
     room = sign * (value - wished)
+    if not np.isfinite(value):
+        return float("inf")
     reach = abs(value - (bad if room >= 0.0 else good))
     return float((reach / abs(room)) ** 2) if room else float("inf")

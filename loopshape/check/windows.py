@@ -24,7 +24,8 @@ _FLOOR = 1e-7
 class Windows:
     """Windows of w lines about n gaps: `around` (n, w) in Hz, `data` (n, w) and `weight` (n, w), `basis` (n, w, m).
 
-    `power` (n,) and `middle` (n,) in Hz are those of the reference (f/f_m)^c, `gap` (n,) the width in Hz of the gap.
+    `power` (n,) and `middle` (n,) in Hz are those of the reference (f/f_m)^c, `gap` (n,) the width in Hz of the gap,
+    `std` (n,) the larger deviation of its lines and `size` (n,) the smaller |P|.
     """
 
     around: Array
@@ -35,6 +36,8 @@ class Windows:
     middle: Array
     low: Array
     gap: Array
+    std: Array
+    size: Array
 
     def __getitem__(self, k: int | np.ndarray) -> Windows:
         rows = np.atleast_1d(k)
@@ -68,7 +71,8 @@ def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
     x = np.log(around / around[:, :1])
     x = 2.0 * x / x[:, -1:] - 1.0
     basis = np.linalg.qr(np.stack([x**s for s in range(ORDER + 1)], axis=-1) * weight[:, :, None])[0]
-    return Windows(around, weight, P[rows] / reference * weight, basis, power, middle, f[:-1], np.diff(f))
+    ends = np.maximum(std[1:], std[:-1]), np.minimum(np.abs(P[1:]), np.abs(P[:-1]))
+    return Windows(around, weight, P[rows] / reference * weight, basis, power, middle, f[:-1], np.diff(f), *ends)
 
 
 def _slopes(ln_f: Array, P: ComplexArray, std: Array, rows: np.ndarray) -> ComplexArray:

@@ -53,7 +53,9 @@ class Output:
             print(line)
 
     def warn(self, lines: Iterable[str]) -> None:
-        """Warnings, each once, to standard error; they are printed whatever the mode."""
+        """Warnings, each once, to standard error, beside JSON too; quiet prints nothing but errors."""
+        if self.quiet:
+            return
         for line in dict.fromkeys(lines):
             print(f"warning: {line}", file=sys.stderr)
 

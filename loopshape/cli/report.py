@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: pictures that a report carries, together
 FIGURES_MB = 4.0
+#: no page is to carry more
+MOST_MB = 1e6
 
 
 def report(
@@ -38,7 +40,7 @@ def report(
 ) -> None:
     """Write a run's report as one HTML file that opens offline; exit code 0 whatever the verdict (check judges)."""
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made = gather(run, controller, require, date or _now(), int(1e6 * figures_mb))
+    made = gather(run, controller, require, date or _now(), _bytes(figures_mb))
     size = write_report(path, made)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
@@ -65,6 +67,18 @@ def write_report(path: Path, made: RunReport) -> int:
     data = page(made).encode("utf-8")
     write_bytes_whole(path, data)
     return len(data)
+
+
+def _bytes(megabytes: float) -> int:
+    if not 0.0 <= megabytes <= MOST_MB:
+        from loopshape.errors import WrongUseError
+
+        raise WrongUseError(
+            f"the size of the embedded pictures is a number of 0 .. {MOST_MB:g} MB",
+            f"{megabytes:g} MB",
+            "give --figures-mb such a number",
+        )
+    return int(1e6 * megabytes)
 
 
 def _now() -> str:

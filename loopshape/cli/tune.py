@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
+
+if TYPE_CHECKING:
+    from loopshape.controller import Controller
+    from loopshape.tune.relax import Relaxation, Shortfall
+    from loopshape.tune.tune import Tuning
 
 RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
 
@@ -17,17 +23,34 @@ def tune(
     run: RunFolder,
     require: RequireFile,
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
+    start: Annotated[Path | None, typer.Option(help="Controllers (TOML) to start from.")] = None,
+    matrix: Annotated[
+        bool, typer.Option("--matrix", help="Loop by loop with the others closed, on the run's matrices.")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
-    starts: Annotated[int, typer.Option(min=1, help="How many of the random starts are followed.")] = 16,
+    starts: Annotated[int, typer.Option(min=1, help="Starts that are followed; 1 with --start: that one alone.")] = 16,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tune the structures of a requirements file against all FRFs of a run at once."""
-    if not tune_run(run, require, out, Output(as_json, quiet), seed=seed, starts=starts):
+    """Tune the structures of a requirements file against all FRFs of a run at once.
+
+    Where requirements cannot be met it says what holds them apart, and what to relax by how much. Exit code 1 then,
+    and nothing is written.
+    """
+    output = Output(as_json, quiet)
+    if matrix:
+        from loopshape.cli.tune_several import tune_several_run
+
+        feasible = tune_several_run(run, require, out, output, start=start, seed=seed, starts=starts)
+    else:
+        feasible = tune_run(run, require, out, output, start=start, seed=seed, starts=starts)
+    if not feasible:
         raise typer.Exit(1)
 
 
-def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int = 0, starts: int = 16) -> bool:
+def tune_run(
+    run: Path, require: Path, out: Path, output: Output, *, start: Path | None = None, seed: int = 0, starts: int = 16
+) -> bool:
     """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
     from loopshape.store.controllers import write_controllers
     from loopshape.store.frfs import read_frfs
@@ -35,49 +58,113 @@ def tune_run(run: Path, require: Path, out: Path, output: Output, *, seed: int =
     from loopshape.tune.tune import tune as tune_loop
 
     requirements, frfs, fits = read_requirements(require), read_frfs(run), fits_of(run)
+    began = controllers_to_start(start, [wished.loop for wished in requirements])
     found = []
     for wished in requirements:
         mine = [one for one in frfs if one.loop == wished.loop]
-        found.append(tune_loop(mine, wished, fits, seed=seed, starts=starts))
-        _report(found[-1], output, len(mine))
+        found.append(tune_loop(mine, wished, fits, start=began.get(wished.loop), seed=seed, starts=starts))
+        report_tuning(found[-1], output, len(mine))
     feasible = all(t.feasible for t in found)
     if feasible:
         write_controllers(out, [t.controller for t in found], None)
         output.say(f"controller written to {out}")
     else:
-        unstable = [t.controller.loop for t in found if t.verdict.unstable]
-        reason = (
-            f"no start was found stable in loop {', '.join(unstable)}" if unstable else "the nearest is shown above"
-        )
-        output.warn([f"no controller was found that meets all requirements: {reason}; nothing was written"])
-    output.json({"controller": str(out) if feasible else None, "loops": [_json(t) for t in found]})
+        output.warn([f"no controller was found that meets all requirements: {_reason(found)}; nothing was written"])
+    output.json({"controller": str(out) if feasible else None, "loops": [tuning_json(t) for t in found]})
     return feasible
 
 
-def _report(tuning: Any, output: Output, points: int) -> None:
+def controllers_to_start(file: Path | None, loops: list[str]) -> dict[str, Controller]:
+    """Controllers of a file by loop; refuses a file that has none of the loops to be tuned."""
+    if file is None:
+        return {}
+    from loopshape.errors import WrongUseError
+    from loopshape.store.controllers import read_controllers
+
+    found = {one.loop: one for one in read_controllers(file)}
+    if not set(found) & set(loops):
+        raise WrongUseError(
+            f"{file.name} has no controller to start from",
+            f"loops {', '.join(found)}",
+            f"give one of {', '.join(loops)}",
+        )
+    return found
+
+
+def _reason(found: list[Tuning]) -> str:
+    unstable = [t.controller.loop for t in found if "unstable" in {m.stable for m in t.verdict.margins.values()}]
+    if unstable:
+        return f"no start was found stable in loop {', '.join(unstable)}"
+    if all(t.outcome != "failed" for t in found):
+        return "the nearest, shown above, holds by the estimates and not by their 95 % intervals"
+    return "the nearest is shown above"
+
+
+def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
+    """Blocks, what binds, what keeps requirements apart, and the verdict."""
     rows = [
         [block.kind, ", ".join(f"{name} {value:.4g}" for name, value in block.parameters.items())]
         for block in tuning.controller.blocks
     ]
-    title = f"Loop {tuning.controller.loop}: lowest bandwidth {tuning.bandwidth_hz:.3g} Hz over {points} FRFs"
+    rejection = (
+        "" if tuning.rejection_db is None else f", low-frequency disturbances down by {tuning.rejection_db:.3g} dB"
+    )
+    title = (
+        f"Loop {tuning.controller.loop}: lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection} over {points} FRFs"
+    )
     output.table(title, ["block", "parameters"], rows)
     binding = [[b.quantity, b.recording, b.at_hz] for b in tuning.binding]
     output.table("What binds", ["requirement", "recording", "at [Hz]"], binding)
+    for line in tuning.moved:
+        output.say(f"start: {line}")
     if not tuning.converged:
         output.warn([f"the search of loop {tuning.controller.loop} ran out of steps: a little more may be had"])
     for line in tuning.bounds_reached:
         output.say(f"at a bound: {line}")
+    if tuning.shortfall is not None and tuning.shortfall.stable:
+        _report_shortfall(tuning.shortfall, output)
     report_verdicts([tuning.verdict], output, margins=False)
 
 
-def _json(tuning: Any) -> dict[str, Any]:
+def _report_shortfall(found: Shortfall, output: Output) -> None:
+    """What the least miss is held by, how sure that is, and what to relax."""
+    rows = [[p.quantity, p.recording, p.at_hz, p.spare, p.unit, p.share] for p in found.pulls]
+    columns = ["requirement", "recording", "at [Hz]", "spare at best", "unit", "share"]
+    output.table("The requirements were not met together; the least worst miss is held by", columns, rows)
+    output.say(
+        f"changing free parameters by up to 1 % takes at most {found.helps:.2g} off a worst miss of {found.miss:.2g}"
+        f" (ln or rad){': no small change helps' if found.certified else ''}"
+    )
+    for line in found.bounds:
+        output.say(f"at a bound there: {line}")
+    rows = [[r.quantity, r.wished, *_reach_cells(r), r.unit, r.bandwidth_hz, r.verified] for r in found.relaxations]
+    columns = ["requirement", "wished", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
+    output.table("One requirement relaxed, all others held", columns, rows)
+    least = found.least
+    if least is not None:
+        output.say(f"relax {least.quantity} to {least.reachable:.4g} {least.unit}: the least of these")
+    else:
+        output.say("none was found to do by itself; what is found below can be had together")
+
+
+def _reach_cells(r: Relaxation) -> list[Any]:
+    return ["not alone", "-"] if r.reachable != r.reachable else [r.reachable, r.by]
+
+
+def tuning_json(tuning: Tuning) -> dict[str, Any]:
+    """A tuning as JSON."""
+    why = tuning.shortfall
     return {
         "loop": tuning.controller.loop,
         "feasible": tuning.feasible,
+        "outcome": tuning.outcome,
         "converged": tuning.converged,
         "bandwidth_hz": tuning.bandwidth_hz,
+        "rejection_db": tuning.rejection_db,
         "blocks": [block.to_table() for block in tuning.controller.blocks],
         "binding": [{"quantity": b.quantity, "recording": b.recording, "at_hz": b.at_hz} for b in tuning.binding],
         "bounds_reached": list(tuning.bounds_reached),
+        "moved": list(tuning.moved),
+        "shortfall": None if why is None else asdict(why) | {"certified": why.certified},
         "verdict": verdict_json(tuning.verdict),
     }

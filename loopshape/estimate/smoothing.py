@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.sparse import csr_array
+from scipy.special import digamma
 
 from loopshape.frf import FRF
 from loopshape.kernels.smoothing import accepted_halves, smoothing_weights, within_span
@@ -83,16 +84,24 @@ def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
 
 
 def pooled_variance(frf: FRF) -> Array:
-    """Variance E|d|² (nf,) of the lines, relative variances pooled until they have 60 degrees of freedom.
+    """Variance E|d|² (nf,) of the lines, pooled over neighbours (41 at most) until it has 60 degrees of freedom.
 
-    Few periods know each line's variance badly; weights made of it would prefer the lines that look calm by luck.
+    Few periods know each line's variance badly; weights made of it would prefer the lines that look calm by luck. What
+    is pooled are logarithms, freed of their bias (E ln of a chi-square over its freedom n is digamma(n/2) - ln(n/2)),
+    of the variance or of its share of |P|², whichever is the flatter about a line.
     """
-    v = frf.variance[:, 0, 0]
-    if not np.isfinite(frf.variance_freedom) or frf.variance_freedom * frf.variance_pooled >= FREEDOM:
-        return np.array(v)
-    reach = min(int(np.ceil(FREEDOM / max(frf.variance_freedom, 1.0))), 41, v.size)
-    size = np.abs(frf.siso) ** 2 + 1e-300
-    return np.asarray(size * uniform_filter1d(v / size, reach, mode="nearest"))
+    v, freedom = np.array(frf.variance[:, 0, 0]), frf.variance_freedom
+    if freedom >= FREEDOM or not v.any():
+        return v
+    reach = min(int(np.ceil(FREEDOM / freedom)) * frf.variance_pooled, 41, v.size)
+    ln_v = np.log(np.maximum(v, 1e-12 * np.median(v) + 1e-300))
+    means, misses = [], []
+    for base in (np.zeros(v.size), np.log(np.abs(frf.siso) ** 2 + 1e-300)):
+        mean = uniform_filter1d(ln_v - base, reach, mode="nearest")
+        means.append(mean + base)
+        misses.append(uniform_filter1d((ln_v - base - mean) ** 2, reach, mode="nearest"))
+    half = 0.5 * freedom
+    return np.asarray(np.exp(np.where(misses[0] <= misses[1], *means) - digamma(half) + np.log(half)))
 
 
 def drawn_errors(rng: np.random.Generator, v: Array, overlap: float) -> ComplexArray:

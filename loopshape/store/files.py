@@ -63,8 +63,11 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Let `write` fill a temporary file beside `path`, then put it in place in one step.
 
     `path` holds the old content or the new one, never half of it. A folder or disk that cannot be written
-    is refused with `UnreadableInputError`; whatever `write` raises leaves no temporary file behind.
+    is refused with `UnreadableInputError`, a path without a name with `WrongUseError`; whatever `write` raises
+    leaves no temporary file behind.
     """
+    if not path.name:
+        raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
     part = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}{PART}")
     try:
         write(part)
@@ -143,8 +146,8 @@ def inside(folder: Path, name: object, what: str) -> Path:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; refuses one that is missing, damaged, or not TOML."""
-    with reading(path, "TOML"), path.open("rb") as file:
-        return tomllib.load(file)
+    with reading(path, "TOML"):
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))  # some editors put a byte order mark in front
 
 
 def write_toml(path: Path, data: Mapping[str, Any]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
 from loopshape.controller import Controller
+from loopshape.errors import UnreadableInputError
 from loopshape.frf import FRF
-from loopshape.store.files import json_ready
+from loopshape.store.files import json_ready, short
 from loopshape.store.run_tables import controller_table, read_controller
 from loopshape.store.words import Words
 
@@ -60,8 +62,20 @@ def _held_by(header: Mapping[str, Any], where: str) -> Controller | None:
     return read_controller(Words(table, where), float(held["rate_hz"]))
 
 
+def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
+    """JSON can spell half of a surrogate pair, which no file and no screen takes."""
+    try:
+        json.dumps(dict(header), ensure_ascii=False).encode("utf-8")
+    except UnicodeEncodeError as error:
+        near = error.object[max(error.start - 20, 0) : error.end + 20]
+        raise UnreadableInputError(
+            f"{where}: a word of the FRF holds half a character", short(ascii(near)), "write its names as UTF-8"
+        ) from None
+
+
 def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Keywords of `FRF` from its header; words that are missing or of a wrong kind raise what Python raises."""
+    _refuse_half_characters(header, where)
     return {
         "held_by": _held_by(header, where),
         "inputs": tuple(map(str, header["inputs"])),

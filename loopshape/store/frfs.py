@@ -71,8 +71,8 @@ def _write(path: Path, frf: FRF, source: str) -> None:
 def read_frfs(run_folder: Path) -> tuple[FRF, ...]:
     """All FRFs of a run, in the order of their files' names.
 
-    Refuses a run that has none, damaged files, a FRF whose recording has changed or gone since it was
-    estimated, and a run with an estimation recording that has no FRF yet.
+    Refuses a folder that does not exist, a run that has none, damaged files, a FRF whose recording has changed or gone
+    since it was estimated, and a run with an estimation recording that has no FRF yet.
     """
     return _read_all(run_folder, FOLDER, "a run has no FRF yet", "estimate them first: loopshape frf RUN")
 
@@ -85,6 +85,8 @@ def read_matrices(run_folder: Path) -> tuple[FRF, ...]:
 
 
 def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FRF, ...]:
+    if not run_folder.exists():
+        raise UnreadableInputError("a run's folder does not exist", str(run_folder), "check its name")
     folder = run_folder / place
     paths = sorted(path for path in folder.glob("*.npz") if not path.name.startswith("."))
     if not paths:

@@ -17,6 +17,8 @@ from loopshape.store.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, f
 
 FORMAT = "loopshape-predictions/1"
 _STEP = ("time_s", "response", "low", "high")
+#: |S| and its standard deviation beyond these are no closed loop's: their squares leave the numbers
+_LEAST, _MOST = 1e-20, 1e20
 
 
 def write_predictions(path: Path, predictions: Sequence[Prediction]) -> None:
@@ -53,7 +55,7 @@ def _words(one: Prediction) -> dict[str, Any]:
 
 
 def read_predictions(path: Path) -> tuple[Prediction, ...]:
-    """The predictions of a file, in order; refuses another format and damaged files."""
+    """The predictions of a file, in order; refuses another format, damaged files and values that no loop has."""
     with reading(path, "predictions"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
         found = header["format"]
@@ -67,6 +69,7 @@ def read_predictions(path: Path) -> tuple[Prediction, ...]:
 def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: str) -> Prediction:
     own = {name: arrays[f"{k}.{name}"] for name in (*ARRAYS, *PERHAPS) if f"{k}.{name}" in arrays}
     sensitivity = FRF(**own, **frf_words(words["sensitivity"], where))
+    _refuse_sizes(sensitivity)
     step = None
     if words["step"] is not None:
         given = words["step"]
@@ -77,9 +80,21 @@ def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: st
             unsettled=float(given["unsettled"]),
             notes=tuple(map(str, given["notes"])),
         )
+        if not all(np.isfinite(getattr(step, name)).all() for name in _STEP):
+            raise WrongUseError("a predicted step is of finite numbers", "NaN or infinity", "predict again")
     made = Prediction(sensitivity, str(words["stability"]), step, tuple(map(str, words["notes"])))
     made.controller  # noqa: B018  refuses a prediction without one
     return made
+
+
+def _refuse_sizes(sensitivity: FRF) -> None:
+    size, std = np.abs(sensitivity.response), np.sqrt(np.abs(sensitivity.covariance))
+    if size.min() < _LEAST or size.max() > _MOST or std.max() > _MOST:
+        raise WrongUseError(
+            f"a predicted |S| lies in {_LEAST:g} .. {_MOST:g}",
+            f"{size.min():g} .. {size.max():g}, standard deviation to {std.max():g}",
+            "predict again",
+        )
 
 
 def _indicators(table: Mapping[str, Any]) -> Indicators:

@@ -21,7 +21,7 @@ from loopshape.loop import Loop
 from loopshape.model import Fit
 from loopshape.requirements import Requirements
 from loopshape.tune.bound_certificate import CLEAR, Certificate, Poles, certificate
-from loopshape.tune.bound_nodes import WITHIN, Nodes, counted, nodes, weights
+from loopshape.tune.bound_nodes import WITHIN, Nodes, counted, impossible, nodes, weights
 from loopshape.tune.bound_reach import Reached, reach
 from loopshape.tune.bound_regions import Regions, regions
 
@@ -55,7 +55,8 @@ class Bound:
     given controller's lowest bandwidth and `found` that at each recording. `counted` limits are kept by the bound,
     `left_out` ones are not convex and would only lower it. `reached` is how far a controller of many parameters gets
     on the plant whose bound alone is least: the best possible there lies between. `outcome` is that of the
-    controller's own check: "passed", "failed" or "undecided".
+    controller's own check: "passed", "failed" or "undecided"; `answer` is what was found of the limits. `impossible`
+    limits are met by no controller with a bandwidth: every bound then stands at the first line.
     """
 
     loop: str
@@ -68,6 +69,14 @@ class Bound:
     left_out: tuple[str, ...]
     outcome: str
     notes: tuple[str, ...] = ()
+    impossible: tuple[str, ...] = ()
+
+    @property
+    def answer(self) -> str:
+        """One of "bounded", "these limits exclude no bandwidth" and "no controller meets these limits"."""
+        if self.impossible:
+            return "no controller meets these limits"
+        return "bounded" if self.bound_hz < INF else "these limits exclude no bandwidth"
 
     @property
     def bound_hz(self) -> float:
@@ -107,7 +116,10 @@ def bound(
     verdict = check(frfs, controller, requirements, fits)
     loops, notes = loops_of(frfs, controller, requirements, fits)
     _refuse_unknown(loops)
-    asked, left_out = counted(requirements)
+    (asked, left_out), never = counted(requirements), impossible(requirements)
+    if never:
+        words = " and ".join(f"{name} = {getattr(requirements, name):g}" for name in never)
+        notes = (*notes, f"no controller with a bandwidth meets {words}, on any plant")
     alone = []
     for loop in loops:
         alone.append(excluded(loop, [loop], requirements))
@@ -126,6 +138,7 @@ def bound(
         left_out=left_out,
         outcome=verdict.outcome,
         notes=notes,
+        impossible=never,
     )
 
 
@@ -134,9 +147,9 @@ def _together(
 ) -> Excluded:
     """The least bound over the choice of the plant whose Q is looked at, chosen by a coarse search."""
     best = min(alone, key=lambda one: one.bound_hz)
-    coarse = {}
+    coarse, sought = {}, len(loops) > 1 and not impossible(limits)
     for loop in loops:
-        coarse[loop.plant.recording] = _Search(loop, loops, limits, COARSE).least() if len(loops) > 1 else INF
+        coarse[loop.plant.recording] = _Search(loop, loops, limits, COARSE).least() if sought else INF
         step(loop.plant.recording)
     promising = min(loops, key=lambda loop: coarse[loop.plant.recording])
     if coarse[promising.plant.recording] < best.bound_hz:
@@ -158,10 +171,13 @@ def excluded(loop: Loop, together: Sequence[Loop], limits: Requirements) -> Excl
     """The least bandwidth excluded for controllers that suit all loops of `together`, by the Q of `loop`.
 
     A certificate counts once it holds against the regions themselves on nodes twice as dense as those it was
-    sought on.
+    sought on. Limits that no controller meets exclude all from the first line on.
     """
+    first = float(loop.frequency_hz[0])
+    if impossible(limits):
+        return Excluded(loop.plant.recording, first, first)
     found = _Search(loop, together, limits, WITHIN)
-    return Excluded(loop.plant.recording, found.confirmed(found.least()), float(loop.frequency_hz[0]))
+    return Excluded(loop.plant.recording, found.confirmed(found.least()), first)
 
 
 class _Search:

@@ -174,6 +174,17 @@ def counted(limits: Requirements) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(n for n in COUNTED if n in asked), tuple(n for n in LEFT_OUT if n in asked)
 
 
+def impossible(limits: Requirements) -> tuple[str, ...]:
+    """Names of the limits that no loop with a bandwidth keeps, whatever its plant.
+
+    A sampled loop answers late, so S is 1 at z = inf, and by the maximum modulus principle |S| <= 1, or
+    |S - 1/2| <= 1/2, at all frequencies leaves S = 1 alone: a controller that does nothing.
+    """
+    given = {name: getattr(limits, name) for name in ("sensitivity_peak_db", "modulus_margin", "disk_margin")}
+    ends = {"sensitivity_peak_db": (-1.0, 0.0), "modulus_margin": (1.0, 1.0), "disk_margin": (1.0, 2.0)}
+    return tuple(name for name, value in given.items() if value is not None and ends[name][0] * value >= ends[name][1])
+
+
 def spans(loops: Sequence[Loop], f: Array) -> tuple[ComplexArray, np.ndarray]:
     """P of several loops at frequencies f (loops, nf), and where each has lines (loops, nf)."""
     band = np.array([(f >= one.frequency_hz[0]) & (f <= one.frequency_hz[-1]) for one in loops])

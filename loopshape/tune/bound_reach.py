@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from loopshape.loop import Loop
 from loopshape.requirements import Requirements
-from loopshape.tune.bound_nodes import Ceilings, Nodes, nodes
+from loopshape.tune.bound_nodes import Ceilings, Nodes, impossible, nodes
 from loopshape.tune.bound_regions import own_ceilings
 from loopshape.units import Array, ComplexArray
 
@@ -29,7 +29,7 @@ WIDE, NEAR = (0.4, 0.12), (0.2, 0.1, 0.05)
 class Reached:
     """A bandwidth that a controller of many parameters reaches on one plant, with its L and C (n,) at nodes f (n,).
 
-    0 where none was found. Only the counted limits are kept.
+    0 where none was found, or where no limit says what to keep to. Only the counted limits are kept.
     """
 
     recording: str
@@ -46,6 +46,8 @@ def reach(loop: Loop, limits: Requirements, bound_hz: float, density: int = 8, s
     most = own_ceilings(at, limits)
     best, x = Reached(loop.plant.recording, 0.0, 0, at.f, np.zeros(0, complex), np.zeros(0, complex)), None
     low, high = float(loop.frequency_hz[0]), min(bound_hz, float(loop.frequency_hz[-1]))
+    if impossible(limits) or not any(np.isfinite(ceiling).any() for ceiling in (most.S, most.CS, most.disk)):
+        return best
     for _ in range(steps):
         tried = float(np.sqrt(low * high))
         Q = _feasible(at, most, tried, density)

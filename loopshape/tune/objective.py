@@ -18,7 +18,7 @@ def rejection(e: Evaluation) -> Array:
     """Mean ln 1/|S| of each operating point (points,), zero where the objective asks for no disturbance's."""
     if e.p.requirements.objective.disturbance_below_hz is None:
         return np.zeros(e.p.points)
-    return np.bincount(e.p.owner, weights=-e.ln_S * low_weights(e.p), minlength=e.p.points)
+    return np.asarray(np.bincount(e.p.owner, weights=-e.ln_S * low_weights(e.p), minlength=e.p.points), dtype=float)
 
 
 def rejection_slopes(e: Evaluation) -> Array:

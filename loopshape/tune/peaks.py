@@ -14,6 +14,9 @@ from loopshape.units import Array, ComplexArray
 
 #: local peaks this far below their limit (in ln) are left out, save the highest of each operating point
 FAR = 0.7
+#: of lines this near to their limit (in ln) every fourth counts too: along a plateau the peak goes where a step tilts it
+PLATEAU, EVERY = 0.1, 4
+_OF_C = "controller_bandwidth_hz"
 
 
 def _S(L: ComplexArray) -> ComplexArray:
@@ -68,15 +71,16 @@ def _from_hz(p: Problem, name: str) -> float:
 
 
 def _chosen(p: Problem, size: Array, above: Array) -> np.ndarray:
-    """Flat lines that are local maxima above a level, or their neighbours, and the largest of each point."""
-    k = np.flatnonzero(size > (above[0] if np.ptp(above) == 0.0 else above[p.owner]))
+    """Flat lines that are local maxima above a level or their neighbours, the largest of each point, and plateaus."""
+    level = above[0] if np.ptp(above) == 0.0 else above[p.owner]
+    k = np.flatnonzero(size > level)
     here, end = size[k], p.f.size - 1
     rises = (here >= size[np.maximum(k - 1, 0)]) | (k == p.first[p.owner[k]])
     falls = (here >= size[np.minimum(k + 1, end)]) | (k == p.first[p.owner[k] + 1] - 1)
     peaks = k[rises & falls]
     before, after = peaks[peaks > p.first[p.owner[peaks]]] - 1, peaks[peaks < p.first[p.owner[peaks] + 1] - 1] + 1
-    largest = p.largest(size)
-    chosen = np.unique(np.concatenate([peaks, before, after, largest]))
+    plateau = k[(here > (level if np.ndim(level) == 0 else level[k]) + FAR - PLATEAU) & (k % EVERY == 0)]
+    chosen = np.unique(np.concatenate([peaks, before, after, p.largest(size), plateau]))
     return chosen[np.isfinite(size[chosen])]
 
 
@@ -105,8 +109,8 @@ def _control_above(e: Evaluation, name: str, left: Array, slope: Array, from_hz:
     near = np.flatnonzero(over > over.max() - 0.05)
     point = np.concatenate([seen, np.full(near.size, worst)])
     k = np.concatenate([np.array([highest[f] for f in low[seen].tolist()], dtype=int), near])
-    a = np.full(k.size, -1.0 + 0.0j)
-    column, room, b = p.above.start + k, left[point] - size[k], -slope[point] + 0.0j
+    a, b = np.full(k.size, -1.0 + 0.0j), np.asarray(-slope[point], dtype=complex)
+    column, room = p.above.start + k, left[point] - size[k]
     return Rows(name, room, p.f.size + k, point, column, a, p.line[e.last[point]], b)
 
 
@@ -128,13 +132,13 @@ def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
         k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
         column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
         at = p.f.size + p.f_above.size + k
-        yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, 0.0 * minus)
+        yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
-    """Rows of |C| at and above its bandwidth's limit, 3 dB below the largest |C| under it."""
+    """Rows of |C| at and above its bandwidth's limit, 3 dB and what is tightened (ln) below the largest under it."""
     p, size = e.p, e.ln_C[e.p.wide]
-    limit = float(wished(p, "controller_bandwidth_hz", tighten).min())
+    limit, lower = float(wished(p, _OF_C, {})[0]), float(np.max(tighten.get(_OF_C, 0.0)))
     split = int(np.searchsorted(p.f_wide, limit * (1.0 - 1e-12)))
     top, rest = int(np.argmax(size[: split + 1])), size[split:]
     peak = np.ones(rest.size, dtype=bool)
@@ -143,9 +147,6 @@ def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
     peak[0] = True
     k = split + np.flatnonzero(peak)
     one, start = np.full(k.size, 1.0 + 0.0j), p.wide.start
-    at = p.f.size + p.f_above.size + p.f_beyond.size + k
-    every = np.full(k.size, -1)
-    top_columns = np.full(k.size, start + top)
-    return Rows(
-        "controller_bandwidth_hz", size[top] + HALF_POWER - size[k], at, every, top_columns, one, start + k, -one
-    )
+    at, every = p.f.size + p.f_above.size + p.f_beyond.size + k, np.full(k.size, -1)
+    room = size[top] + HALF_POWER - lower - size[k]
+    return Rows(_OF_C, room, at, every, np.full(k.size, start + top), one, start + k, -one)

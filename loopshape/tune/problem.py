@@ -14,21 +14,10 @@ import numpy as np
 
 from loopshape.check.controller_bandwidth import controller_grid_hz
 from loopshape.controller import Block, Controller, series_response
-from loopshape.errors import WrongUseError
 from loopshape.loop import Loop, above_hz
-from loopshape.requirements import BlockTemplate, Free, Requirements
+from loopshape.requirements import BlockTemplate, Requirements
+from loopshape.tune.structure import Variable, refuse, variables_of
 from loopshape.units import Array, ComplexArray
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One free parameter: which block, which name, and its bounds."""
-
-    block: int
-    name: str
-    low: float
-    high: float
-    start: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,15 +168,6 @@ class Problem:
         return rows
 
 
-#: a problem needs one of these: without them a loop comes as near to -1 as it likes
-NEAR = (
-    "sensitivity_peak_db",
-    "modulus_margin",
-    "phase_margin_deg",
-    "gain_margin_db",
-    "delay_margin_s",
-    "disk_margin",
-)
 #: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
 OUTSIDE = 0.05
 
@@ -198,7 +178,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold. Searches look at
     coefficients in double precision; controllers are made in `precision`.
     """
-    _refuse(loops, requirements)
+    refuse(loops, requirements)
     f = np.concatenate([loop.frequency_hz for loop in loops])
     unique, line = np.unique(f, return_inverse=True)
     unit = replace(loops[0].controller, loop=requirements.loop, blocks=(Block("gain", {"gain": 1.0}),), rate_hz=rate_hz)
@@ -208,7 +188,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     return Problem(
         requirements=requirements,
         templates=requirements.structure,
-        variables=_variables(requirements),
+        variables=variables_of(requirements),
         unit=unit,
         precision=precision,
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
@@ -243,48 +223,6 @@ def _reach(loop: Loop) -> Array:
     if np.isfinite(freedom):
         square = 0.5 * freedom * np.expm1(2.0 * square / freedom)
     return np.sqrt(square * loop.plant.variance[:, 0, 0])
-
-
-def _refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
-    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, integrators unknown."""
-    if not requirements.structure:
-        raise WrongUseError(
-            f"the requirements of loop {requirements.loop!r} name no structure to tune",
-            "",
-            "add structure = [ { kind = ..., ... } ] with min and max for what may move",
-        )
-    if all(getattr(requirements, name) is None for name in NEAR):
-        raise WrongUseError(
-            f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",
-            "no limit on a margin or on |S|",
-            f"give one of {', '.join(NEAR)}",
-        )
-    if not _variables(requirements):
-        raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
-    unknown = [loop.plant.recording for loop in loops if loop.integrators is None]
-    if unknown:
-        raise WrongUseError(
-            f"the number of integrators of the plant in loop {requirements.loop!r} is not known",
-            f"lowest lines that fit no whole number at {', '.join(unknown)}",
-            "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
-        )
-    below = requirements.objective.disturbance_below_hz
-    blind = [loop.plant.recording for loop in loops if below is not None and loop.frequency_hz[0] > below]
-    if blind:
-        raise WrongUseError(
-            f"the objective of loop {requirements.loop!r} asks for lines below {below:g} Hz",
-            f"none that is judged at {', '.join(blind)}",
-            "measure lower, or raise disturbance_below_hz",
-        )
-
-
-def _variables(requirements: Requirements) -> tuple[Variable, ...]:
-    return tuple(
-        Variable(k, name, value.low, value.high, value.start)
-        for k, template in enumerate(requirements.structure)
-        for name, value in template.parameters.items()
-        if isinstance(value, Free)
-    )
 
 
 def _beyond(loop: Loop, rate_hz: float) -> tuple[Array, ComplexArray]:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
+from loopshape.check.controller_bandwidth import controller_bandwidth_hz
 from loopshape.requirements import Requirements
 from loopshape.tune.measures import Measures
 from loopshape.tune.problem import Problem, bounds_reached
-from loopshape.tune.rows import LIMIT_OF, SURE, Tighten, spare_of, wished
-from loopshape.tune.search import LARGEST, Found, Goal, begin, search
+from loopshape.tune.rows import LIMIT_OF, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.tune.search import Found, Goal, begin, search
 from loopshape.tune.settle import Judge, Settled, least_rooms, settle
 from loopshape.units import Array
 
@@ -85,6 +87,12 @@ class Shortfall:
     relaxations: tuple[Relaxation, ...]
 
     @property
+    def least(self) -> Relaxation | None:
+        """The least relaxation that was verified, by dB, degrees and ratios as rows count them."""
+        verified = [one for one in self.relaxations if one.verified]
+        return min(verified, key=lambda one: float(in_rows(one.quantity, one.wished, one.by)), default=None)
+
+    @property
     def certified(self) -> bool:
         """Whether no small change of the parameters makes the worst miss noticeably smaller."""
         return self.stable and self.helps < 0.01 * self.miss
@@ -93,7 +101,10 @@ class Shortfall:
 def shortfall(
     p: Problem, settled: Settled, ends: Sequence[Found], judge_of: Callable[[Requirements], Judge]
 ) -> tuple[Settled, Shortfall | None]:
-    """The controller that misses least, and why the requirements were not met; None where they can be after all."""
+    """The controller that misses least, and why the requirements were not met.
+
+    None where they can be met after all, and where it is stability alone that these data do not decide.
+    """
     least = _least_miss(p, [settled.found, *ends[:ENDS]], Goal(settled.tighten, objective=False, soft=None))
     if least is None:
         return settled, Shortfall(False, float("nan"), float("nan"), (), (), ())
@@ -102,6 +113,8 @@ def shortfall(
         again = settle(p, search(p, replace(least, radius=0.1), goal, 100), judge_of(p.requirements), settled.tighten)
         if again.verdict.passed:
             return again, None
+        if not any(line.spare < 0.0 for line in again.verdict.lines):  # stability alone is not decided
+            return min([settled, again], key=lambda one: one.rank), None
     judged = Settled(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
     asked = dict.fromkeys(pull.quantity for pull in pulls if pull.quantity != SURE)
@@ -171,22 +184,27 @@ def _relaxation(
             asked = now + (by if limit.sense == "at_most" else -by)
             if asked <= 0.0 < now:
                 break
-            tried = _tuned(p, replace(p.requirements, **{name: asked}), least, tighten, judge_of)
+            tried = _tuned(p, _with(p.requirements, name, asked), least, tighten, judge_of)
             reachable, verified = asked, tried.verdict.passed
             bandwidth_hz = min(m.bandwidth_hz for m in tried.verdict.margins.values())
-            if verified:
+            spare = min((line.spare for line in tried.verdict.lines if line.quantity == name), default=0.0)
+            if verified:  # what that controller leaves of this one need not be given away
+                by = max(by - spare * (1.0 - 1e-9), 0.0)
+                reachable = now + (by if limit.sense == "at_most" else -by)
                 break
-            lacking = max((-line.spare for line in tried.verdict.lines if line.quantity == name), default=0.0)
-            by = max(1.05 * by, by + 1.1 * lacking)
+            by = max(1.05 * by, by - 1.1 * min(spare, 0.0))
     return Relaxation(name, limit.unit, now, reachable, verified, float(bandwidth_hz))
+
+
+def _with(requirements: Requirements, name: str, limit: float) -> Requirements:
+    change: dict[str, Any] = {name: limit}
+    return replace(requirements, **change)
 
 
 def _needed(p: Problem, name: str, least: Found, tighten: Tighten) -> float:
     """What is missed of a quantity, in its unit, and a little more."""
     now = float(getattr(p.requirements, name))
     if name == "controller_bandwidth_hz":
-        from loopshape.check.controller_bandwidth import controller_bandwidth_hz
-
         return max(controller_bandwidth_hz(p.controller(least.x)) - now, 0.0) + 1e-3 * now
     room = least_rooms(p, least.measures)[name]
     missed = -float(np.min(spare_of(name, wished(p, name, tighten), room)))

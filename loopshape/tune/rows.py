@@ -11,7 +11,8 @@ from loopshape.requirements import LIMITS, Limit
 from loopshape.tune.problem import Problem
 from loopshape.units import Array, ComplexArray, db, deg, from_db, rad
 
-#: how far limits are moved inward, in their own unit: one number, or one for each operating point
+#: how far limits are moved inward, in their own unit ("stability" and the bandwidth of C: in ln of a magnitude): one
+#: number, or one for each operating point
 Tighten = Mapping[str, float | Array]
 LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
 #: quantity of the rows that keep the count of encirclements sure: -1 outside the 95 % circles, |L| < 1 beyond
@@ -39,7 +40,8 @@ class Rows:
 def on_lines(what: str, p: Problem, value: Array, at: np.ndarray, factor: ComplexArray | Array) -> Rows:
     """Rows whose slopes are Re(factor d ln C/d x) on flat lines."""
     columns = p.line[at]
-    return Rows(what, value, at, p.owner[at], columns, factor + 0.0j, columns, np.zeros(at.size, dtype=complex))
+    a = np.asarray(factor, dtype=complex)
+    return Rows(what, value, at, p.owner[at], columns, a, columns, np.zeros(at.size, dtype=complex))
 
 
 def between_lines(
@@ -47,7 +49,8 @@ def between_lines(
 ) -> Rows:
     """Rows whose slopes are Re(factor d ln C/d x) at a share of the way from flat lines to the next ones."""
     i, j = p.line[at], p.line[np.minimum(at + 1, p.f.size - 1)]
-    return Rows(what, value, at, p.owner[at], i, (1.0 - share) * factor + 0.0j, j, share * factor + 0.0j)
+    whole = np.asarray(factor, dtype=complex)
+    return Rows(what, value, at, p.owner[at], i, (1.0 - share) * whole, j, share * whole)
 
 
 def wished(p: Problem, name: str, tighten: Tighten) -> Array:
@@ -73,3 +76,9 @@ def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
         return np.asarray(np.sign(room) * db(np.exp(np.abs(room))))
     sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
     return np.asarray(sign * np.asarray(limit) * np.expm1(sign * np.asarray(room)))
+
+
+def in_rows(name: str, limit: float | Array, spare: float | Array) -> Array:
+    """A spare as rows count it, to first order."""
+    unit = LIMIT_OF[name].unit
+    return np.asarray(scaled(name, np.asarray(spare)) if unit in ("dB", "deg") else np.asarray(spare) / limit)

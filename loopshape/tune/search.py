@@ -146,12 +146,11 @@ def linear(m: Measures, goal: Goal, low: Array, high: Array) -> tuple[Array, Arr
     """
     n, terms, (rows, deepest) = low.size, goal.terms(m), may_bind(m, low, high)
     size = n + len(terms) + 2
-    A, b = np.zeros((sum(value.size for _, value, _ in terms) + rows.size, size)), []
+    A = np.zeros((sum(value.size for _, value, _ in terms) + rows.size, size))
     ends, first = [(0.0, 1.0 - deepest)] * 2, 0
     for k, (_, value, slopes) in enumerate(terms):
         mine = A[first : first + value.size]
         mine[:, :n], mine[:, n + k] = -slopes, 1.0
-        b.append(value)
         reach = float(np.abs(slopes).sum(axis=1).max() * max(-low.min(), high.max())) + 1.0
         ends.insert(k, (float(value.min()) - reach, float(value.max()) + reach))
         first += value.size
@@ -159,7 +158,7 @@ def linear(m: Measures, goal: Goal, low: Array, high: Array) -> tuple[Array, Arr
     A[np.arange(first, len(A)), np.where(goal.softs(m)[rows], size - 2, size - 1)] = -1.0
     cost = np.concatenate([np.zeros(n), [-weight for weight, _, _ in terms], [1.0, PENALTY]])
     limits = np.array(ends).T
-    b = np.concatenate([*b, m.room[rows]])
+    b = np.concatenate([*(value for _, value, _ in terms), m.room[rows]])
     return cost, A, b, np.concatenate([low, limits[0]]), np.concatenate([high, limits[1]])
 
 

@@ -11,7 +11,7 @@ from loopshape.controller import Controller
 from loopshape.requirements import Verdict
 from loopshape.tune.measures import Measures, measure
 from loopshape.tune.problem import Problem
-from loopshape.tune.rows import LIMIT_OF, SURE, Tighten, scaled, spare_of, wished
+from loopshape.tune.rows import LIMIT_OF, SURE, Tighten, in_rows, spare_of, wished
 from loopshape.tune.search import Found, Goal, begin, search
 from loopshape.units import Array
 
@@ -23,6 +23,8 @@ ROUNDS, FIRM = 8, 3
 WASTE = 0.003
 #: where stability is not decided, L is kept farther from -1 by this much (ln) a round
 SURER = 0.15
+#: first of a rank where no line is missed, and stability is not decided
+UNSURE = (1, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ class Settled:
 
 def miss(verdict: Verdict) -> float:
     """Worst miss of a verdict's lines, as rows count it."""
-    misses = [abs(_in_rows(line.quantity, line.wished, line.spare)) for line in verdict.lines if line.spare < 0.0]
+    misses = [abs(float(in_rows(line.quantity, line.wished, line.spare))) for line in verdict.lines if line.spare < 0.0]
     return max(misses, default=0.0)
 
 
@@ -60,7 +62,7 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
     for k in range(ROUNDS):
         tried.append(Settled(best, judge(p.controller(best.x)), tighten))
         asked = allowances(p, best.x, tried[-1].verdict)
-        if _done(tried[-1], asked, k):
+        if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
             break
         tighten = _tightened(p, tighten, asked, tried[-1].verdict, firm=k >= FIRM)
         goal = Goal(tighten)
@@ -71,7 +73,7 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
 def allowances(p: Problem, x: Array, verdict: Verdict) -> dict[str, Array]:
     """How much less spare than the tuner `check` sees, by quantity, at each operating point (points,), in its unit.
 
-    To the bad end of the interval; negative where the tuner was too careful. Zero where either sees no crossing.
+    To the bad end of the interval; zero where the tuner was too careful, and where either sees no crossing.
     """
     read = spares(p, measure(p, x, {}))
     out = {}
@@ -81,7 +83,7 @@ def allowances(p: Problem, x: Array, verdict: Verdict) -> dict[str, Array]:
         bad = np.array([low if sign > 0.0 else high for low, high in ends])
         with np.errstate(invalid="ignore"):
             gap = mine - sign * (bad - getattr(p.requirements, name))
-        out[name] = np.where(np.isfinite(gap), gap, 0.0)
+        out[name] = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
     return out
 
 
@@ -103,18 +105,12 @@ def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
     return out
 
 
-def _in_rows(name: str, limit: float | Array, spare: float | Array) -> Array:
-    """A spare as rows count it, to first order."""
-    unit = LIMIT_OF[name].unit
-    return np.asarray(scaled(name, np.asarray(spare)) if unit in ("dB", "deg") else np.asarray(spare) / limit)
-
-
 def _done(now: Settled, asked: Mapping[str, Array], k: int) -> bool:
     """Whether it passes and little was wasted, or cannot pass although the tightening is about right."""
     m, waste = now.found.measures, 0.0
     p = m.evaluation.p
     for name, room in least_rooms(p, m).items():
-        off = np.abs(_in_rows(name, wished(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
+        off = np.abs(in_rows(name, wished(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
         waste = max(waste, float(off[room < 2.0 * WASTE].max(initial=0.0)))
     if now.verdict.passed:
         return waste < WASTE
@@ -132,9 +128,10 @@ def _tightened(
         now = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(getattr(p.requirements, name)), 1e-3)
         out[name] = np.maximum(given, now + 0.3 * rise) if firm else now
     lines = {line.quantity: line.spare for line in verdict.lines}
-    if lines.get("controller_bandwidth_hz", 0.0) < 0.0:  # of C alone: no interval, no operating point
-        given_hz = float(np.max(before.get("controller_bandwidth_hz", 0.0)))
-        out["controller_bandwidth_hz"] = given_hz - 1.05 * lines["controller_bandwidth_hz"]
+    name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
+    if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
+        missed = -lines[name] / wish if lines[name] < 0.0 else 0.0
+        out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
     unsure = np.array([m.stable != "stable" for m in verdict.margins.values()])
     sure = np.broadcast_to(np.asarray(before.get(SURE, 0.0), dtype=float), p.points)
     return out | {SURE: sure + SURER * unsure}

@@ -16,7 +16,7 @@ from loopshape.requirements import Requirements, Verdict
 from loopshape.tune.problem import Problem, bounds_reached, problem
 from loopshape.tune.relax import Shortfall, shortfall
 from loopshape.tune.search import Found, begin
-from loopshape.tune.settle import Judge, Settled, settle
+from loopshape.tune.settle import UNSURE, Judge, Settled, settle
 from loopshape.tune.starts import race, random_starts
 from loopshape.tune.warm import warm_start
 from loopshape.units import Array, db
@@ -102,6 +102,8 @@ def tune(
     ends, steps = race(p, candidates, np.random.default_rng([seed, 1]))
     settled = settle(p, ends[0], judge)
     steps += settled.found.steps - ends[0].steps
+    if settled.rank[:2] == UNSURE:  # nothing is missed, and stability not decided: other ends may be surer
+        settled = min([settled, *(settle(p, end, judge) for end in ends[1:])], key=lambda one: one.rank)
     why = None
     if not settled.verdict.passed and explain:
         settled, why = shortfall(p, settled, ends, judge_of)
@@ -172,7 +174,7 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
         out += [Binding("disturbance", p.names[i], wish.disturbance_below_hz) for i in lowest]
     seen = set()
     for k in np.argsort(m.room):
-        if m.room[k] > tolerance:
+        if m.room[k] > min(m.worst, 0.0) + tolerance:
             break
         owner, at_hz = p.place(int(m.at[k]), int(m.point[k]))
         if (m.what[k], owner) not in seen:

@@ -41,7 +41,7 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         assert "theta1 and theta2, 1 to 2 Hz: coupled" in done.stdout
         assert len(list((tmp_path / "out" / "arm2" / "export").glob("*.csv"))) == 5
     else:
-        assert done.stdout.rstrip().endswith("verdict: pass")
+        assert "\nverdict: pass\n" in done.stdout
 
 
 def _shorten(study: Path) -> None:
@@ -54,9 +54,14 @@ def _shorten(study: Path) -> None:
 
 
 def test_every_loopshape_command_shown_is_run_by_a_test() -> None:
-    shown = set(re.findall(r"^loopshape (\w+)", README, flags=re.M))
-    run = set(re.findall(r"^loopshape (\w+)", "\n".join(blocks().values()), flags=re.M))
+    shown = set(re.findall(r"^loopshape ([\w-]+)", README, flags=re.M))
+    run = set(re.findall(r"^loopshape ([\w-]+)", "\n".join(blocks().values()), flags=re.M))
     assert shown == run
+
+
+def test_the_workflow_shown_is_the_one_that_is_tested() -> None:
+    (shown,) = re.findall(r"```yaml\n(.*?)```", README, flags=re.S)
+    assert shown == (ROOT / "examples" / "ci" / "check-controllers.yml").read_text()
 
 
 def test_what_the_readme_shows_exists() -> None:

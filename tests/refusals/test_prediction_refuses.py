@@ -14,7 +14,7 @@ from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.estimate.sensitivity import estimate_sensitivity
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
-from loopshape.prediction import Prediction
+from loopshape.prediction import INDICATORS, Indicators, Prediction, Step
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.run import Run
 from loopshape.store.predictions import read_predictions, write_predictions
@@ -85,6 +85,33 @@ def test_damaged_and_foreign_prediction_files_are_refused(tmp_path: Path) -> Non
         write_predictions(path, [])
     with pytest.raises(WrongUseError, match="two predictions"):
         write_predictions(path, [prediction(), prediction()])
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-30, 1e30, 1e300])
+def test_a_prediction_file_with_sensitivities_that_no_loop_has_is_refused(tmp_path: Path, value: float) -> None:
+    path, own = tmp_path / "p.npz", prediction()
+    response = own.sensitivity.response.copy()
+    response[3] = value
+    write_predictions(path, [replace(own, sensitivity=replace(own.sensitivity, response=response))])
+    with pytest.raises(UnreadableInputError, match=r"predicted \|S\| lies in"):
+        read_predictions(path)
+
+
+def test_a_prediction_file_with_a_step_that_is_not_of_numbers_is_refused(tmp_path: Path) -> None:
+    rise, path = np.linspace(0.0, 1.0, 5), tmp_path / "p.npz"
+    step = Step(rise, rise, rise, rise, Indicators(**dict.fromkeys(INDICATORS, 1.0), outcome="settled"), "fit")
+    write_predictions(path, [replace(prediction(), step=step)])
+    assert read_predictions(path)[0].step is not None
+    for name in ("time_s", "response", "low", "high"):
+        write_predictions(path, [replace(prediction(), step=replace(step, **{name: rise * np.nan}))])
+        with pytest.raises(UnreadableInputError, match="step is of finite numbers"):
+            read_predictions(path)
+
+
+@pytest.mark.parametrize("tolerance_db", [np.inf, np.nan, -1.0, 1e5])
+def test_a_tolerance_that_lets_everything_pass_is_refused(tolerance_db: float) -> None:
+    with pytest.raises(WrongUseError, match=r"tolerance of \|S\|"):
+        compare(prediction(), sensitivity_of(plant()), tolerance_db=tolerance_db)
 
 
 @pytest.mark.parametrize(

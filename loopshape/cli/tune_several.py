@@ -1,0 +1,72 @@
+"""`loopshape tune --matrix`: loop by loop with the others closed, on a run's matrices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopshape.cli.output import Output
+from loopshape.cli.tune import controllers_to_start, report_tuning, tuning_json
+from loopshape.cli.verdicts import report_verdicts, verdict_json
+
+if TYPE_CHECKING:
+    from loopshape.tune.several import SeveralTuning, Turn
+
+
+def tune_several_run(
+    run: Path, require: Path, out: Path, output: Output, *, start: Path | None = None, seed: int = 0, starts: int = 16
+) -> bool:
+    """Tune the loops of a requirements file in turn, report, and write the controllers if all requirements are met."""
+    from loopshape.cli.check_several import _held, _matrices
+    from loopshape.store.controllers import write_controllers
+    from loopshape.store.requirements import read_requirements, read_several
+    from loopshape.tune.several import tune_several
+
+    wishes, several = read_requirements(require), read_several(require)
+    began, frfs = controllers_to_start(start, [one.loop for one in wishes]), _matrices(run)
+    with output.progress("tune", 2 * len(wishes)) as step:
+        found = tune_several(
+            frfs, wishes, list(began.values()), several, held=_held(run), seed=seed, starts=starts, step=step
+        )
+    _report(found, output, len(frfs))
+    if found.feasible:
+        write_controllers(out, found.controllers, None)
+        output.say(f"controllers written to {out}")
+    else:
+        output.warn(["the loops do not meet all requirements together; nothing was written"])
+    output.json(_json(found, out))
+    return found.feasible
+
+
+def _report(found: SeveralTuning, output: Output, points: int) -> None:
+    rows = [_row(turn) for turn in found.turns]
+    columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C moved by [%]"]
+    output.table("Loops in turn", columns, rows)
+    if not found.converged:
+        output.warn(["the loops pull at each other: controllers still moved in the last round"])
+    for tuning in found.tunings.values():
+        report_tuning(tuning, output, points)
+    report_verdicts(found.verdict.each, output, margins=False)
+    report_verdicts([found.verdict.together], output, margins=False)
+    output.warn(found.notes)
+
+
+def _row(turn: Turn) -> list[Any]:
+    moved = None if turn.moved != turn.moved else 100.0 * turn.moved
+    others = ", ".join(turn.others) or "none"
+    return [turn.round, turn.loop, others, turn.tuning.bandwidth_hz, turn.tuning.outcome, moved]
+
+
+def _json(found: SeveralTuning, out: Path) -> dict[str, Any]:
+    return {
+        "controller": str(out) if found.feasible else None,
+        "converged": found.converged,
+        "rounds": [
+            {"round": t.round, "loop": t.loop, "bandwidth_hz": t.tuning.bandwidth_hz, "outcome": t.tuning.outcome}
+            for t in found.turns
+        ],
+        "loops": [tuning_json(t) for t in found.tunings.values()],
+        "each": [verdict_json(v) for v in found.verdict.each],
+        "together": verdict_json(found.verdict.together),
+        "notes": list(found.notes),
+    }

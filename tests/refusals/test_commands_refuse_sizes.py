@@ -1,0 +1,59 @@
+"""Sizes that are none on the command line, a baseline that cannot be bridged, and what quiet leaves."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopshape.check.baseline import checked
+from loopshape.check.verdict import check
+from loopshape.check_files import LoopCheck, against
+from loopshape.cli.output import Output
+from loopshape.cli.report import report
+from loopshape.controller import Block, Controller
+from loopshape.errors import WrongUseError
+from loopshape.frf import FRF
+from loopshape.requirements import Requirements
+from loopshape.store.verdicts import write_verdicts
+
+OWN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
+WISHED = Requirements("a", phase_margin_deg=10.0, integrators=1)
+
+
+@pytest.mark.parametrize("size", [np.inf, np.nan, 1e300, -1.0])
+def test_pictures_of_no_size(tmp_path: Path, size: float) -> None:
+    with pytest.raises(WrongUseError, match="size of the embedded pictures"):
+        report(tmp_path, figures_mb=size)
+
+
+def frf(gain: float, rate_hz: float) -> FRF:
+    f = np.geomspace(0.01, 10.0, 60)
+    P = gain / (2j * np.pi * f)
+    return FRF(
+        f, P[:, None, None], (1e-6 * np.abs(P) ** 2)[:, None, None].astype(complex), np.ones(60, dtype=bool), ("z_v",),
+        ("a_rad",), "made", recording="r", loop="a", rate_hz=rate_hz,
+    )  # fmt: skip
+
+
+def judged(gain: float, controller: Controller) -> LoopCheck:
+    one = frf(gain, controller.rate_hz)
+    return LoopCheck((one,), WISHED, (), checked(check([one], controller, WISHED), controller, [one]))
+
+
+@pytest.mark.parametrize(("rate_hz", "told_apart"), [(500.0, False), (1000.0, True)])
+def test_a_baseline_at_another_rate_is_compared_and_not_taken_apart(
+    tmp_path: Path, rate_hz: float, told_apart: bool
+) -> None:
+    before = replace(OWN, rate_hz=rate_hz, blocks=(Block("gain", {"gain": 1.5}),))
+    write_verdicts(tmp_path / "v.json", [judged(2.0, before).checked])
+    found = against(tmp_path / "v.json", [judged(1.0, OWN)])
+    assert (found.by_controller is not None, found.by_plant is not None) == (told_apart, told_apart)
+    assert any("not told apart" in note for note in found.whole.notes) is not told_apart
+    assert found.whole.margins
+
+
+def test_quiet_keeps_warnings_back_and_json_does_not(capsys: pytest.CaptureFixture[str]) -> None:
+    for output, said in ((Output(quiet=True), ""), (Output(as_json=True), "warning: a\n"), (Output(), "warning: a\n")):
+        output.warn(["a", "a"])
+        assert capsys.readouterr().err == said

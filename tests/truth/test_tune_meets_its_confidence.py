@@ -1,0 +1,59 @@
+"""From noisy FRFs: what comes out passes the check with its 95 % intervals, and gives no more away than they ask."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loopshape.check.verdict import check
+from loopshape.tune.measures import measure
+from loopshape.tune.search import Goal, begin, search
+from loopshape.tune.settle import allowances, settle
+from loopshape.tune.tune import tune
+
+sys.path.insert(0, str(Path(__file__).parent))
+from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servos, wished
+
+LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
+BLOCKS = (GAIN, LEAD, PI, NOTCH, LOW_PASS)
+
+
+@pytest.mark.parametrize("std", [0.02, 0.05])
+def test_it_passes_with_intervals_and_what_binds_has_no_room(std):
+    plants, asked = servos(std), wished(*BLOCKS, **LIMITS)
+    found = tune(plants, asked)
+    verdict = check(plants, found.controller, asked)
+    assert verdict.outcome == found.outcome == "passed"
+    assert all(line.interval is not None and line.interval[0] < line.interval[1] for line in verdict.lines)
+    spare = {line.quantity: line.spare for line in verdict.lines}
+    bound = {b.quantity for b in found.binding} - {"bandwidth_hz"}
+    assert bound
+    assert all(0.0 <= spare[name] < 0.06 for name in bound)
+
+
+def test_confidence_costs_and_more_data_give_it_back():
+    hz = [tune(servos(std), wished(*BLOCKS, **LIMITS)).bandwidth_hz for std in (1e-4, 0.02, 0.08)]
+    assert hz[0] > hz[1] > hz[2] > 0.5 * hz[0]
+
+
+def test_an_allowance_is_the_gap_to_the_bad_end():
+    # one limit, one plant, a gain: what the tuner reads less the allowance is what the verdict counts
+    plant, asked = frf(DELAYED, 400, std=0.05), wished(GAIN, phase_margin_deg=45.0)
+    p, x = problem_of([plant], asked), np.log([12.0])
+    verdict = check([plant], p.controller(x), asked)
+    read = np.degrees(measure(p, x, {}).room.min())
+    assert read - allowances(p, x, verdict)["phase_margin_deg"][0] == pytest.approx(verdict.lines[0].spare, abs=1e-9)
+
+
+def test_settling_ends_where_it_passes_whatever_it_starts_from():
+    plants, asked = servos(0.05), wished(*BLOCKS, **LIMITS)
+    p = problem_of(plants, asked)
+    best = tune(plants, asked).controller
+    x = np.log([best.blocks[v.block].parameters[v.name] for v in p.variables])
+    for push in (-0.05, 0.05):
+        moved = x.copy()
+        moved[0] += push  # the gain: once too low, once beyond the limits
+        found = search(p, begin(p, moved, Goal(), 0.1), Goal(), 60)
+        settled = settle(p, found, lambda controller: check(plants, controller, asked))
+        assert settled.verdict.passed
