@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.loop import Loop
-from loopshape.units import Array, ComplexArray
+from loopshape.units import ComplexArray
 
 #: fewer lines than this say nothing of what lies between them
 FEWEST = 6
@@ -44,7 +44,7 @@ def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     return None
 
 
-def _near(L: ComplexArray) -> Array:
+def _near(L: ComplexArray) -> np.ndarray:
     """Gaps (nf - 1,) in which L may come near -1 by its size on either side."""
     size = np.abs(L)
     larger, smaller = np.maximum(size[1:], size[:-1]), np.minimum(size[1:], size[:-1])

@@ -135,8 +135,6 @@ def obstacle(loop: Loop, between: Sampling, before: complex) -> Obstacle | None:
 
 def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
     L, f = loop.L, loop.frequency_hz
-    missing = hole(loop)
-    yield None if missing is None else Obstacle(*missing)
     yield _too_short(loop, L, f)
     yield comes_up_again(loop)
     gaps = list(_gaps(f, L, between.followed))
@@ -144,6 +142,8 @@ def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obsta
     yield _noise(loop, 1.0 + L, before)
     yield from gaps[1:]
     yield between.unclear
+    missing = hole(loop)
+    yield None if missing is None else Obstacle(*missing)
 
 
 def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Obstacle | None:

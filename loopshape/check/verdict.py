@@ -17,7 +17,7 @@ from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import Fit
 from loopshape.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
-from loopshape.units import deg
+from loopshape.units import db, deg, from_db
 
 #: a fit that misses its lines by more than this, rms, says nothing of the plant below them
 WITNESS_DB = 6.0
@@ -57,7 +57,7 @@ def loops_of(
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
-        notes += [text for text in (left_out, note) if text]
+        notes += [text for text in (left_out, note, _narrowed(frf, lines, controller)) if text]
     return found, tuple(dict.fromkeys(notes))
 
 
@@ -76,6 +76,23 @@ def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str
     first_hz = frf.frequency_hz[zero][0]
     note = f"lines of {frf.recording} that are exactly zero were left out: {zero.sum()}, the first at {first_hz:.4g} Hz"
     return frf.select(~zero), note
+
+
+def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
+    """A note where trusted lines outside the judged band show |S| 1 dB larger than those within; else nothing."""
+    outside = frf.trusted & ~np.isin(frf.frequency_hz, lines.frequency_hz)
+    outside &= frf.frequency_hz < 0.5 * controller.rate_hz
+    if not outside.any():
+        return ""
+    near = np.abs(1.0 + controller.response(frf.frequency_hz[outside]) * frf.siso[outside])
+    within = float(np.abs(1.0 + controller.response(lines.frequency_hz) * lines.siso).min())
+    k = int(np.argmin(near))
+    if near[k] > within / from_db(1.0):
+        return ""
+    return (
+        f"{frf.recording} is judged from {lines.frequency_hz[0]:.4g} to {lines.frequency_hz[-1]:.4g} Hz only (band_hz):"
+        f" at {frf.frequency_hz[outside][k]:.4g} Hz, a trusted line, |S| reads {-float(db(near[k])):.3g} dB"
+    )
 
 
 def _beyond(frf: FRF, lines: FRF) -> FRF | None:

@@ -66,6 +66,8 @@ def sentences(one: Bound) -> list[str]:
     """What a bound says, in words."""
     least, together = one.least_alone, one.together
     said = []
+    if one.impossible:
+        return [f"loop {one.loop}: {one.answer}"]
     if together.bound_hz == float("inf"):
         return [f"loop {one.loop}: these limits exclude no bandwidth within the lines"]
     if len(one.alone) > 1:
@@ -87,6 +89,7 @@ def bound_json(one: Bound) -> dict[str, Any]:
     """A bound as JSON."""
     return {
         "loop": one.loop,
+        "answer": one.answer,
         "bandwidth_hz": one.found_hz,
         "bound_hz": one.bound_hz,
         "ratio": one.ratio,

@@ -115,6 +115,8 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
     output.table(title, ["block", "parameters"], rows)
     binding = [[b.quantity, b.recording, b.at_hz] for b in tuning.binding]
     output.table("What binds", ["requirement", "recording", "at [Hz]"], binding)
+    if any(b.quantity == "stability" for b in tuning.binding):
+        output.say("stability: what the count of encirclements needs there to be sure; better data there would free it")
     for line in tuning.moved:
         output.say(f"start: {line}")
     if not tuning.converged:

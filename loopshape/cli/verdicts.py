@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,13 +51,7 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
         if margins:
             _margins(verdict, output)
-        _warn(output, [*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
-
-
-def _warn(output: Output, lines: Iterable[str]) -> None:
-    """Warnings are part of a verdict: where it is not wanted, neither are they."""
-    if not output.quiet:
-        output.warn(lines)
+        output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
 
 
 def _margins(verdict: Verdict, output: Output) -> None:

@@ -39,7 +39,7 @@ class Measures:
     @cached_property
     def bandwidth_slopes(self) -> Array:
         """d ln bandwidth/d x (points, n)."""
-        return _slopes(self.evaluation, [self.bandwidths])
+        return self._slopes[: self.bandwidths.value.size]
 
     @cached_property
     def rejection(self) -> Array:
@@ -59,7 +59,12 @@ class Measures:
     @cached_property
     def room_slopes(self) -> Array:
         """d room/d x (m, n)."""
-        return _slopes(self.evaluation, self.rows)
+        return self._slopes[self.bandwidths.value.size :]
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Slopes of the bandwidths and of all rows, from C's on the columns that they name."""
+        return _slopes(self.evaluation, [self.bandwidths, *self.rows])
 
     @cached_property
     def what(self) -> list[str]:
@@ -99,10 +104,8 @@ def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     return Measures(e, (*peak_rows(e, tighten), *crossing_rows(e, tighten)), bandwidth(e))
 
 
-def _slopes(e: Evaluation, rows: tuple[Rows, ...] | list[Rows]) -> Array:
-    """Slopes (m, n) of rows by x, from C's on the columns that they name."""
-    if not rows:
-        return np.zeros((0, e.x.size))
+def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
+    """Slopes (m, n) of rows by x."""
     i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
     a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
     columns, place = np.unique(np.concatenate([i, j]), return_inverse=True)

@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from loopshape.check.controller_bandwidth import HALF_POWER
+from loopshape.check.stability import FIT_DEG
 from loopshape.tune.evaluation import Evaluation
 from loopshape.tune.problem import Problem
 from loopshape.tune.rows import SURE, Rows, Tighten, on_lines, scaled, wished
-from loopshape.units import Array, ComplexArray
+from loopshape.units import Array, ComplexArray, rad
 
 #: local peaks this far below their limit (in ln) are left out, save the highest of each operating point
 FAR = 0.7
-#: of lines this near to their limit (in ln) every fourth counts too: along a plateau the peak goes where a step tilts it
+#: of lines this near to their limit (in ln) every fourth counts too: on a plateau the peak goes where a step tilts it
 PLATEAU, EVERY = 0.1, 4
 _OF_C = "controller_bandwidth_hz"
 
@@ -55,6 +56,7 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
         yield on_lines(name, e.p, level[e.p.owner[at]] - size[at], at, -factor_of(e.L[at]))
         yield from _above(e, name, level, from_hz)
     yield from _sure(e, tighten)
+    yield from _ends(e)
     if e.p.f_wide.size:
         yield _controller_bandwidth(e, tighten)
 
@@ -125,14 +127,30 @@ def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     if p.reach.any():
         with np.errstate(divide="ignore"):
             size = e.ln_C[p.line] + e.ln_S + np.log(p.reach)
-        at = _chosen(p, size, level - FAR)
-        yield on_lines(SURE, p, level[p.owner[at]] - size[at], at, -_S(e.L[at]))
+        if size.max() > level.min() - FAR:
+            at = _chosen(p, size, level - FAR)
+            yield on_lines(SURE, p, level[p.owner[at]] - size[at], at, -_S(e.L[at]))
     if p.f_beyond.size:
         size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
         k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
         column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
         at = p.f.size + p.f_above.size + k
         yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
+
+
+def _ends(e: Evaluation) -> Iterator[Rows]:
+    """Rows that keep both ends of L countable.
+
+    |L| is below 1 at the last lines; at the first ones, without a model that leads it on, above 1 and near the phase
+    of its integrators.
+    """
+    p, first = e.p, e.p.first[:-1]
+    yield on_lines(SURE, p, -1e-3 - e.ln_L[e.last], e.last, np.full(p.points, -1.0))
+    blind = first[np.diff(p.first_below) == 0]
+    owner = p.owner[blind]
+    swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
+    yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
+    yield on_lines(SURE, p, e.ln_L[blind], blind, np.ones(blind.size))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:

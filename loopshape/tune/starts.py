@@ -53,7 +53,7 @@ def race(p: Problem, candidates: Sequence[Found], rng: np.random.Generator) -> t
     for keep, most in zip((count, max(3, count // 3), 2), HEATS, strict=True):
         dropped += sum(found.steps for found in running[keep:])
         running = sorted((search(p, found, LARGEST, most) for found in running[:keep]), key=lambda found: found.merit)
-    best, steps = _leaps(p, running[0], rng, count // 2)
+    best, steps = _leaps(p, running[0], rng, count if count > 1 else 0)
     steps += dropped + sum(found.steps for found in running)
     last = search(p, best, LARGEST, MOST)
     return [last, *(found for found in running if found is not best)], steps + last.steps - best.steps

@@ -90,4 +90,4 @@ def test_refusals_name_the_way_out(run, tmp_path):
     assert "write bands as 0.5-1,1-4" in loopshape(run, "--bands", "low", code=2)
     write_frfs(tmp_path / "single", [matrix_frf(coupled_by(K_DB)[:, :1, :1], loop="theta1")])
     assert "loopshape frf RUN --matrix" in loopshape(tmp_path / "single", code=2)
-    assert "estimate them first" in loopshape(tmp_path / "nothing", code=2)
+    assert "does not exist" in loopshape(tmp_path / "nothing", code=2)

@@ -166,6 +166,7 @@ def test_requirements_may_narrow_the_band():
     assert not whole.passed
     assert line_of(whole, "sensitivity_peak_db").at_hz > 60.0
     assert narrow.passed
+    assert any("judged from 0.5" in note and "|S| reads 14 dB" in note for note in narrow.warnings)
     assert line_of(narrow, "sensitivity_peak_db").found == pytest.approx(
         line_of(clean, "sensitivity_peak_db").found, abs=1e-5
     )

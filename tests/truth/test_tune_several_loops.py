@@ -66,7 +66,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
 
 @pytest.fixture(scope="module")
 def coupled():
-    frfs = [matrix(0.6), matrix(0.7, (0.005, 0.006), "two")]
+    frfs = [matrix(1.0), matrix(1.1, (0.005, 0.006), "two")]
     return frfs, tune_several(frfs, WISHES, **FEW)
 
 
