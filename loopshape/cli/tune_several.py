@@ -67,6 +67,6 @@ def _json(found: SeveralTuning, out: Path) -> dict[str, Any]:
         ],
         "loops": [tuning_json(t) for t in found.tunings.values()],
         "each": [verdict_json(v) for v in found.verdict.each],
-        "together": verdict_json(found.verdict.together),
+        "together": {k: v for k, v in verdict_json(found.verdict.together).items() if k != "margins"},
         "notes": list(found.notes),
     }
