@@ -172,7 +172,7 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
     if wish.disturbance_below_hz is not None:
         lowest = np.flatnonzero(m.rejection <= m.rejection.min() + tolerance)
         out += [Binding("disturbance", p.names[i], wish.disturbance_below_hz) for i in lowest]
-    seen = set()
+    seen = {(b.quantity, b.recording) for b in out}
     for k in np.argsort(m.room):
         if m.room[k] > min(m.worst, 0.0) + tolerance:
             break
