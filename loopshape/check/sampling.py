@@ -26,6 +26,8 @@ RESOLVED = 2.0
 REACH = 3.0
 #: a residue this many deviations (sqrt E|d|²) above the threshold is found in 99.9 % of cases
 SURE = 2.2
+#: lines from f to so many times f and more are no neighbours whom one polynomial should follow
+WIDEST = 4.0
 #: what is left of lines counts where it is more than this share of |P|
 ROUGH = 0.02
 #: what a polynomial beside a pole rounds off of it, as a share of residue and half width
@@ -78,7 +80,8 @@ def visible_residue(
 def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
     """What is left of the lines about each gap (nf - 1,), as |P|, where neither noise nor one pole explains it; else 0.
 
-    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told.
+    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not said where
+    ten lines span two octaves, as the lowest of an even grid do.
     """
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]
 
@@ -134,7 +137,8 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
     """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
     rough = np.zeros(misfit.size)
     known = np.array([x.centre_hz[0] + 1j * x.half_width_hz[0] for x in poles])
-    for k in np.flatnonzero((misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
+    narrow = windows.around[:, -1] < WIDEST * windows.around[:, 0]
+    for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
         window = windows[int(k)]
         left = window.rest(window.data[:, :, None])
         before = float((np.abs(left) ** 2).sum())

@@ -118,7 +118,7 @@ def test_refusals_are_sentences(run, tmp_path):
     named = ("--inputs", "z_v", "--outputs", "y_rad", "--relative-std", 0.1)
     for words, said in (
         (("export", run, "--to", "xls"), "use mat, csv, uff"),
-        (("export", tmp_path / "none", "--to", "mat"), "no FRF yet"),
+        (("export", tmp_path / "none", "--to", "mat"), "does not exist"),
         (("import-frf", mat, "--out", out), "nothing tells how sure this FRF is"),
         (("import-frf", mat, "--out", out, "--relative-std", "-1"), "must not be negative"),
         (("import-frf", mat, "--out", out, "--averages", "20"), "neither covariance nor coherence"),

@@ -67,6 +67,7 @@ def test_the_worst_operating_point_counts():
     found = tune(plants, wished(GAIN, LEAD, LOW_PASS, **NEAR, objective=LOW))
     each = [mean_rejection_db(plant, found.controller, 3.0) for plant in plants]
     assert found.rejection_db == pytest.approx(min(each), rel=1e-9)
+    assert found.objective == pytest.approx(min(each) * np.log(10.0) / 20.0, rel=1e-9)
     named = {b.recording for b in found.binding if b.quantity == "disturbance"}
     assert named == {plants[int(np.argmin(each))].recording}
 

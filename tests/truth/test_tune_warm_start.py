@@ -10,7 +10,9 @@ import pytest
 from loopshape.check.verdict import check
 from loopshape.controller import Block, Controller
 from loopshape.errors import WrongUseError
-from loopshape.tune.tune import tune
+from loopshape.tune.search import begin
+from loopshape.tune.settle import Settled
+from loopshape.tune.tune import _no_worse, tune
 from loopshape.tune.warm import warm_start
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -67,6 +69,27 @@ def test_the_best_known_is_never_made_worse():
         found = tune(PLANTS, ASKED, start=best, starts=starts, draws=4)
         assert found.feasible
         assert found.bandwidth_hz >= slowest(best) * (1.0 - 1e-12)
+
+
+def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
+    p = problem_of(PLANTS, ASKED)
+
+    def judge(controller):
+        return check(PLANTS, controller, ASKED)
+
+    def settled(x):
+        return Settled(begin(p, x), judge(p.controller(x)), {})
+
+    slow, _ = warm_start(p, SLOW)
+    slower, wild = slow.copy(), slow.copy()
+    slower[0] -= 0.5
+    wild[0] += 4.0
+    assert judge(p.controller(slow)).passed
+    assert not judge(p.controller(wild)).passed
+    for found in (slower, wild):
+        np.testing.assert_array_equal(_no_worse(p, settled(found), slow, judge).found.x, slow)
+    for start in (slower, wild):
+        np.testing.assert_array_equal(_no_worse(p, settled(slow), start, judge).found.x, slow)
 
 
 def test_it_runs_as_the_start_runs():
