@@ -33,8 +33,9 @@ check: $(STAMP) ## ruff, the type checker, and who may import whom
 speed: $(STAMP) ## benchmarks against peers (needs a C compiler); no gate
 	$(BIN)/python tests/speed/run.py
 
-studies: $(STAMP) ## long studies under experiments/
-	$(BIN)/python experiments/run.py
+studies: $(STAMP) ## all studies under experiments/ but the exam, within an hour on two cores; installs the extra `learning` (5 GB)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[learning]"
+	$(BIN)/loopshape study --all
 
 exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an hour or so); EXAM_SEED=n draws another exam
 	$(BIN)/loopshape exam --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)

@@ -29,14 +29,16 @@ from loopshape.cli.predict import predict
 from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
 from loopshape.cli.simulate import simulate
+from loopshape.cli.study import study
 from loopshape.cli.tune import tune
 from loopshape.errors import LoopshapeError
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
 measure or import a run -> frf -> fit -> tune -> check -> predict; measure again -> compare; any run -> report, gap;
-frf -> interaction, plan, export; controller -> export-controller, bound, schedule. Exit codes: 0 pass, 1 a requirement
-is missed or undecided or something is worse than a baseline, 2 wrong use or unreadable input.
+frf -> interaction, plan, export; controller -> export-controller, bound, schedule; study runs the project's studies.
+Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse than a baseline, 2 wrong use or
+unreadable input.
 """
 
 app = typer.Typer(
@@ -56,6 +58,7 @@ app.command()(compare)
 app.command()(report)
 app.command()(bound)
 app.command()(schedule)
+app.command()(study)
 
 
 @app.callback()
