@@ -28,3 +28,7 @@ class BadSignalError(LoopshapeError):
 
 class WrongUseError(LoopshapeError):
     """A call or a file whose words do not fit: unknown names, keys, units, kinds, rates."""
+
+
+class RigError(LoopshapeError):
+    """A rig that does not answer, answers what it must not, or refuses: nothing moves until a person has looked."""

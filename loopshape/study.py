@@ -10,6 +10,8 @@ from loopshape.controller import Block
 from loopshape.errors import WrongUseError
 from loopshape.excitation import Excitation, Profile, Staircase
 from loopshape.excitation_sets import MOST_REALISATIONS, realised, together
+from loopshape.experiment import LoopSetup
+from loopshape.target_settings import TargetSettings
 
 Setpoint = Staircase | Profile
 
@@ -98,7 +100,8 @@ class Study:
 
     `changes` moves parameters of the plant, as settings that whoever reads the recordings knows; `effects` are
     magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz and
-    dead_zone; `solver` is the plant's word for how it integrates.
+    dead_zone; `solver` is the plant's word for how it integrates. `target` is for a rig behind a real-time target,
+    and `loops` where no plant describes them (`plant` is empty then).
     """
 
     rig: str
@@ -113,3 +116,5 @@ class Study:
     pwm: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
+    target: TargetSettings | None = None
+    loops: tuple[LoopSetup, ...] = ()

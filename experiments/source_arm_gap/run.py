@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +21,9 @@ from loopshape.store.files import write_bytes_whole
 from loopshape.units import Array, angular, rad
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the study's own second file, however it is started
+sys.path.insert(0, str(HERE))  # the study's own files, however it is started
 
+import gap_scores  # noqa: E402
 from published import (  # noqa: E402
     HIGH_HZ,
     LOW_HZ,
@@ -80,12 +81,13 @@ def main() -> None:
     print(f"friction for the damping at (30 deg, 0.8 bar), moving by 1 deg: {friction_nm(gassy.found):.3f} N m")
     rows = posteriors(moving)
     write("posterior.csv", POSTERIORS, rows)
+    write("scores.csv", gap_scores.COLUMNS, gap_scores.rows(HERE))
     for line in [row(case) for case in cases] + rows:
         print("  ".join(f"{cell!s:>12.34}" for cell in line))
     write_bytes_whole(FIGURES / "eigenfrequency.png", png(draw(cases)))
 
 
-def write(name: str, columns: tuple[str, ...], rows: list[list]) -> None:
+def write(name: str, columns: tuple[str, ...], rows: Sequence[Sequence]) -> None:
     """A small table beside this file."""
     with (HERE / name).open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([columns, *rows])

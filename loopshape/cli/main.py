@@ -29,6 +29,7 @@ from loopshape.cli.predict import predict
 from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
 from loopshape.cli.simulate import simulate
+from loopshape.cli.stop import stop
 from loopshape.cli.study import study
 from loopshape.cli.tune import tune
 from loopshape.errors import LoopshapeError
@@ -59,6 +60,7 @@ app.command()(report)
 app.command()(bound)
 app.command()(schedule)
 app.command()(study)
+app.command()(stop)
 
 
 @app.callback()

@@ -24,6 +24,8 @@ def measure(
     study: StudyFile,
     out: Annotated[Path, typer.Option(help="The run folder to write; an interrupted run goes on.")],
     controllers: ControllersFile = None,
+    port: Annotated[str | None, typer.Option(help="Where the target is; wins over the study's.")] = None,
+    arm: Annotated[bool, typer.Option("--arm", help="Let a target move: what it will do was looked at.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -31,7 +33,7 @@ def measure(
     from loopshape.cli.frf import estimate_and_report
 
     output = Output(as_json, quiet)
-    ended = record(study, out, output, controllers=controllers)
+    ended = record(study, out, output, controllers=controllers, port=port, arm=arm)
     estimate_and_report(out, output, extra={"ended_early": ended})
 
 
@@ -43,6 +45,8 @@ def record(
     states: bool = False,
     effects: Sequence[str] = (),
     controllers: Path | None = None,
+    port: str | None = None,
+    arm: bool = False,
 ) -> list[str]:
     """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
 
@@ -53,22 +57,27 @@ def record(
     from dataclasses import replace
 
     from loopshape import registry
+    from loopshape.cli.measure_target import record_on_target
     from loopshape.errors import WrongUseError
+    from loopshape.rigs.described import DescribedRig
     from loopshape.rigs.effects import asked, merged
     from loopshape.rigs.simulated import header, measure, plan
-    from loopshape.store.run_folder import add_recording, alone, finished, read_run, start_run
+    from loopshape.store.run_folder import add_recording, alone, finished, start_run
     from loopshape.store.study import read_study
 
     study = read_study(study_file)
-    if study.rig != "simulated":
-        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated"')
-    plant = registry.plant(study.plant)
+    if study.rig not in ("simulated", "target"):
+        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
+    plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
     study = replace(study, effects=merged(study.effects, asked(plant, effects)))
     if controllers is not None:
         study = replace(study, controllers={**study.controllers, **blocks_of(controllers, study.rate_hz)})
+    extra: dict[str, object] = {"study_sha256": hashlib.sha256(study_file.read_bytes()).hexdigest()}
+    if study.rig == "target":
+        record_on_target(study, plant, out, output, port=port, armed=arm, extra=extra)
+        return ended_early(out)
     todo = plan(study, plant)
-    digest = hashlib.sha256(study_file.read_bytes()).hexdigest()
-    start_run(out, header(study, plant, {"study_sha256": digest}))
+    start_run(out, header(study, plant, extra))
     done = frozenset(finished(out))
     with alone(out), output.progress("measure", len(todo) - len(done)) as step:
         try:
@@ -78,7 +87,14 @@ def record(
         except KeyboardInterrupt:
             output.warn([f"interrupted; what {out / 'run.toml'} lists is kept, the same command goes on"])
             raise typer.Exit(130) from None
-    return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(out).recordings if r.info.ended_early]
+    return ended_early(out)
+
+
+def ended_early(run: Path) -> list[str]:
+    """What of a run ended early, a sentence each."""
+    from loopshape.store.run_folder import read_run
+
+    return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(run).recordings if r.info.ended_early]
 
 
 def blocks_of(controllers: Path, rate_hz: float) -> dict[str, tuple[Block, ...]]:

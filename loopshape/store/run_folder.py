@@ -141,6 +141,15 @@ def alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
+def is_held(folder: Path) -> bool:
+    """Whether a process is writing this run."""
+    try:
+        with alone(folder):
+            return False
+    except WrongUseError:
+        return True
+
+
 def start_run(folder: Path, run: Run) -> None:
     """Make a run folder without recordings, or resume one whose header is the same.
 

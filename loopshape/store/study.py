@@ -27,7 +27,8 @@ An experiment has an `excitation` (with `lead_s`, `tail_s`), `references` or `co
     excitations = { theta1 = { kind = "multisine", ... }, theta2 = { kind = "multisine", ... } }
 
 `excitations` stands for `excites` and `excitation` where several loops are excited at once: multisines become
-orthogonal over as many recordings as loops, noises are added in one recording (`excitation_sets`).
+orthogonal over as many recordings as loops, noises are added in one recording (`excitation_sets`). With rig = "target"
+there are `[target]` and `[limits]` too (`study_target`).
 """
 
 from __future__ import annotations
@@ -42,15 +43,16 @@ from loopshape.excitation import Excitation
 from loopshape.excitation_sets import together
 from loopshape.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.store.files import plain_name
-from loopshape.store.run_tables import read_blocks
+from loopshape.store.run_tables import read_blocks, read_loops
 from loopshape.store.study_signals import read_excitation, read_excitations, read_setpoints
+from loopshape.store.study_target import read_target
 from loopshape.store.words import Words, read_words, refuse_doubles, said_in
 from loopshape.study import ExperimentTemplate, Setpoint, Study, expanded
 
 FORMAT = "loopshape-study/1"
 _KEYS = (
     "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "effects", "pwm",
-    "loop", "experiment",
+    "loop", "experiment", "target", "limits",
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
@@ -71,25 +73,29 @@ def read_study(path: Path) -> Study:
     """
     words = read_words(path, FORMAT)
     words.only(*_KEYS)
-    words.need("rig", "plant", "operating_points", "experiment")
-    seed = words.whole("seed", 0)
+    described = words.table.get("rig") == "target" and "plant" not in words.table
+    words.need("rig", *(() if described else ("plant",)), "operating_points", "experiment")
+    rate_hz = words.positive("rate_hz", 1000.0)
+    seed, target = words.whole("seed", 0), read_target(words)
     read = [one for table in words.tables("experiment") for one in _experiments(table, seed)]
     if not read:
         raise WrongUseError(f"{words.where}: no experiment", "an empty list", "write an [[experiment]]")
     refuse_doubles((template.name for template, _ in read), words.where, "experiments")
     return Study(
         rig=words.text("rig"),
-        plant=words.text("plant"),
+        plant="" if described else words.text("plant"),
         experiments=tuple(template for template, _ in read),
         operating_points=_points(words) or (),
-        rate_hz=words.positive("rate_hz", 1000.0),
+        rate_hz=rate_hz,
         seed=seed,
         solver=words.text("solver", "edges"),
         changes=words.numbers("parameters"),
         effects=words.numbers("effects"),
         pwm=_pwm(words),
-        controllers=_controllers(words),
+        controllers={} if described else _controllers(words),
         extra={"units": {template.name: units for template, units in read}},
+        target=target,
+        loops=read_loops(words, rate_hz) if described else (),
     )
 
 

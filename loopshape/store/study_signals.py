@@ -34,8 +34,8 @@ _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {
     "noise": BandNoise,
 }
 #: a unit in a key -> the unit's name in `units`
-_KEY_UNITS = {unit.lower(): unit for unit in ("deg", "rad", "mrad", "bar", "mbar", "kPa", "psi", "V", "mV", "A", "mA")}
-_KEY_UNITS |= {"n": "N", "kn": "kN", "nm": "N m", "m": "m", "mm": "mm", "um": "um", "rpm": "rpm"}
+KEY_UNITS = {unit.lower(): unit for unit in ("deg", "rad", "mrad", "bar", "mbar", "kPa", "psi", "V", "mV", "A", "mA")}
+KEY_UNITS |= {"n": "N", "kn": "kN", "nm": "N m", "m": "m", "mm": "mm", "um": "um", "rpm": "rpm"}
 _LIMITS = {"velocity": "_s", "acceleration": "_s2", "jerk": "_s3"}
 
 
@@ -43,11 +43,11 @@ def _unit_of(words: Words, quantity: str) -> str:
     """The unit in a key such as `amplitude_deg`; refuses none, two, and unknown ones."""
     keys = [key for key in words.table if key == quantity or key.startswith(quantity + "_")]
     unit = keys[0].removeprefix(quantity + "_") if keys else ""
-    if len(keys) != 1 or unit not in _KEY_UNITS:
+    if len(keys) != 1 or unit not in KEY_UNITS:
         raise WrongUseError(
             f"{words.where}: {quantity} is written once, with its unit",
             ", ".join(keys) or f"no {quantity}",
-            f"write {quantity}_ and one of {', '.join(_KEY_UNITS)}",
+            f"write {quantity}_ and one of {', '.join(KEY_UNITS)}",
         )
     return unit
 
@@ -60,7 +60,7 @@ def read_excitation(words: Words, seed: int) -> tuple[Excitation, str]:
     kind = words.one_of("kind", tuple(_EXCITATIONS))
     make = _EXCITATIONS[kind]
     unit = _unit_of(words, "amplitude")
-    suffix, factor = to_stored(_KEY_UNITS[unit])
+    suffix, factor = to_stored(KEY_UNITS[unit])
     own = [f for f in fields(make) if f.name not in ("kind", "amplitude") and f.default is not None]
     own += [f for f in fields(make) if f.name == "lines_hz"]
     words.only("kind", f"amplitude_{unit}", *(f.name for f in own))
@@ -116,7 +116,7 @@ def _setpoint(words: Words) -> tuple[Setpoint, str]:
     limits = {name: f"{name}_{unit}{per}" for name, per in _LIMITS.items()} if kind == "profile" else {}
     words.only("kind", "times_s", f"values_{unit}", *limits.values())
     words.need("times_s", *limits.values())
-    suffix, factor = to_stored(_KEY_UNITS[unit])
+    suffix, factor = to_stored(KEY_UNITS[unit])
     times, values = words.list_of_numbers("times_s"), words.list_of_numbers(f"values_{unit}")
     if not times:
         raise WrongUseError(

@@ -1,0 +1,56 @@
+"""`loopshape stop`: the emergency stop of a target, from another terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet
+
+
+def stop(
+    what: Annotated[str, typer.Argument(help="A run folder that is being measured, or a port.", show_default=False)],
+    clear: Annotated[bool, typer.Option("--clear", help="Clear a fault: the target goes to idle, vented.")] = False,
+    baud: Annotated[int, typer.Option(help="Speed of a serial port.")] = 921_600,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Vent a target at once: through the process that measures into a run folder, or through a port."""
+    output = Output(as_json, quiet)
+    how = _interrupted(Path(what)) if Path(what).is_dir() else _through(what, baud, clear)
+    output.say(how)
+    output.json({"done": how})
+
+
+def _interrupted(run: Path) -> str:
+    """Interrupt the process that measures into a run; it vents before it ends."""
+    import os
+    import signal
+
+    from loopshape.cli.measure_target import MARK
+    from loopshape.errors import WrongUseError
+    from loopshape.store.files import read_json
+    from loopshape.store.run_folder import is_held
+
+    if not (run / MARK).is_file() or not is_held(run):
+        raise WrongUseError("nothing is measured into this run", str(run), "name the port")
+    pid = int(read_json(run / MARK)["pid"])
+    os.kill(pid, signal.SIGINT)
+    return f"process {pid} was told to stop; it vents the machine before it ends"
+
+
+def _through(port: str, baud: int, clear: bool) -> str:
+    """Vent through a port of our own, and clear the fault that this is, if asked."""
+    from loopshape.rigs.link import open_link
+    from loopshape.rigs.messages import Ask
+    from loopshape.rigs.session import Session
+
+    with open_link(port, baud) as link:
+        session = Session(link)
+        session.ask(Ask.VENT)
+        if clear:
+            session.ask(Ask.CLEAR)
+        state = session.status().state
+    return f"vented; the target is in state {state.name.lower()}"

@@ -1,0 +1,122 @@
+"""A conversation with a target: requests that are done once, samples without a silent gap, in one thread.
+
+`docs/protocol.md` is the specification. While an answer is awaited samples are taken in; what cannot be understood is
+counted and asked for again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import count
+
+from loopshape.errors import LoopshapeError, RigError
+from loopshape.rigs import messages
+from loopshape.rigs.frames import Frame, Receiver
+from loopshape.rigs.link import Link
+from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Payload, Samples, Say, Status
+
+ANSWER_S = 0.25
+TRIES = 5
+
+
+class Session:
+    """An open link and what was said over it; `unasked` is called with each frame that no request waits for."""
+
+    def __init__(self, link: Link, clock: Callable[[], float] = time.monotonic) -> None:
+        self._link, self._clock = link, clock
+        self._receiver, self._tags = Receiver(), count(1)
+        self._answer: Frame | None = None
+        self._awaited = 0
+        self.unasked: Callable[[Frame], None] = lambda frame: None
+        self.last_sent_s = clock()
+        self.identity = Identity.read(self.ask(Ask.IDENTIFY, messages.PROTOCOL.to_bytes(2, "little")))
+
+    @property
+    def bad_frames(self) -> int:
+        """How many frames arrived spoilt."""
+        return self._receiver.bad
+
+    def ask(self, what: Ask, payload: bytes = b"") -> bytes:
+        """Send a request until it is answered; its answer's payload. Refused or unanswered, it is a `RigError`."""
+        self._awaited = (next(self._tags) - 1) % 65535 + 1
+        self._answer = None
+        frame = Frame(what, self._awaited, payload).encoded
+        for _ in range(TRIES):
+            self._link.write(frame)
+            self.last_sent_s = self._clock()
+            until = self._clock() + ANSWER_S
+            while self._answer is None and self._clock() < until:
+                self.listen(until - self._clock())
+            if self._answer is not None:
+                return self._accepted(what, self._answer)
+        raise RigError(
+            "the target does not answer", f"nothing to {what.name} in {TRIES * ANSWER_S:g} s", "check cable and power"
+        )
+
+    def _accepted(self, what: Ask, answer: Frame) -> bytes:
+        if answer.type == Say.OK:
+            return answer.payload
+        p = Payload(answer.payload)
+        code = p.one("H")
+        said = p.text()
+        raise RefusedError(what, code, said)
+
+    def listen(self, wait_s: float) -> None:
+        """Take in what has come, waiting at most `wait_s`."""
+        for frame in self._receiver.take(self._link.read(wait_s)):
+            if frame.type in (Say.OK, Say.NO):
+                if frame.tag == self._awaited:
+                    self._answer = frame
+            else:
+                self._told(frame)
+
+    def _told(self, frame: Frame) -> None:
+        try:
+            self.unasked(frame)
+        except RigError:
+            raise
+        except LoopshapeError:  # whole by its CRC and still nonsense: as good as lost
+            self._receiver.bad += 1
+
+    def listen_until(self, time_s: float) -> None:
+        """Take in what comes until then, by the session's clock."""
+        while (left := time_s - self._clock()) > 0.0:
+            self.listen(left)
+
+    def silent_s(self) -> float:
+        """How long ago the last request was sent."""
+        return self._clock() - self.last_sent_s
+
+    def configure(self, configuration: Configuration) -> int:
+        """Configure and let the target confirm by its digest; gives it. Refuses a target that understood another."""
+        for what, payload in configuration.frames():
+            self.ask(what, payload)
+        theirs, ours = Payload(self.ask(Ask.READY)).one("I"), configuration.digest
+        if theirs != ours:
+            raise RigError(
+                "the target understood another configuration", f"digest {theirs:08x} for {ours:08x}", "do not arm it"
+            )
+        return ours
+
+    def status(self, run: int = 0, received: int = 0) -> Status:
+        """How the target is; tells it how many samples of a run are here without a gap."""
+        payload = run.to_bytes(4, "little") + received.to_bytes(4, "little")
+        return Status.read(self.ask(Ask.ALIVE, payload), self.identity.number)
+
+    def samples(self, frame: Frame, loops: int) -> Samples:
+        """A frame of samples of this many loops."""
+        return Samples.read(frame, self.identity.width(loops), self.identity.number)
+
+    def ended(self, frame: Frame) -> Ended:
+        """How a run ended."""
+        return Ended.read(frame.payload)
+
+
+class RefusedError(RigError):
+    """The target said NO: `code` as in the protocol's page."""
+
+    def __init__(self, what: Ask, code: int, said: str) -> None:
+        self.code = code
+        word = messages.REFUSALS.get(code, f"code {code}")
+        super().__init__(f"the target refuses {what.name}", f"{word}{': ' + said if said else ''}")
