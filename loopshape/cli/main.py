@@ -32,6 +32,7 @@ from loopshape.cli.simulate import simulate
 from loopshape.cli.stop import stop
 from loopshape.cli.study import study
 from loopshape.cli.tune import tune
+from loopshape.cli.verify import verify
 from loopshape.errors import LoopshapeError
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
@@ -61,6 +62,7 @@ app.command()(bound)
 app.command()(schedule)
 app.command()(study)
 app.command()(stop)
+app.command()(verify)
 
 
 @app.callback()

@@ -53,7 +53,6 @@ def record(
     `effects`, words NAME or NAME=MAGNITUDE, and the loops of a `controllers` file stand in for the study's own where
     they name the same.
     """
-    import hashlib
     from dataclasses import replace
 
     from loopshape import registry
@@ -62,6 +61,7 @@ def record(
     from loopshape.rigs.described import DescribedRig
     from loopshape.rigs.effects import asked, merged
     from loopshape.rigs.simulated import header, measure, plan
+    from loopshape.store.provenance import KEY, file_sha256, versions
     from loopshape.store.run_folder import add_recording, alone, finished, start_run
     from loopshape.store.study import read_study
 
@@ -72,7 +72,10 @@ def record(
     study = replace(study, effects=merged(study.effects, asked(plant, effects)))
     if controllers is not None:
         study = replace(study, controllers={**study.controllers, **blocks_of(controllers, study.rate_hz)})
-    extra: dict[str, object] = {"study_sha256": hashlib.sha256(study_file.read_bytes()).hexdigest()}
+    extra: dict[str, object] = {
+        "study_sha256": file_sha256(study_file),
+        KEY: {**versions(), "study": study_file.name, "seed": study.seed},
+    }
     if study.rig == "target":
         record_on_target(study, plant, out, output, port=port, armed=arm, extra=extra)
         return ended_early(out)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from loopshape import __version__
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.store.files import write_toml
@@ -51,4 +52,7 @@ def write_controllers(path: Path, controllers: Sequence[Controller], notes: Mapp
         )
     refuse_doubles((controller.loop for controller in controllers), path.name, "controllers")
     loops = [{"name": controller.loop, **controller_table(controller)} for controller in controllers]
-    write_toml(path, {"format": FORMAT, "rate_hz": rates[0], "notes": notes or None, "loop": loops})
+    write_toml(
+        path,
+        {"format": FORMAT, "rate_hz": rates[0], "notes": {"loopshape": __version__, **(notes or {})}, "loop": loops},
+    )

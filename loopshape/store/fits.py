@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from loopshape import __version__
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.model import Estimate, Fit, TransferFunction
 from loopshape.store.files import read_json, reading, write_json
@@ -23,7 +24,7 @@ def write_fits(run_folder: Path, fits: Sequence[Fit]) -> Path:
     NaN and infinite numbers stand as "nan", "inf" and "-inf".
     """
     path = run_folder / FILE
-    write_json(path, {"format": FORMAT, "fits": list(fits)})
+    write_json(path, {"format": FORMAT, "loopshape": __version__, "fits": list(fits)})
     return path
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from loopshape import __version__
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.frf import FRF
 from loopshape.store.files import inside, make_folder, reading, write_whole
@@ -58,7 +59,7 @@ def _source(sources: Mapping[str, str], frf: FRF) -> str:
 
 
 def _write(path: Path, frf: FRF, source: str) -> None:
-    text = np.array(json.dumps({"format": FORMAT, "source": source} | frf_header(frf)))
+    text = np.array(json.dumps({"format": FORMAT, "loopshape": __version__, "source": source} | frf_header(frf)))
     arrays = frf_arrays(frf)
 
     def write(part: Path) -> None:

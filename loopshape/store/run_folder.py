@@ -20,6 +20,9 @@ from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.store.files import PART, inside, make_folder, read_toml, write_toml
+from loopshape.store.journal import FILE as JOURNAL
+from loopshape.store.journal import note
+from loopshape.store.provenance import KEY, file_sha256, versions
 from loopshape.store.run_signals import check_recordings as check_recordings
 from loopshape.store.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
 from loopshape.store.tables import TIME, TableColumns, check_rate, write_table
@@ -41,13 +44,15 @@ def read_run(folder: Path) -> Run:
     words = _read_words(folder)
     rate_hz = words.positive("rate_hz")
     loops = read_loops(words, rate_hz)
-    infos = [read_recording(table, loops) for table in words.tables("recording")]
+    tables = words.tables("recording")
+    infos = [read_recording(table, loops) for table in tables]
     refuse_doubles((info.name for info in infos), words.where, "recordings")
     return Run(
         rate_hz=rate_hz,
         loops=loops,
         recordings=tuple(
-            Recording(info, rate_hz, TableColumns(_existing(folder, info.file), rate_hz)) for info in infos
+            Recording(info, rate_hz, TableColumns(_existing(folder, info.file), rate_hz, table.maybe_text("sha256")))
+            for info, table in zip(infos, tables, strict=True)
         ),
         plant=words.maybe_text("plant"),
         pwm=words.numbers("pwm"),
@@ -160,7 +165,7 @@ def start_run(folder: Path, run: Run) -> None:
     if (folder / RUN_TOML).exists():
         _resume(folder, header)
         return
-    ours = (PART, "figures", "frf")
+    ours = (PART, "figures", "frf", JOURNAL)
     foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)] if folder.is_dir() else []
     if foreign:
         raise WrongUseError(
@@ -182,7 +187,7 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
         return
     differing = sorted(
         key
-        for key in (set(old) | set(header)) - {"recording", "notes"}
+        for key in (set(old) | set(header)) - {"recording", "notes", KEY}
         if key not in old or key not in header or old[key] != header[key]
     )
     if differing:
@@ -222,8 +227,15 @@ def add_recording(folder: Path, recording: Recording) -> None:
         )
     if info.name in {str(r.table.get("file", "")).split(".")[0] for r in words.tables("recording")}:
         raise WrongUseError(f"{folder} already holds a recording of this name", repr(info.name), "give it another")
-    write_table(inside(folder, info.file, "the file of a recording"), _timed(recording))
+    path = inside(folder, info.file, "the file of a recording")
+    write_table(path, _timed(recording), {"made_by": versions(), "recording": entry, **_origin(words)})
+    entry["sha256"] = file_sha256(path)
     write_toml(folder / RUN_TOML, dict(words.table) | {"recording": [*words.table.get("recording", []), entry]})
+    note(folder, "finished", recording=info.name, sha256=entry["sha256"], ended_early=info.ended_early)
+
+
+def _origin(words: Words) -> dict[str, Any]:
+    return {key: words.table[key] for key in ("study_sha256", KEY) if key in words.table}
 
 
 def _entry(recording: Recording) -> dict[str, Any]:

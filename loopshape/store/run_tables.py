@@ -195,7 +195,7 @@ def _read_excited(words: Words, names: list[str]) -> tuple[str | None, ...]:
 
 def read_recording(words: Words, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
     """One `[[recording]]` of a run folder; its file is a plain name with a table's ending."""
-    words.only("file", *INFO_KEYS)
+    words.only("file", "sha256", *INFO_KEYS)
     words.need("file", "kind", "injection")
     with said_in(words.where):
         file = check_ending(plain_name(words.table["file"], "the file of a recording"))

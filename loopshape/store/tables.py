@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,8 @@ import numpy as np
 
 from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
-from loopshape.store.files import reading, write_whole
+from loopshape.store.files import json_ready, reading, write_whole
+from loopshape.store.provenance import file_sha256
 from loopshape.units import Array
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
@@ -29,13 +31,15 @@ class TableColumns(Mapping[str, Array]):
     """Columns (n,) of a table by name, float64 and read-only, each loaded when it is asked for.
 
     Names and length of a Parquet file come from its footer. With `rate_hz` the time column is checked
-    before the first column is handed out. Refuses a file that is damaged (`UnreadableInputError`), a column
-    that is not of numbers, and stamps that do not keep the rate (`BadSignalError`).
+    before the first column is handed out, and with `sha256` the file. Refuses a file that is damaged or not the one
+    that was written (`UnreadableInputError`), a column that is not of numbers, and stamps that do not keep the rate
+    (`BadSignalError`).
     """
 
-    def __init__(self, path: Path, rate_hz: float | None = None) -> None:
+    def __init__(self, path: Path, rate_hz: float | None = None, sha256: str | None = None) -> None:
         self.path = path
         self.rate_hz = rate_hz
+        self.sha256 = sha256
         self._loaded: dict[str, Array] = {}
         self._rate_checked = False
         check_ending(path.name)
@@ -62,6 +66,8 @@ class TableColumns(Mapping[str, Array]):
         return read_csv_table(self.path, CsvShape())
 
     def _check_rate_once(self) -> None:
+        if not self._rate_checked and self.sha256 is not None:
+            check_sha256(self.path, self.sha256)
         if not self._rate_checked and self.rate_hz is not None and TIME in self:
             check_rate(self._load(TIME), self.rate_hz, self.path.name)
         self._rate_checked = True
@@ -120,8 +126,19 @@ def _parquet_column(path: Path, name: str) -> Array:
     return values
 
 
-def write_table(path: Path, columns: Mapping[str, Array]) -> None:
-    """Write columns (n,) as Parquet, float64 bit for bit, whole or not at all.
+def check_sha256(path: Path, expected: str) -> None:
+    """Refuse a file that is not the one that was written, by its hash."""
+    found = file_sha256(path)
+    if found != expected:
+        raise UnreadableInputError(
+            f"{path} is not the file that was written",
+            f"sha256 {found[:12]}... in place of {expected[:12]}...",
+            "it is damaged: record it again; changed on purpose, take its sha256 out of run.toml",
+        )
+
+
+def write_table(path: Path, columns: Mapping[str, Array], about: Mapping[str, object] | None = None) -> None:
+    """Write columns (n,) as Parquet, float64 bit for bit, whole or not at all; `about` goes into the file's metadata.
 
     Refuses no columns, and columns that are not one-dimensional or differ in length.
     """
@@ -136,6 +153,8 @@ def write_table(path: Path, columns: Mapping[str, Array]) -> None:
             ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "no columns",
         )
     table = pa.table({name: pa.array(values) for name, values in arrays.items()})
+    if about is not None:
+        table = table.replace_schema_metadata({"loopshape": json.dumps(json_ready(about), sort_keys=True)})
     write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
 
 

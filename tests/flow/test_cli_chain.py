@@ -50,7 +50,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_measure_writes_a_run_its_frfs_and_a_figure_of_each(arm: Path) -> None:
     names = sorted(path.name for path in (arm / "run").iterdir())
-    assert names == ["angle-01.parquet", "angle-02.parquet", "figures", "frf", "run.toml"]
+    assert names == ["angle-01.parquet", "angle-02.parquet", "figures", "frf", "journal.jsonl", "run.toml"]
     assert {p.name for p in (arm / "run" / "figures").iterdir()} == {
         "frf_theta2.png", "frf_theta2_angle-01.png", "frf_theta2_angle-02.png",
     }  # fmt: skip

@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from loopshape import __version__
 from loopshape.controller import Block, Controller
 from loopshape.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.frf import FRF
@@ -43,7 +44,11 @@ def test_controllers(tmp_path):
     back = read_controllers(tmp_path / "c.toml")
     for mine, theirs in zip((one, two), back, strict=True):
         assert_same(mine, theirs)
-    assert read_toml(tmp_path / "c.toml")["notes"] == {"tuned on": "r01", "margins": {"theta2": 6.0}}
+    assert read_toml(tmp_path / "c.toml")["notes"] == {
+        "loopshape": __version__,
+        "tuned on": "r01",
+        "margins": {"theta2": 6.0},
+    }
 
 
 def test_requirements(tmp_path):

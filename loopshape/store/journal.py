@@ -1,0 +1,62 @@
+"""What happened to a run, line by line: begun, finished, stopped. A last line torn by a kill does no harm.
+
+The journal is for people and for `verify`; what a run holds stands in `run.toml` alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from loopshape.errors import UnreadableInputError
+from loopshape.store.files import json_ready, reading, short
+
+FILE = "journal.jsonl"
+_LONGEST = 64 * 1024 * 1024  # bytes read
+
+
+def note(folder: Path, event: str, **words: object) -> None:
+    """Add a line, on the disk when this returns. Refuses a folder or disk that cannot be written."""
+    line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
+    path = folder / FILE
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+        try:
+            torn = _torn(handle)
+            os.write(handle, (("\n" if torn else "") + json.dumps(line, ensure_ascii=False) + "\n").encode())
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        raise UnreadableInputError(
+            f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
+        ) from None
+
+
+def _torn(handle: int) -> bool:
+    """Whether the last line was not finished."""
+    size = os.fstat(handle).st_size
+    return size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+
+
+def read_journal(folder: Path) -> tuple[list[Mapping[str, Any]], int]:
+    """The lines that are whole, in order, and how many are not; empty where there is no journal."""
+    path = folder / FILE
+    if not path.is_file():
+        return [], 0
+    with reading(path, "a journal"):
+        if path.stat().st_size > _LONGEST:
+            raise ValueError(f"{path.stat().st_size} bytes")
+        lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    read: list[Mapping[str, Any]] = []
+    for line in lines:
+        with suppress(ValueError, RecursionError):
+            words = json.loads(line)
+            if isinstance(words, dict) and isinstance(words.get("event"), str):
+                read.append(words)
+    return read, sum(bool(line.strip()) for line in lines) - len(read)

@@ -1,0 +1,32 @@
+"""Where a file comes from: versions of what made it, the study, its seed, and hashes of what went in."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from loopshape import __version__
+from loopshape.store.files import reading
+
+_LIBRARIES = ("numpy", "scipy", "numba")
+KEY = "provenance"
+
+
+def versions() -> dict[str, str]:
+    """Versions of loopshape, Python, and the libraries that results depend on."""
+    return {"loopshape": __version__, "python": platform.python_version()} | {n: _version(n) for n in _LIBRARIES}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def file_sha256(path: Path) -> str:
+    """Hash of a file's bytes; refuses one that cannot be read."""
+    with reading(path, "a file"), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
