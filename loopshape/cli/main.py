@@ -7,6 +7,7 @@ import sys
 import typer
 
 from loopshape.cli.bound import bound
+from loopshape.cli.campaign import campaign
 from loopshape.cli.check import check
 from loopshape.cli.check_several import check_several
 from loopshape.cli.compare import compare
@@ -60,6 +61,7 @@ app.command()(compare)
 app.command()(report)
 app.command()(bound)
 app.command()(schedule)
+app.command()(campaign)
 app.command()(study)
 app.command()(stop)
 app.command()(verify)

@@ -122,6 +122,13 @@ class Words:
             raise self._wrong(key, "a list of texts in quotes")
         return tuple(value)
 
+    def list_of_texts_or_empty(self, key: str) -> tuple[str, ...]:
+        """A list of texts, of which some may be empty; empty where it is missing."""
+        value = self.table.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            raise self._wrong(key, "a list of texts in quotes")
+        return tuple(value)
+
     def inner(self, key: str) -> Words:
         """A table inside this one; empty where it is missing."""
         value = self.table.get(key, {})

@@ -1,0 +1,174 @@
+"""Many machines: the same to the last bit whoever simulates them, whoever dies on the way; nothing finished is lost."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from loopshape.errors import LoopshapeError, WrongUseError
+from loopshape.plants.arm.arm1 import Arm1
+from loopshape.rigs.effects import asked
+from loopshape.store.campaigns import read_campaign
+from loopshape.store.run_folder import read_run
+
+STUDY = """
+format = "loopshape-study/1"
+rig = "simulated"
+plant = "arm-1dof"
+seed = 4
+operating_points = [{ theta2_deg = 0.0, p_ab_bar = 1.0 }, { theta2_deg = 15.0, p_ab_bar = 1.0 }]
+[[experiment]]
+name = "angle"
+excites = "theta2"
+excitation = { kind = "multisine", f_low_hz = 0.5, f_high_hz = 10.0, period_s = 4.0, periods = 2, amplitude_deg = 2.0 }
+"""
+CAMPAIGN = """
+format = "loopshape-campaign/1"
+study = "study.toml"
+amplitudes = [0.5, 1.0]
+effects = ["", "gas_law=0.8"]
+draws = 2
+seed = 1
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign")
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+    return folder / "campaign.toml"
+
+
+def command(campaign, out, *options):
+    return [sys.executable, "-m", "loopshape.cli.main", "campaign", str(campaign), "--out", str(out), *options]
+
+
+@pytest.fixture(scope="module")
+def alone(campaign):
+    """All of it by one process."""
+    out = campaign.parent / "alone"
+    subprocess.run(command(campaign, out, "--workers", "1"), check=True, capture_output=True)
+    return out
+
+
+def content(out):
+    kept = (path for path in sorted(out.rglob("*")) if path.is_file() and path.name != "journal.jsonl")
+    return {str(path.relative_to(out)): path.read_bytes() for path in kept}
+
+
+def wait_for(out, recordings, process):
+    until = time.monotonic() + 120.0
+    while len(list(out.rglob("*.parquet"))) < recordings:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_every_machine_has_its_run_and_a_line_of_the_table(alone):
+    with (alone / "index.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 2 * 2 * 2
+    for line in lines:
+        run = read_run(alone / line["machine"])
+        assert len(run.recordings) == 2
+        assert "parameters" not in run.extra  # what was drawn stands in the table alone
+    assert len({line["m2_kg"] for line in lines}) == 2  # a draw is one machine under all amplitudes and effects
+    assert all(0.99 * 0.533 <= float(line["m2_kg"]) <= 1.01 * 0.533 for line in lines)
+
+
+def test_amplitudes_scale_what_is_injected(alone):
+    half, whole = (read_run(alone / f"d000000-x{x}").recordings[0].column("n_theta2_rad") for x in ("0.5", "1"))
+    assert (2.0 * half == whole).all()
+
+
+def test_noise_differs_from_machine_to_machine(alone):
+    one, other = (read_run(alone / f"d00000{k}-x1").recordings[0].column("p_a_bar")[:5] for k in (0, 1))
+    assert (one != other).any()
+
+
+def test_two_processes_give_the_same_to_the_last_bit(campaign, alone):
+    out = campaign.parent / "two"
+    subprocess.run(command(campaign, out, "--workers", "2"), check=True, capture_output=True)
+    assert content(out) == content(alone)
+
+
+def test_a_campaign_that_was_killed_goes_on_to_the_same_result(campaign, alone):
+    out = campaign.parent / "killed"
+    process = subprocess.Popen(command(campaign, out, "--workers", "1"), stderr=subprocess.PIPE)
+    wait_for(out, 3, process)
+    process.kill()
+    process.communicate()
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet") if not path.name.startswith(".")}
+    runs = [toml.parent for toml in out.glob("*/run.toml")]
+    listed = [run / recording.info.file for run in runs for recording in read_run(run).recordings]
+    subprocess.run(command(campaign, out, "--workers", "1"), check=True, capture_output=True)
+    assert content(out) == content(alone)
+    assert all(path.stat().st_mtime_ns == before[path] for path in listed)  # what was finished was not made again
+
+
+def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, alone):
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    from distributed import LocalCluster
+
+    out = campaign.parent / "cluster"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1", silence_logs=50
+        ) as cluster:
+            process = subprocess.Popen(
+                command(campaign, out, "--cluster", cluster.scheduler_address), stderr=subprocess.PIPE
+            )
+            wait_for(out, 2, process)
+            victim = next(iter(cluster.workers.values())).pid
+            os.kill(victim, signal.SIGKILL)
+            _, said = process.communicate(timeout=240)
+    assert process.returncode == 0, said.decode()
+    assert content(out) == content(alone)
+
+
+def read(campaign, *changes):
+    text = CAMPAIGN
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = campaign.with_name("changed.toml")
+    path.write_text(text)
+    return read_campaign(path, lambda plant, words: asked(Arm1(), words) if words else {})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('study = "study.toml"', 'study = "../study.toml"', "must be a plain name inside its folder"),
+        ("amplitudes = [0.5, 1.0]", "amplitudes = [0.0]", "amplitudes are positive factors"),
+        ("draws = 2", "draws = 100000000", "at most 10000000 machines"),
+        ("draws = 2", "machines = 2", "unknown key; received 'machines'"),
+        ('"gas_law=0.8"', '"gaslaw"', "arm-1dof has no such effect"),
+    ],
+)
+def test_a_campaign_that_cannot_be_is_refused(campaign, old, new, sentence):
+    with pytest.raises(LoopshapeError, match=sentence):
+        read(campaign, (old, new))
+
+
+def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
+    asked_for, file = read(campaign, ('["", "gas_law=0.8"]', '["gas_law + payload=0.1"]'))
+    assert file == Path(campaign.parent / "study.toml")
+    assert asked_for.effects[0]["payload"] == 0.1
+    assert asked_for.effects[0]["gas_law"] > 0.0
+
+
+def test_a_cluster_that_is_not_there_is_said(campaign):
+    from loopshape.rigs.many import carried_out
+
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    with pytest.raises((LoopshapeError, WrongUseError), match="no cluster answers there"):
+        list(carried_out(Arm1(), [], cluster="tcp://127.0.0.1:9"))
