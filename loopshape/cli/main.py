@@ -17,6 +17,7 @@ from loopshape.cli.equilibria import equilibria
 from loopshape.cli.exam import exam
 from loopshape.cli.export import export
 from loopshape.cli.export_controller import export_controller
+from loopshape.cli.export_excitation import export_excitation
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
@@ -53,6 +54,7 @@ app.command("import")(import_file)
 app.command("import-frf")(import_frf)
 app.command()(export)
 app.command("export-controller")(export_controller)
+app.command("export-excitation")(export_excitation)
 app.command()(interaction)
 app.command()(plan)
 app.command("check-several")(check_several)

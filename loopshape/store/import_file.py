@@ -22,7 +22,7 @@ _GAP = 1.5  # median steps
 def import_file(file: Path, map_file: Path) -> Run:
     """The run, with one recording in memory, that a map makes of a file; `run_folder.write_run` stores it.
 
-    Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet and NPZ; the
+    Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet, NPZ and MDF; the
     keys of the map stand in `import_map`. Refuses whatever the map does not say (`WrongUseError`), damaged files
     (`UnreadableInputError`), and values or stamps that are no recording (`BadSignalError`). Where
     stamps were resampled, `extra["notes"]` says how many gaps there were and how long.

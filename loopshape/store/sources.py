@@ -1,4 +1,4 @@
-"""Other people's files: the arrays that a CSV, MAT, Parquet or NPZ file holds, by name."""
+"""Other people's files: the arrays that a CSV, MAT, Parquet, NPZ or MDF file holds, by name."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, read_csv_table
 from loopshape.store.files import reading, short
 from loopshape.store.mat5 import read_mat5
+from loopshape.store.mdf4 import mdf_array, mdf_names
 from loopshape.store.tables import TableColumns
 from loopshape.units import Array
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+_MDF = (".mf4", ".mdf")
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,10 @@ def open_source(path: Path, shape: CsvShape) -> Source:
     if name.endswith(".parquet"):
         table = TableColumns(path)
         return Source(path, table.names, lambda name: table[name])
+    if name.endswith(_MDF):
+        return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
     raise UnreadableInputError(
-        "a file of this kind is not read", str(path), f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet'))}"
+        "a file of this kind is not read", str(path), f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF))}"
     )
 
 
