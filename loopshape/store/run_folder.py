@@ -19,9 +19,9 @@ import numpy as np
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
-from loopshape.store.files import PART, inside, make_folder, read_toml, write_toml
+from loopshape.store.files import PART, inside, make_folder, write_toml
 from loopshape.store.journal import FILE as JOURNAL
-from loopshape.store.journal import note
+from loopshape.store.journal import note, read_journal
 from loopshape.store.provenance import KEY, file_sha256, versions
 from loopshape.store.run_signals import check_recordings as check_recordings
 from loopshape.store.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
@@ -118,7 +118,7 @@ def excited_names(folder: Path) -> set[str]:
 
 
 def clear_run(folder: Path) -> None:
-    """Take a run out of its folder: its recordings' tables, FRFs, fits and `run.toml`, in that order; no other file."""
+    """Take a run out of its folder: its recordings' tables, FRFs, fits, `run.toml` and journal, in that order."""
     if not (folder / RUN_TOML).exists():
         return
     run = read_run(folder)
@@ -126,6 +126,7 @@ def clear_run(folder: Path) -> None:
         with suppress(FileNotFoundError):
             path.unlink()
     (folder / RUN_TOML).unlink()
+    (folder / JOURNAL).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -178,7 +179,8 @@ def start_run(folder: Path, run: Run) -> None:
 
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:
-    old = read_toml(folder / RUN_TOML)
+    old = dict(_read_words(folder).table)
+    _refuse_lost(folder, old)
     for left in folder.glob(f".*{PART}"):  # of a write that was killed
         with suppress(OSError):
             left.unlink()
@@ -199,6 +201,19 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
     notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
     if notes:
         write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
+
+
+def _refuse_lost(folder: Path, old: Mapping[str, Any]) -> None:
+    """Refuse a run that no longer lists what its journal calls finished: going on would write over it."""
+    lines, _ = read_journal(folder)
+    listed = {str(entry.get("file", "")).split(".")[0] for entry in old.get("recording", [])}
+    done = dict.fromkeys(str(line.get("recording")) for line in lines if line["event"] == "finished")
+    if lost := [name for name in done if name not in listed]:
+        raise UnreadableInputError(
+            f"{folder / RUN_TOML} no longer lists recordings that were finished",
+            ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else ""),
+            f"put it back; to record them anew on purpose, delete {JOURNAL}",
+        )
 
 
 def _header(run: Run) -> dict[str, Any]:
