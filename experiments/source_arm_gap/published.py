@@ -14,23 +14,33 @@ import numpy as np
 from loopshape.plants.arm.linear import linearise
 from loopshape.plants.arm.operating_points import EQUILIBRIA
 from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.plants.arm.source import number, value
 from loopshape.units import Array, db
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
-MEASURED = {UPRIGHT: (780.0, 6.3, 0.05), WIDE: (830.0, 6.4, 0.10)}  # kappa, f in Hz, zeta
-SIMULATED = {UPRIGHT: (1150.0, 5.8, 0.07), WIDE: (1900.0, 4.7, 0.07)}  # by the source itself
-F_ERROR_HZ = 0.1  # two digits are printed, and the text once has 6.5 for the fit's 6.4
-LOW_HZ, HIGH_HZ, RANGE_ERROR_HZ = 6.0, 7.0, 0.25  # "between 6 and 7 Hz": half a unit is 0.5
+
+
+def _fit(place: str) -> tuple[float, float, float]:
+    """kappa, f in Hz and zeta of a printed third-order fit."""
+    return value(f"{place}.kappa"), value(f"{place}.f"), value(f"{place}.zeta")
+
+
+MEASURED = {UPRIGHT: _fit("figure_4_12"), WIDE: _fit("figure_4_15.measured")}
+SIMULATED = {UPRIGHT: _fit("figure_4_14"), WIDE: _fit("figure_4_15.simulated")}  # by the source itself
+F_ERROR_HZ = 0.1  # two digits are printed, and the text once has another f for the same fit (figure_4_15.f_text)
+LOW_HZ, HIGH_HZ = value("identification.f_low"), value("identification.f_high")
+RANGE_ERROR_HZ = 0.25  # of both ends, half a unit is 0.5
 AWAY_HZ, AWAY_ERROR_HZ = 0.2, 0.2  # "slightly increases" from 0 to 30 deg
 KAPPA_ERROR = 0.1  # of each, relative
-GAIN_SPAN_DB, GAIN_SPAN_ERROR_DB = 10.0, 2.0  # "a factor 3" in the low-frequency gain
+GAIN_SPAN_DB, GAIN_SPAN_ERROR_DB = value("identification.gain_span"), 2.0  # "a factor 3" in the low-frequency gain
 MASS_SPAN_DB, MASS_SPAN_ERROR_DB = 0.0, 1.5  # "the mass line is identical", by eye
 ZETA_ERROR = 0.3  # relative: fits of one resonance, and friction makes them depend on the amplitude
 #: half a unit of the last printed digit of table 4.1
-ROUNDING = {
-    "stiffness_b_bar": 0.005, "stiffness_k0": 0.0005, "stiffness_k1": 0.005, "stiffness_k2": 0.005,
-    "stiffness_c0": 0.005, "stiffness_c1": 0.005,
+_PRINTED = {
+    "stiffness_b_bar": "b", "stiffness_k0": "k0", "stiffness_k1": "k1", "stiffness_k2": "k2", "stiffness_c0": "c0",
+    "stiffness_c1": "c1",
 }  # fmt: skip
+ROUNDING = {name: number(f"table_4_1.experiment.{key}").half_digit for name, key in _PRINTED.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,4 +119,5 @@ def digits(shares: Array) -> dict[str, float]:
 def own_misfits(shares: Array) -> Array:
     """How far these digits, gauge gas law, are from the source's own simulated f, in half units of its digit, (2,)."""
     c = constants(ARM1_PARAMETERS.vector(digits(shares)))
-    return np.array([(linearise(c, *p).third_order()[1] - SIMULATED[p][1]) / 0.05 for p in (UPRIGHT, WIDE)])
+    half = number("figure_4_14.f").half_digit
+    return np.array([(linearise(c, *p).third_order()[1] - SIMULATED[p][1]) / half for p in (UPRIGHT, WIDE)])
