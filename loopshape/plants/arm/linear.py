@@ -1,7 +1,9 @@
 """The arm linearised about an equilibrium, with averaged valves: the truth that estimates are held against.
 
 An averaged valve lets through its full flow times the duty. Filling and exhaust differ, so the nominal gain
-is the mean of both; `ripple_gains` gives the gains that a moving command sees.
+is the mean of both; `ripple_gains` gives the gains that a moving command sees. It overstates p_AB/z_p, 2.4 bar/s per V
+for the 1.4 that is measured at (0 deg, 1.0 bar): z_p opens both in-valves at once, and they share one throttle; and it
+misses the coupling that a muscle near the supply's pressure brings (experiments/decoupling).
 
 Effects that act on the flows, the gas, the muscles, the joint and the body are in it, with four limits: a flexible
 coupling is stiff and a hose without its lag (below their frequencies), creep is fast (above its own), and what hangs on
