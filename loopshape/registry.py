@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from loopshape.plant import Followable
     from loopshape.rigs.simulated import Rig
 
-PLANTS = ("arm-1dof", "servo-axis", "arm-2dof")
+PLANTS = ("arm-1dof", "servo-axis", "arm-2dof", "arm-2dof-pairs")
 
 
 def plant(name: str) -> Rig:
@@ -23,6 +23,11 @@ def plant(name: str) -> Rig:
         from loopshape.plants.arm.arm2 import Arm2
 
         return Arm2()
+    if name == "arm-2dof-pairs":
+        from loopshape.plants.arm.arm2 import Arm2
+        from loopshape.plants.arm.strategies2 import PAIRS
+
+        return Arm2(PAIRS)
     if name == "servo-axis":
         from loopshape.plants.servo_axis.axis import ServoAxis
 

@@ -7,97 +7,83 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loopshape.channel import Channel
-from loopshape.controller import Block, Controller
+from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
-from loopshape.experiment import Experiment, LoopSetup
+from loopshape.experiment import Experiment, LoopSetup, shared_unit
 from loopshape.kernels.noise import start_state
 from loopshape.plants.arm import closed_loop2 as kernel
-from loopshape.plants.arm.equilibrium2 import pressures2, rest2
+from loopshape.plants.arm.equilibrium2 import resting
 from loopshape.plants.arm.parameters import P_IN
 from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2, named, sensor_constants2
 from loopshape.plants.arm.simulation import INJECTIONS, check_request, each, info, period_ticks, sections
+from loopshape.plants.arm.strategies2 import DUAL, Strategy
 from loopshape.recording import Recording
 from loopshape.units import Array, rad
 
-POINT_KEYS = ("theta1_deg", "theta2_deg", "p_a_bar", "p_c_bar")
-_PRESSURE = (Block("gain", {"gain": 5.0}), Block("low_pass_1", {"f_hz": 4.0}))
-_DEFAULTS: dict[str, tuple[Block, ...]] = {
-    "theta1": (
-        Block("gain", {"gain": 9.9}),
-        Block("lead_lag", {"f1_hz": 0.22, "f2_hz": 8.0}),
-        Block("notch", {"f1_hz": 1.65, "f2_hz": 1.65, "damping1": 0.1, "damping2": 4.0}),
-        Block("low_pass_2", {"f_hz": 6.0, "damping": 0.8}),
-    ),
-    "theta2": (
-        Block("gain", {"gain": 5.7}),
-        Block("lead_lag", {"f1_hz": 3.7, "f2_hz": 18.0}),
-        Block("notch", {"f1_hz": 4.5, "f2_hz": 4.5, "damping1": 0.06, "damping2": 4.7}),
-        Block("low_pass_2", {"f_hz": 12.0, "damping": 0.8}),
-    ),
-    "p_a": _PRESSURE,
-    "p_c": _PRESSURE,
-}
-_UNITS = {"theta1": "rad", "theta2": "rad", "p_a": "bar", "p_c": "bar"}
+POINT_KEYS = DUAL.point_keys
 
 
 class Arm2:
-    """Two joints, muscles A and B at theta2, C and D at theta1 (`Plant`, `Rig`); loops theta1, theta2, p_a and p_c.
+    """Two joints, muscles A and B at theta2, C and D at theta1 (`Plant`, `Rig`), driven by a strategy.
 
-    It has no catalogue of effects: the gas law alone can be corrected, by `gas_absolute_share` and
-    `polytropic_exponent`.
+    By default the source's: loops theta1, theta2, p_a and p_c; `PAIRS` has theta1, theta2, p_ab and p_cd. It has no
+    catalogue of effects: the gas law alone can be corrected, by `gas_absolute_share` and `polytropic_exponent`.
     """
 
-    name = "arm-2dof"
-    loops: tuple[str, ...] = tuple(_DEFAULTS)
     solvers: tuple[str, ...] = ("edges",)
     parameters = ARM2_PARAMETERS
-    channels: tuple[Channel, ...] = (
-        Channel("theta1", "rad"),
-        Channel("theta2", "rad"),
-        *(Channel(f"p_{m}", "bar") for m in "abcd"),
-        *(Channel(f"z_{loop}", "v") for loop in _DEFAULTS),
-        *(Channel(f"u_{m}", "v") for m in "abcd"),
-    )
+
+    def __init__(self, strategy: Strategy = DUAL) -> None:
+        self.strategy = strategy
+        self.name = strategy.plant
+        self.loops: tuple[str, ...] = strategy.loops
+        self.channels: tuple[Channel, ...] = (
+            Channel("theta1", "rad"),
+            Channel("theta2", "rad"),
+            *(Channel(f"p_{m}", "bar") for m in "abcd"),
+            *(Channel(f"z_{loop}", "v") for loop in strategy.loops),
+            *(Channel(f"u_{m}", "v") for m in "abcd"),
+        )
 
     def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
-        """The source's structures with numbers that hold the printed model (ARM.md, section 10)."""
-        return tuple(Controller(loop, blocks, rate_hz) for loop, blocks in _DEFAULTS.items())
+        """The source's structures with numbers that hold the printed model (`strategies2`)."""
+        return tuple(Controller(loop, blocks, rate_hz) for loop, blocks in self.strategy.controllers.items())
 
     def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
         """Columns of all four loops; what enters at the plant's input is in V."""
         known = {c.loop: c for c in controllers}
         if set(known) != set(self.loops):
             raise WrongUseError(
-                "the 2-DoF arm needs a controller for each of its loops theta1, theta2, p_a and p_c",
+                f"the 2-DoF arm needs a controller for each of its loops {_listed(self.loops)}",
                 ", ".join(known) or "none",
             )
         volts = injection == "plant_input"
-        return tuple(
-            LoopSetup(
-                loop, f"r_{loop}_{unit}", f"n_{loop}_{'v' if volts else unit}", f"z_{loop}_v", f"{loop}_{unit}",
-                known[loop],
-            )
-            for loop, unit in _UNITS.items()
-        )  # fmt: skip
+        setups = []
+        for loop, output in self.strategy.outputs.items():
+            unit = shared_unit(output, f"the output of loop {loop}")
+            injected = f"n_{loop}_{'v' if volts else unit}"
+            setups.append(LoopSetup(loop, f"r_{loop}_{unit}", injected, f"z_{loop}_v", output, known[loop]))
+        return tuple(setups)
 
     def setpoint(self, operating_point: Mapping[str, float]) -> tuple[float, float, float, float]:
         """The references (rad, rad, bar, bar) at an operating point."""
-        theta1, theta2, p_a, p_c = (float(operating_point[key]) for key in POINT_KEYS)
-        return float(rad(theta1)), float(rad(theta2)), p_a, p_c
+        theta1, theta2, first, second = (float(operating_point[key]) for key in self.strategy.point_keys)
+        return float(rad(theta1)), float(rad(theta2)), first, second
 
     def check_operating_point(
         self, operating_point: Mapping[str, float], changes: Mapping[str, float] | None = None
     ) -> None:
-        """Refuse a point with other keys than `POINT_KEYS`, or without an equilibrium in range."""
-        if set(operating_point) != set(POINT_KEYS):
+        """Refuse a point with other keys than the strategy's `point_keys`, or without an equilibrium in range."""
+        keys = self.strategy.point_keys
+        if set(operating_point) != set(keys):
             raise WrongUseError(
-                "an operating point of the 2-DoF arm names theta1_deg, theta2_deg, p_a_bar and p_c_bar",
+                f"an operating point of the 2-DoF arm names {_listed(keys)}",
                 f"{dict(operating_point)!r}",
             )
         vector = self.parameters.vector(changes)
         p = named(vector)
-        theta1, theta2, p_a, p_c = (operating_point[key] for key in POINT_KEYS)
-        four = pressures2(constants2(vector), theta1, theta2, p_a, p_c)
+        theta1, theta2, first, second = (operating_point[key] for key in keys)
+        four = self.strategy.four(constants2(vector), theta1, theta2, first, second)
         inside = all(p["range_low_bar"] <= one <= p["range_high_bar"] for one in four)
         if not (abs(theta1) < p["range_angle1_deg"] and abs(theta2) < p["range_angle_deg"] and inside):
             raise WrongUseError(
@@ -139,9 +125,8 @@ class Arm2:
 
     def _run(self, e: Experiment, changes: dict[str, float], steps: int, states: bool) -> Recording:
         vector = self.parameters.vector({f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters))
-        p, c = named(vector), constants2(vector)
-        point = [e.operating_point[key] for key in POINT_KEYS]
-        x = rest2(c, point[0], point[1], point[2], point[3], float(c[P_IN]))
+        p, c = named(vector), constants2(vector, self.strategy.shared)
+        x = self._rest(c, e.operating_point)
         k1, k2, k3, k4 = controllers = [sections(loop, e) for loop in e.loops]
         state = np.zeros((4, max(b.shape[0] for b in controllers), 2))
         references = np.ascontiguousarray(e.references * np.array([1.0, 1.0, 1e5, 1e5]))
@@ -155,18 +140,32 @@ class Arm2:
         )  # fmt: skip
         return Recording(info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
 
+    def _rest(self, c: Array, operating_point: Mapping[str, float]) -> Array:
+        """State (9,) at rest at an operating point; refuses one without an equilibrium."""
+        point = [float(operating_point[key]) for key in self.strategy.point_keys]
+        four = self.strategy.four(c, point[0], point[1], point[2], point[3])
+        names = (key.removesuffix("_bar").removeprefix("p_").upper() for key in self.strategy.point_keys[2:])
+        asked = ", ".join(f"p_{name} {bar:g} bar" for name, bar in zip(names, point[2:], strict=True))
+        return resting(four, point[0], point[1], float(c[P_IN]), asked)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
 
 def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:
     free = e.injection == "control"  # then what is injected is z itself
     logged = {name: out[:, k] for k, name in enumerate(kernel.LOGGED[: out.shape[1]])}
+    measured = {f"theta{j}_rad": logged[f"theta{j}"] for j in (1, 2)}
+    measured |= {f"p_{m}_bar": 1e-5 * logged[f"p_{m}"] for m in "abcd"}
     columns = {"t_s": np.arange(n) / e.rate_hz}
     for k, loop in enumerate(e.loops):
-        in_pa = loop.output.endswith("_bar")
         columns[str(loop.reference)] = e.references[:n, k]
         columns[str(loop.injected)] = np.zeros(n) if free else e.injected[:n, k]
-        columns[loop.control] = logged[f"z_{loop.name}"]
-        columns[loop.output] = 1e-5 * logged[loop.name] if in_pa else logged[loop.name]
-    columns |= {"p_b_bar": 1e-5 * logged["p_b"], "p_d_bar": 1e-5 * logged["p_d"]}
+        columns[loop.control] = out[:, kernel.Z + k]
+        if loop.output in measured:
+            columns[loop.output] = measured[loop.output]
+    columns |= {name: values for name, values in measured.items() if name not in columns}
     columns |= {f"u_{m}_v": logged[f"u_{m}"] for m in "abcd"}
     if "capacity" in logged:
         columns |= {f"true_theta{j}_rad": logged[f"angle{j}"] for j in (1, 2)}

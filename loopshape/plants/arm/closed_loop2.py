@@ -25,16 +25,17 @@ from loopshape.plants.arm.closed_loop import (
 )
 from loopshape.plants.arm.model import called, in_line
 from loopshape.plants.arm.model2 import moving2
-from loopshape.plants.arm.parameters2 import THETA1_LIMIT
+from loopshape.plants.arm.parameters2 import SHARED, THETA1_LIMIT
 from loopshape.units import Array
 
-#: columns of the log, pressures in Pa: measured angles and pressures, z and u; true states after them if asked
+#: columns of the log, pressures in Pa: measured angles and pressures, z and u; true states after them if asked.
+#: z_p_a and z_p_c are z_pAB and z_pCD where the strategy is that of pairs
 LOGGED = (
     "theta1", "theta2", "p_a", "p_b", "p_c", "p_d", "z_theta1", "z_theta2", "z_p_a", "z_p_c",
     "u_a", "u_b", "u_c", "u_d",
     "capacity", "true_a", "true_b", "true_c", "true_d", "angle1", "angle2", "velocity1", "velocity2",
 )  # fmt: skip
-U, MEASURED, STATES = 10, 14, 9  # places of u and of the true states, and their number
+Z, U, MEASURED, STATES = 6, 10, 14, 9  # places of z, of u and of the true states, and their number
 
 
 @called
@@ -121,12 +122,16 @@ def sense2(x: Array, sensors: Array, random_state: int, row: Array) -> int:
 
 
 @in_line
-def log2(out: Array, tick: int, z1: float, z2: float, z3: float, z4: float, x: Array) -> None:
+def log2(out: Array, tick: int, z1: float, z2: float, z3: float, z4: float, shared: float, x: Array) -> None:
     """Decouple what enters the plant (z, with what is injected there) and log it; true states too where there is room.
 
-    u_A = z_theta2 + z_pA, u_B = -z_theta2, u_C = -z_theta1 + z_pC, u_D = z_theta1 (5.11-5.15, signs of ARM.md).
+    u_A = z_theta2 + z_pA, u_B = -z_theta2, u_C = -z_theta1 + z_pC, u_D = z_theta1 (5.11-5.15, signs of ARM.md). With
+    `shared` 1 z_p enters both muscles of its pair: u_B = -z_theta2 + z_pAB, u_D = z_theta1 + z_pCD (5.3-5.7).
     """
     out[tick, U], out[tick, U + 1], out[tick, U + 2], out[tick, U + 3] = z2 + z3, -z2, z4 - z1, z1
+    if shared != 0.0:  # not added as 0 elsewhere, which would make +0 of -0
+        out[tick, U + 1] += shared * z3
+        out[tick, U + 3] += shared * z4
     if out.shape[1] > MEASURED:
         for k in range(STATES):
             out[tick, MEASURED + k] = x[k]
@@ -170,14 +175,16 @@ def run2(
     """Simulate as many ticks as `references` (n, 4: rad, rad, Pa, Pa) has; fills `out` (n, 14 or 23) by `LOGGED`.
 
     `x` (9,) and `controller_state` (4, sections, 2) move in place. Gives why it ended and how many ticks are logged.
+    The constants' `SHARED` is the strategy: 1 measures and drives both muscles of a pair by its pressure loop, 0 one.
     Sensor spans: angles are centred, pressures start at 0; beyond them the converters clip.
     """
-    u, closes = np.zeros(4), np.zeros(4)
+    u, closes, shared = np.zeros(4), np.zeros(4), c[SHARED]
     for tick in range(references.shape[0]):
         random_state = sense2(x, sensors, random_state, out[tick])
         if closed:
             e1, e2 = references[tick, 0] - out[tick, 0], references[tick, 1] - out[tick, 1]
-            e3, e4 = 1e-5 * (references[tick, 2] - out[tick, 2]), 1e-5 * (references[tick, 3] - out[tick, 4])
+            held1, held2 = out[tick, 2] + shared * out[tick, 3], out[tick, 4] + shared * out[tick, 5]
+            e3, e4 = 1e-5 * (references[tick, 2] - held1), 1e-5 * (references[tick, 3] - held2)
             if injection == CONTROLLER_INPUT:
                 e1, e2 = e1 + injected[tick, 0], e2 + injected[tick, 1]
                 e3, e4 = e3 + injected[tick, 2], e4 + injected[tick, 3]
@@ -191,7 +198,7 @@ def run2(
         if closed and injection == PLANT_INPUT:
             z1, z2 = z1 + injected[tick, 0], z2 + injected[tick, 1]
             z3, z4 = z3 + injected[tick, 2], z4 + injected[tick, 3]
-        log2(out, tick, z1, z2, z3, z4, x)
+        log2(out, tick, z1, z2, z3, z4, shared, x)
         phase = tick % period_ticks
         if phase == 0:
             for k in range(4):

@@ -6,11 +6,11 @@ dead zone are not in it, nor is the drop of the capacity, through which open in-
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from loopshape.plants.arm.equilibrium2 import rest2
+from loopshape.plants.arm.equilibrium2 import pair_rest2, rest2
 from loopshape.plants.arm.model2 import derivatives2
 from loopshape.plants.arm.parameters import P_IN
 from loopshape.units import Array, ComplexArray, angular, hz
@@ -19,6 +19,9 @@ from loopshape.units import Array, ComplexArray, angular, hz
 DECOUPLING = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
 #: of the linear states theta1, theta2, their velocities, p_A to p_D: theta1, theta2, p_A, p_C
 OUTPUTS = np.eye(8)[[0, 1, 4, 6]]
+#: the strategy of one joint on both (5.3-5.7): columns z_theta1, z_theta2, z_pAB, z_pCD, and theta1, theta2, p_AB, p_CD
+PAIR_DECOUPLING = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, -1.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0]])
+PAIR_OUTPUTS = np.vstack([np.eye(8)[[0, 1]], np.eye(8)[[4, 6]] + np.eye(8)[[5, 7]]])
 _STATES = (5, 6, 7, 8, 1, 2, 3, 4)  # places of the linear states in the kernel's
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1e5, 1e5, 1e5, 1e5])
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])  # rad, rad/s, bar
@@ -28,22 +31,25 @@ _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])  # rad, rad/
 class Linearisation2:
     """Linear arm: states theta1, theta2, their velocities, p_A to p_D (rad, rad/s, bar).
 
-    `dynamics` (8, 8); `fill` and `exhaust` (4,) are d p/dt in bar/s per unit duty of muscles A to D.
+    `dynamics` (8, 8); `fill` and `exhaust` (4,) are d p/dt in bar/s per unit duty of muscles A to D. `decoupling` and
+    `outputs` are of the strategy: z in V to u, and states to what is measured; the source's unless it is said.
     """
 
     dynamics: Array
     fill: Array
     exhaust: Array
+    decoupling: Array = field(default_factory=DECOUPLING.copy)
+    outputs: Array = field(default_factory=OUTPUTS.copy)
 
     @property
     def inputs(self) -> Array:
-        """Input matrix (8, 4) from (z_theta1, z_theta2, z_pA, z_pC) in V, valves averaged."""
-        return np.vstack([np.zeros((4, 4)), 0.5 * (self.fill + self.exhaust)[:, None] * DECOUPLING])
+        """Input matrix (8, 4) from the strategy's four z, (z_theta1, z_theta2, z_pA, z_pC), in V, valves averaged."""
+        return np.vstack([np.zeros((4, 4)), 0.5 * (self.fill + self.exhaust)[:, None] * self.decoupling])
 
     def response(self, frequency_hz: Array) -> ComplexArray:
-        """Response (nf, 4, 4) from (z_theta1, z_theta2, z_pA, z_pC) to (theta1, theta2 in rad, p_A, p_C in bar)."""
+        """Response (nf, 4, 4) from the strategy's four z in V to its outputs, angles in rad and pressures in bar."""
         s = 1j * angular(frequency_hz)[:, None, None]
-        return np.asarray(OUTPUTS @ np.linalg.solve(s * np.eye(8) - self.dynamics, self.inputs))
+        return np.asarray(self.outputs @ np.linalg.solve(s * np.eye(8) - self.dynamics, self.inputs))
 
     def modes(self) -> tuple[tuple[float, float], ...]:
         """Eigenfrequency in Hz and damping ratio of each oscillation, lowest first."""
@@ -60,7 +66,18 @@ def _rates(c: Array, x: Array, *valves: bool) -> Array:
 
 def linearise2(c: Array, theta1_deg: float, theta2_deg: float, p_a_bar: float, p_c_bar: float) -> Linearisation2:
     """Linearisation about an equilibrium with p_c = p_in; refuses a point without equilibrium."""
-    x = rest2(c, theta1_deg, theta2_deg, p_a_bar, p_c_bar, float(c[P_IN]))
+    return _about(c, rest2(c, theta1_deg, theta2_deg, p_a_bar, p_c_bar, float(c[P_IN])))
+
+
+def linearise_pairs2(
+    c: Array, theta1_deg: float, theta2_deg: float, p_ab_bar: float, p_cd_bar: float
+) -> Linearisation2:
+    """As `linearise2` from the sums of both pairs, under the strategy that drives and measures them."""
+    found = _about(c, pair_rest2(c, theta1_deg, theta2_deg, p_ab_bar, p_cd_bar, float(c[P_IN])))
+    return replace(found, decoupling=PAIR_DECOUPLING, outputs=PAIR_OUTPUTS)
+
+
+def _about(c: Array, x: Array) -> Linearisation2:
     shut = (False,) * 8
     columns = []
     for place, step, unit in zip(_STATES, _STEPS, _UNITS, strict=True):

@@ -65,6 +65,8 @@ FIRST = 101  # constants of the 1-DoF arm before these
     SQUARE_C, ALONG_C, ACROSS_C, SQUARE_D, ALONG_D, ACROSS_D, SQUARE_S, ALONG_S, ACROSS_S, SPRING, SPRING_LENGTH,
     WEIGHT_X, WEIGHT_Y, INERTIA_1, COUPLING_X, COUPLING_Y,
 ) = range(FIRST, FIRST + 19)  # fmt: skip
+#: 1 where the pressure loops measure and drive both muscles of a pair (`strategies2`), else 0
+SHARED = FIRST + 19
 THETA1_LIMIT = 9  # place of theta1's limit in `sensor_constants2`
 
 
@@ -73,8 +75,8 @@ def named(vector: Array) -> dict[str, float]:
     return dict(zip(ARM2_PARAMETERS.names, vector.tolist(), strict=True))
 
 
-def constants2(vector: Array) -> Array:
-    """The kernel's constants (120,), SI, from a parameter vector of `ARM2_PARAMETERS`."""
+def constants2(vector: Array, shared: float = 0.0) -> Array:
+    """The kernel's constants (121,), SI, from a parameter vector of `ARM2_PARAMETERS`; the last one is `shared`."""
     p = named(vector)
     mm = {name[:-3]: 1e-3 * value for name, value in p.items() if name.endswith("_mm")}
     m2, g = p["m2_kg"], p["gravity_m_s2"]
@@ -86,7 +88,7 @@ def constants2(vector: Array) -> Array:
     for side, foot in (("c", -mm["l0c"]), ("d", mm["l0d"]), ("s", mm["l0s"])):
         more += _link(foot, mm["l0"], mm["l01x"] - mm[f"l1{side}"])
     more += [p["spring_n_m"], mm["spring_length"], weight_x, weight_y, inertia1]
-    more += [m2 * mm["l12"] * mm["l1x"], m2 * mm["l12"] * mm["l1y"]]
+    more += [m2 * mm["l12"] * mm["l1x"], m2 * mm["l12"] * mm["l1y"], shared]
     return np.concatenate([constants(ARM1_PARAMETERS.holding(p).vector()), more])
 
 

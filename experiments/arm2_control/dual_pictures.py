@@ -1,0 +1,92 @@
+"""Figures of both joints: steps of figures 5.11 and 5.12, and the damping."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from loopshape.draw.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
+from loopshape.recording import Recording
+from loopshape.units import deg
+
+_ROWS = (
+    ("theta1 [deg]", "theta1_rad"), ("p_C [bar]", "p_c_bar"), ("theta2 [deg]", "theta2_rad"), ("p_A [bar]", "p_a_bar"),
+)  # fmt: skip
+_WORDS = {
+    "joint-1": ("figure_5_11", "figure 5.11: steps of theta1 and p_C"),
+    "joint-2": ("figure_5_12", "figure 5.12: steps of theta2 and p_A"),
+}
+
+
+@styled()
+def draw_steps(runs: Mapping[str, Sequence[Recording]]) -> dict[str, Figure]:
+    """A page an experiment: the four measured outputs under each set of controllers, and their setpoints."""
+    out = {}
+    for k, (name, title) in enumerate(_WORDS.values()):
+        figure = new_figure(4, 1, (FULL_WIDTH_IN, 7.0), sharex=True)
+        for which, (controllers, recordings) in reversed(list(enumerate(runs.items()))):
+            _outputs(figure.axes, recordings[k], COLOURS[which], controllers)
+        for ax, (label, column) in zip(figure.axes, _ROWS, strict=True):
+            r = runs["plant's own"][k]
+            scale = float(deg(1.0)) if column.endswith("_rad") else 1.0
+            ax.plot(r.column("t_s"), scale * r.column(f"r_{column}"), color="black", linewidth=0.7, label="setpoint")
+            ax.set_ylabel(label)
+        figure.axes[-1].set_xlabel("time [s]")
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        head(figure, title)
+        out[name] = figure
+    return out
+
+
+def _outputs(axes: Sequence[Axes], r: Recording, colour: str, controllers: str) -> None:
+    for ax, (_, column) in zip(axes, _ROWS, strict=True):
+        scale = float(deg(1.0)) if column.endswith("_rad") else 1.0
+        label = f"{controllers} controllers"
+        ax.plot(r.column("t_s"), scale * r.column(column), color=colour, linewidth=0.9, label=label)
+        ended = r.info.ended_early
+        if ended is not None:
+            label = "leaves the model's range" if ax is axes[0] else ""
+            end = {"marker": "x", "linestyle": "none", "color": colour, "markersize": 6.0, "label": label}
+            ax.plot(r.column("t_s")[-1:], scale * r.column(column)[-1:], **end)
+
+
+@styled()
+def draw_damping(linear: Sequence[Sequence], simulated: Sequence[Sequence]) -> Figure:
+    """Overshoot and damping of theta2 against the bandwidth of p_A's loop."""
+    figure = new_figure(1, 2, (FULL_WIDTH_IN, 4.2), sharex=True)
+    over, damping = figure.axes
+    for name, colour in (("dual", COLOURS[0]), ("pairs", COLOURS[1])):
+        for factor, dash in ((0.5, ":"), (1.0, "-"), (2.0, "--")):
+            rows = [r for r in linear if r[0] == name and r[1] == factor and r[5] != ""]
+            x = [float(r[3]) for r in rows]
+            look = {"color": colour, "linestyle": dash}
+            label = f"{name}, theta2's gain x {factor:g}"
+            over.semilogx(x, [float(r[5]) for r in rows], label=label, **look)
+            damping.semilogx(x, [float(r[9]) for r in rows], **look)
+        hz = {float(r[2]): float(r[3]) for r in linear if r[0] == name and r[1] == 1.0}
+        for size, mark in ((3.0, "o"), (15.0, "s")):
+            mine = [r for r in simulated if r[0] == name and r[1] == size and r[7] == ""]
+            x = [hz[r[2]] for r in mine if r[2] in hz]
+            y = [float(r[3]) for r in mine if r[2] in hz]
+            over.plot(x, y, mark, color=colour, markerfacecolor="white", label=f"{name}, simulated, {size:g} deg")
+    own = next(float(r[4]) for r in linear if r[0] == "dual" and r[1] == 1.0)
+    for ax in figure.axes:
+        ax.axvline(own, color=QUIET, linewidth=0.8)
+        ax.set_xlabel("bandwidth of the pressure loop [Hz]")
+    over.set_title("overshoot of theta2's step")
+    over.set_ylabel("overshoot [%]")
+    damping.set_title("damping of its leading oscillation, linear")
+    damping.set_ylabel("damping ratio [1]")
+    damping.set_ylim(0.0, 1.0)
+    over.set_ylim(0.0, None)
+    handles, labels = over.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    head(
+        figure,
+        "The damping that a pressure loop adds to theta2 (section 5.3.3)",
+        "lines: linearisation; marks: simulated arm, theta2's gain x 1; grey: bandwidth of theta2's own loop, gain x 1",
+    )
+    return figure
