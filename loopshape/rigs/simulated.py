@@ -194,7 +194,15 @@ def _periodic(template: ExperimentTemplate) -> tuple[float | None, float | None]
     if len(shapes) != 1:
         return None, None
     period_s, _, ramp_s = shapes.pop()
-    return (None, None) if period_s is None else (period_s, template.lead_s + ramp_s)
+    if period_s is None:
+        return None, None
+    if ramp_s + template.tail_s >= period_s:
+        raise WrongUseError(
+            f"what follows the whole periods of experiment {template.name!r} would be taken for a period",
+            f"ramp_s + tail_s = {ramp_s + template.tail_s:g} s, period_s = {period_s:g} s",
+            "shorten the ramp or the tail",
+        )
+    return period_s, template.lead_s + ramp_s
 
 
 def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) -> Run:

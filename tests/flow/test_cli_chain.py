@@ -68,6 +68,8 @@ def test_an_interrupted_run_goes_on_and_gives_the_same_recordings(arm: Path, tmp
     head = (tmp_path / "run" / "run.toml").read_text()
     cut = head.rindex("[[recording]]")
     (tmp_path / "run" / "run.toml").write_text(head[:cut])  # as if it had stopped after the first recording
+    journal = (tmp_path / "run" / "journal.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "run" / "journal.jsonl").write_text(journal[0])
     (tmp_path / "run" / "angle-02.parquet").write_bytes(b"half a file")
     done = loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
