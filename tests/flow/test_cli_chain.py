@@ -325,5 +325,16 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
     from loopshape.errors import WrongUseError
     from loopshape.store.run_folder import alone
 
-    with alone(tmp_path), pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+    holds = (
+        "import sys; from pathlib import Path; from loopshape.store.run_folder import alone\n"
+        "with alone(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    )
+    words = [sys.executable, "-c", holds, str(tmp_path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+            pass
+        other.communicate("")
+    with alone(tmp_path), alone(tmp_path):  # this process may hold it again
         pass
