@@ -13,6 +13,7 @@ from loopshape.cli.check_several import check_several
 from loopshape.cli.compare import compare
 from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
+from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.exam import exam
 from loopshape.cli.export import export
@@ -66,6 +67,7 @@ app.command()(schedule)
 app.command()(campaign)
 app.command()(study)
 app.command()(stop)
+app.command()(emulator)
 app.command()(verify)
 
 

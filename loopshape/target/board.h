@@ -1,0 +1,73 @@
+/*
+ * What a board has to write so that the target runs on it. How to port:
+ *
+ * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
+ *    safe, send bytes. boards/scripted.c is the smallest example, boards/arm_emulator.c a whole one.
+ * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 7 kB (two loops,
+ *    five columns) to 10 kB (as target.h has them), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
+ *    (3 TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) numbers. The program is about 15 kB (x86-64, -Os).
+ * 3. At power-up: hardware first (valves in the safe state), then target_init().
+ * 4. A timer calls target_tick() at the board's rate. It reads the sensors, closes the loops, checks limits, and hands over
+ *    pulses when a PWM period begins.
+ * 5. The main loop hands every byte that arrives to target_receive() and calls target_poll(ms) again and again, at least every
+ *    10 ms; it sends what is due, one frame a call.
+ * 6. tick on one side and receive and poll on the other share everything. Call all from one loop (the timer sets a flag), or
+ *    keep the tick's interrupt shut out while receive and poll run; a frame takes them some 10 000 instructions.
+ * 7. Leave a hardware watchdog and an emergency stop that need no program where they are: this program replaces neither.
+ *
+ * The watchdog of the protocol counts ticks, so that it acts even if the main loop hangs; a board that runs as fast as it
+ * can counts the milliseconds of target_poll instead. Numbers: f64 arithmetic, by software where the machine has none (a
+ * tick of two loops with eight sections is about 300 operations). No heap, no files, no operating system; <math.h> for
+ * fabs, ceil and isfinite alone.
+ */
+#ifndef LOOPSHAPE_BOARD_H
+#define LOOPSHAPE_BOARD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define BOARD_EMULATED 1u /* no machine behind it */
+#define BOARD_FAST 2u     /* ticks come as fast as they can: wait where target_waits() says so */
+
+struct board_info {
+    const char *name, *version;   /* up to 60 bytes each */
+    uint8_t sensors, commands;    /* up to TARGET_SENSORS, TARGET_COMMANDS */
+    const char *const *columns;   /* names of the sensors, then of the commands, with their unit: `theta2_rad`, `u_a_v` */
+    double rate_hz;               /* ticks a second */
+    double pwm_hz, dead_zone;     /* the board's own; 0 Hz: no PWM */
+    uint8_t flags;
+};
+
+const struct board_info *board_info(void);
+
+/* The sensors, in their columns' units. */
+void board_read(double *sensors);
+
+/* With PWM: signed length in s of each command's pulse, at the period's start. Without: each tick, the commands. */
+void board_give(const double *commands);
+
+/* From now on board_give comes: make the outputs ready. */
+void board_enable(void);
+
+/* The safe state, at once and until board_enable: a pneumatic machine's out valves open. */
+void board_safe(void);
+
+/* Bytes that board_send takes now; a board needs a queue of FRAME_ENCODED bytes or more. */
+size_t board_space(void);
+
+/* Send a whole frame; it was asked for its space before. */
+void board_send(const uint8_t *bytes, size_t count);
+
+/* What is wrong with the machine by its own judgement, or NULL; asked each tick while the loops are closed. */
+const char *board_trouble(int recording);
+
+/*
+ * Emulated machines: can it stand at rest where the outputs Y s are `references` (Y: loops x sensors, row by row)? `now`: put it
+ * there. Gives 0 where it cannot. A real machine gives 0.
+ */
+int board_place(const double *outputs, uint8_t loops, const double *references, int now);
+
+/* Emulated machines: the state of the noise generator from the next sample on. A real machine does nothing. */
+void board_noise(uint64_t state);
+
+#endif

@@ -1,0 +1,145 @@
+/* Inside the target: its one state, and what its parts ask of each other. Not for a port. */
+#ifndef LOOPSHAPE_STATE_H
+#define LOOPSHAPE_STATE_H
+
+#include "board.h"
+#include "bytes.h"
+#include "frames.h"
+#include "target.h"
+
+#if TARGET_NUMBER_BYTES == 8
+typedef double number;
+#define put_number put_f64
+#define take_number take_f64
+#elif TARGET_NUMBER_BYTES == 4
+typedef float number;
+#define put_number put_f32
+#define take_number take_f32
+#else
+#error "TARGET_NUMBER_BYTES is 4 or 8"
+#endif
+
+#define LIMITED (TARGET_SENSORS + TARGET_COMMANDS)
+#define WIDTH (3 * TARGET_LOOPS + LIMITED) /* numbers a tick, at most */
+#define RATE_TICKS 10u                     /* a rate is averaged over so many */
+#define AGAIN_MOST 8u                      /* ranges that wait to be sent again */
+#define NOBODY 255u                        /* no limit's index */
+
+enum { IDLE, ARMED, RUNNING, FAULT };
+enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT };
+enum { COMPLETE, STOPPED, LIMIT, RATE_LIMIT, WATCHDOG, UNDERRUN, EMERGENCY_STOP, MACHINE };
+enum { CONTROLLER_INPUT, PLANT_INPUT, CONTROL };
+
+struct limit {
+    double low, high, rate;
+};
+
+/* What CONFIGURE, SECTIONS and LIMIT said, and how far they came. */
+struct configuration {
+    uint8_t loops, hold, sections_loop, limits, ready;
+    uint16_t watchdog_ms;
+    uint32_t period_ticks, digest;
+    double soft_start_s, period_s, dead_zone;
+    double outputs[TARGET_LOOPS * TARGET_SENSORS], mixing[TARGET_COMMANDS * TARGET_LOOPS];
+    uint8_t count[TARGET_LOOPS];
+    double sections[TARGET_LOOPS][TARGET_SECTIONS][5];
+    struct limit limit[LIMITED];
+};
+
+/* The loops: sensors and commands in one row, as LIMIT counts them. */
+struct loops {
+    double measured[LIMITED]; /* sensors, then commands */
+    double y[TARGET_LOOPS], r[TARGET_LOOPS], n[TARGET_LOOPS], z[TARGET_LOOPS];
+    double state[TARGET_LOOPS][TARGET_SECTIONS][2];
+    double from[TARGET_LOOPS], to[TARGET_LOOPS]; /* the references' way to the setpoint */
+    uint32_t way, ways;                          /* ticks of it, done and in all */
+    double before[LIMITED][RATE_TICKS];          /* the last values, for the rates */
+    uint32_t before_at;
+    uint32_t phase; /* ticks since the PWM period began */
+    uint8_t fresh;  /* the next values are the first */
+    uint8_t closed; /* a fault that holds */
+};
+
+/* The last recording that BEGIN announced. */
+struct recording {
+    uint32_t id, rows, taken, tick;
+    uint32_t sent, acknowledged; /* next tick to send the first time; ticks that the host has */
+    uint64_t noise;
+    uint16_t columns;
+    uint8_t injection, place, numbers, width, announced, going;
+};
+
+struct ended {
+    uint32_t run, ticks, tick, said_ms;
+    double value, limit;
+    uint8_t reason, index, waiting, said;
+    char sentence[64];
+};
+
+struct range {
+    uint32_t first, count;
+};
+
+struct target {
+    const struct board_info *board;
+    uint8_t state, fault;
+    struct configuration c;
+    struct loops l;
+    struct recording run;
+    struct ended ended[2]; /* of the recording, and of a fault outside one */
+    struct range again[AGAIN_MOST];
+    uint8_t again_count;
+    uint16_t frames_sent;
+    uint32_t quiet_ticks, heard_ms, now_ms, samples_ms; /* since and when a request came; when samples went */
+    uint8_t answer_waits, answer_known;
+    uint32_t answer_of; /* CRC of the request that was answered */
+    size_t answer_count;
+    uint8_t answer[FRAME_BODY], body[FRAME_BODY], encoded[FRAME_ENCODED];
+    struct frame_decoder decoder;
+    number excitation[TARGET_ROWS * 2 * TARGET_LOOPS]; /* a ring of rows */
+    number memory[TARGET_TICKS * WIDTH];               /* a ring of ticks */
+};
+
+extern struct target target;
+
+/* Answers of a request: 0, or a NO code with `*why` said. */
+typedef uint8_t (*request)(struct reader *in, struct writer *out, const char **why);
+
+uint8_t refuse(uint8_t code, const char **why, const char *sentence);
+
+/* configure.c */
+uint8_t ask_configure(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_sections(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_limit(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_ready(struct reader *in, struct writer *out, const char **why);
+
+/* run.c */
+uint8_t ask_begin(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_rows(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_go(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_again(struct reader *in, struct writer *out, const char **why);
+void run_forget(void);
+void run_start(void);
+int run_row(void);    /* this tick's row into r and n; 0 where it is missing */
+void run_sample(void);
+void run_end(uint8_t reason, uint8_t index, double value, double limit, const char *sentence);
+
+/* stream.c: what comes unasked */
+void stream_acknowledge(uint32_t run, uint32_t received);
+int stream_poll(void);
+int send_body(uint8_t *body, size_t count);
+struct writer body_of(uint8_t *data, uint8_t type, uint16_t tag);
+
+/* loops.c */
+void loops_arm(void);
+void loops_rest(void);
+void loops_start_here(double ramp_s);
+uint8_t loops_move(double ramp_s, const double *to);
+void loops_fault(uint8_t reason, uint8_t index, double value, double limit, const char *sentence);
+void loops_vent(uint8_t state);
+
+/* The limit that a sensor or command passes now, or NOBODY. */
+uint8_t sensor_outside(void);
+int all_finite(const double *values, size_t count);
+
+#endif

@@ -1,0 +1,245 @@
+/* The target's state machine: requests in, answers out, each request done once. Specification: docs/protocol.md. */
+#include "state.h"
+
+#define PROTOCOL 1
+
+struct target target;
+
+uint8_t refuse(uint8_t code, const char **why, const char *sentence)
+{
+    *why = sentence;
+    return code;
+}
+
+static uint8_t no_payload(const struct reader *in, const char **why)
+{
+    return read_whole(in) ? 0 : refuse(NO_MALFORMED, why, "this request has no payload");
+}
+
+static uint8_t ask_identify(struct reader *in, struct writer *out, const char **why)
+{
+    const struct board_info *b = target.board;
+
+    (void)take_u16(in);
+    if (!read_whole(in))
+        return refuse(NO_MALFORMED, why, "IDENTIFY has another length");
+    put_u16(out, PROTOCOL);
+    put_u8(out, TARGET_NUMBER_BYTES);
+    put_u8(out, b->sensors);
+    put_u8(out, b->commands);
+    put_u8(out, TARGET_LOOPS);
+    put_u8(out, TARGET_SECTIONS);
+    put_u32(out, TARGET_ROWS);
+    put_u32(out, TARGET_TICKS);
+    put_f64(out, b->rate_hz);
+    put_f64(out, b->pwm_hz);
+    put_u8(out, b->flags);
+    put_text(out, b->name);
+    put_text(out, b->version);
+    for (uint8_t k = 0; k < b->sensors + b->commands; k++)
+        put_text(out, b->columns[k]);
+    return 0;
+}
+
+static uint8_t ask_arm(struct reader *in, struct writer *out, const char **why)
+{
+    const uint32_t digest = take_u32(in);
+
+    (void)out;
+    if (!read_whole(in))
+        return refuse(NO_MALFORMED, why, "ARM has another length");
+    if (!target.c.ready)
+        return refuse(NO_CONFIGURED, why, "READY comes first");
+    if (digest != target.c.digest)
+        return refuse(NO_DIGEST, why, "another configuration than the one that is here");
+    if (sensor_outside() != NOBODY)
+        return refuse(NO_RANGE, why, "a sensor is outside its limits");
+    run_forget();
+    target.ended[1].waiting = 0;
+    target.fault = 0;
+    target.state = ARMED;
+    loops_arm();
+    return 0;
+}
+
+static uint8_t ask_setpoint(struct reader *in, struct writer *out, const char **why)
+{
+    const double ramp_s = take_f64(in);
+    double to[TARGET_LOOPS] = {0.0};
+
+    (void)out;
+    for (uint8_t k = 0; k < target.c.loops; k++)
+        to[k] = take_f64(in);
+    if (!read_whole(in))
+        return refuse(NO_MALFORMED, why, "SETPOINT has another length");
+    return loops_move(ramp_s, to) ? refuse(NO_RANGE, why, "the ramp or a reference") : 0;
+}
+
+static uint8_t ask_stop(struct reader *in, struct writer *out, const char **why)
+{
+    (void)out;
+    const uint8_t refused = no_payload(in, why);
+    if (!refused && target.state == RUNNING)
+        run_end(STOPPED, NOBODY, 0.0, 0.0, "stopped by the host");
+    return refused;
+}
+
+/* The emergency stop, whatever else is wrong with the request. */
+static uint8_t ask_vent(struct reader *in, struct writer *out, const char **why)
+{
+    (void)out, (void)in, (void)why;
+    if (target.state == ARMED || target.state == RUNNING)
+        run_end(EMERGENCY_STOP, NOBODY, 0.0, 0.0, "emergency stop by the host");
+    target.fault = EMERGENCY_STOP;
+    loops_vent(FAULT);
+    return 0;
+}
+
+static uint8_t ask_disarm(struct reader *in, struct writer *out, const char **why)
+{
+    (void)out;
+    const uint8_t refused = no_payload(in, why);
+    if (refused)
+        return refused;
+    if (target.state == RUNNING)
+        run_end(STOPPED, NOBODY, 0.0, 0.0, "disarmed by the host");
+    loops_vent(target.state == FAULT ? FAULT : IDLE);
+    return 0;
+}
+
+static uint8_t ask_clear(struct reader *in, struct writer *out, const char **why)
+{
+    (void)out;
+    const uint8_t refused = no_payload(in, why);
+    if (refused)
+        return refused;
+    target.fault = 0;
+    loops_vent(IDLE);
+    return 0;
+}
+
+static uint8_t ask_alive(struct reader *in, struct writer *out, const char **why)
+{
+    const uint32_t run = take_u32(in), received = take_u32(in);
+
+    if (!read_whole(in))
+        return refuse(NO_MALFORMED, why, "ALIVE has another length");
+    stream_acknowledge(run, received);
+    put_u8(out, target.state);
+    put_u32(out, target.run.id);
+    put_u32(out, target.run.tick);
+    put_u32(out, target.run.taken);
+    put_u32(out, target.decoder.bad);
+    put_u8(out, target.fault);
+    for (uint8_t k = 0; k < target.board->sensors; k++)
+        put_number(out, (number)target.l.measured[k]);
+    return 0;
+}
+
+#define IN(state) (1u << (state))
+#define ANY (IN(IDLE) | IN(ARMED) | IN(RUNNING) | IN(FAULT))
+
+/* Requests by their type, from 1 on, and the states that allow them. */
+static const struct {
+    request ask;
+    uint8_t states;
+} REQUESTS[] = {
+    {ask_identify, ANY},      {ask_configure, IN(IDLE)}, {ask_sections, IN(IDLE)},
+    {ask_limit, IN(IDLE)},    {ask_ready, IN(IDLE)},     {ask_arm, IN(IDLE)},
+    {ask_setpoint, IN(ARMED)}, {ask_begin, IN(ARMED)},   {ask_rows, ANY},
+    {ask_go, IN(ARMED)},      {ask_stop, ANY},           {ask_vent, ANY},
+    {ask_disarm, ANY},        {ask_alive, ANY},          {ask_again, ANY},
+    {ask_clear, IN(FAULT)},
+};
+
+static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer *out, const char **why)
+{
+    if (tag == 0)
+        return refuse(NO_MALFORMED, why, "a request's tag is 1 or more");
+    if (type == 0 || type > sizeof REQUESTS / sizeof REQUESTS[0])
+        return refuse(NO_SUPPORT, why, "no such request");
+    if (!(REQUESTS[type - 1].states & IN(target.state)))
+        return refuse(NO_STATE, why, "not in this state");
+    return REQUESTS[type - 1].ask(in, out, why);
+}
+
+/* A whole frame has come. */
+static void handle(const uint8_t *body, size_t count)
+{
+    struct reader in = {body + FRAME_HEAD, count - FRAME_HEAD, 0};
+    const uint8_t type = body[0];
+    const uint16_t tag = (uint16_t)(body[1] | body[2] << 8);
+    const uint32_t check = crc32_of(0, body, count);
+    const char *why = "";
+
+    if (type >= 0x80)
+        return; /* an answer, perhaps our own by an echo: nothing is answered to it, and it is no sign of a host */
+    target.quiet_ticks = 0;
+    target.heard_ms = target.now_ms;
+    if (!target.answer_known || target.answer_of != check) {
+        struct writer out = body_of(target.answer, 0x81, tag);
+        const uint8_t code = done(type, tag, &in, &out, &why);
+        if (code) {
+            out = body_of(target.answer, 0x82, tag);
+            put_u16(&out, code);
+            put_text(&out, why);
+        }
+        target.answer_count = out.count;
+        target.answer_of = check;
+        target.answer_known = 1;
+    }
+    target.answer_waits = 1;
+    (void)stream_poll();
+}
+
+void target_init(void)
+{
+    memset(&target, 0, sizeof target);
+    target.board = board_info();
+    loops_vent(IDLE);
+    board_read(target.l.measured);
+}
+
+void target_receive(uint8_t byte)
+{
+    const size_t count = frame_receive(&target.decoder, byte);
+    if (count > 0)
+        handle(target.decoder.held, count);
+}
+
+void target_new_line(void)
+{
+    target.decoder.count = 0;
+    target.decoder.spoilt = 0;
+    target.answer_known = target.answer_waits = 0;
+}
+
+int target_waits(void)
+{
+    const struct recording *run = &target.run;
+    if (!(target.board->flags & BOARD_FAST) || target.state != RUNNING)
+        return 0;
+    return run->tick - run->acknowledged >= TARGET_TICKS || (run->going && run->tick >= run->taken);
+}
+
+/* As fast as it can: a host that vanished is told by the clock, not by ticks. */
+static void watch_host_by_clock(void)
+{
+    const uint32_t passed_ms = target.now_ms - target.heard_ms;
+    if (!(target.board->flags & BOARD_FAST) || (target.state != ARMED && target.state != RUNNING))
+        return;
+    if (passed_ms >= target.c.watchdog_ms)
+        loops_fault(WATCHDOG, NOBODY, passed_ms, target.c.watchdog_ms, "nothing came from the host");
+}
+
+int target_poll(uint32_t now_ms)
+{
+    target.now_ms = now_ms;
+    watch_host_by_clock();
+    return stream_poll();
+}
+
+int target_state(void)
+{
+    return target.state;
+}
