@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from itertools import product
 from typing import Any
 
@@ -17,6 +18,7 @@ from loopshape.study import ExperimentTemplate, Study
 
 MOST = 10_000_000  # machines: more is a slip of the pen
 SEEDS_APART = 1_000_003  # of machines' sensor noise
+_LONGEST_NAME = 120  # letters of a machine's folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,8 @@ class Campaign:
     """A study, factors on its amplitudes, sets of effects, and how many machines of the ordinary spread are drawn.
 
     `draws` 0 is the nominal machine alone. Each draw is the same machine at all amplitudes and under all effects.
-    Refuses amplitudes that are not positive, no effects (an empty set is one), and more than ten million machines.
+    Refuses amplitudes that are not positive, no effects (an empty set is one), machines of one name, and more than
+    ten million.
     """
 
     study: Study
@@ -54,6 +57,13 @@ class Campaign:
             raise WrongUseError("a campaign has sets of effects", "none", 'write [""] for machines without')
         if self.size > MOST:
             raise WrongUseError(f"a campaign has at most {MOST} machines", f"{self.size}", "draw fewer")
+        names = [_name(None, amplitude, effects) for amplitude, effects in product(self.amplitudes, self.effects)]
+        if twice := next((name for name in names if names.count(name) > 1), ""):
+            raise WrongUseError(
+                "two machines of a campaign have one name",
+                twice.removeprefix("nominal-"),
+                "give each amplitude and each set of effects once; names tell six digits apart",
+            )
 
     @property
     def size(self) -> int:
@@ -61,28 +71,46 @@ class Campaign:
         return max(1, self.draws) * len(self.amplitudes) * len(self.effects)
 
     def machines(self, spread: Sequence[Spread], table: ParameterTable) -> Iterable[Machine]:
-        """All machines in order; the same seed gives the same, whoever simulates them."""
+        """All machines in order; the same seed gives the same, whoever simulates them.
+
+        Refuses draws of a plant without a spread: they would all be one machine.
+        """
+        if self.draws and not spread:
+            raise WrongUseError(
+                f"the plant {self.study.plant} has no ordinary spread", f"draws = {self.draws}", "leave draws out"
+            )
         cases = product(range(max(1, self.draws)), self.amplitudes, self.effects)
         for number, (draw, amplitude, effects) in enumerate(cases):
-            drawn = _drawn(spread, table, self.seed, draw) if self.draws else {}
+            drawn = _drawn(spread, table, self.study.changes, (self.seed, draw)) if self.draws else {}
             study = replace(
                 self.study,
                 seed=self.study.seed + self.seed * SEEDS_APART + number,
-                effects={**self.study.effects, **effects},
+                effects=_both(self.study.effects, effects),
                 experiments=tuple(_scaled(e, amplitude) for e in self.study.experiments),
             )
             yield Machine(_name(draw if self.draws else None, amplitude, effects), draw, amplitude, study, drawn)
 
 
+def _both(own: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
+    """The study's effects with those of a set: one that both name, in whatever form, is the set's."""
+    named = {key.partition(":")[0] for key in more}
+    return {key: value for key, value in own.items() if key.partition(":")[0] not in named} | dict(more)
+
+
 def _name(draw: int | None, amplitude: float, effects: Mapping[str, float]) -> str:
     words = ["nominal" if draw is None else f"d{draw:06d}", f"x{amplitude:g}"]
-    return "-".join([*words, *(f"{name.replace(':', '_')}={size:g}" for name, size in effects.items())])
+    name = "-".join([*words, *(f"{name.replace(':', '_')}={size:g}" for name, size in effects.items())])
+    if len(name) <= _LONGEST_NAME:
+        return name
+    return f"{name[: _LONGEST_NAME - 20]}-{sha256(name.encode()).hexdigest()[:16]}"
 
 
-def _drawn(spread: Sequence[Spread], table: ParameterTable, seed: int, draw: int) -> dict[str, float]:
-    """Parameters of one machine of the ordinary spread, each kind uniform and independent."""
-    shares = np.random.default_rng([seed, draw]).uniform(-1.0, 1.0, len(spread))
-    nominal = {row.name: row.value for row in table.rows}
+def _drawn(
+    spread: Sequence[Spread], table: ParameterTable, changes: Mapping[str, float], seed: tuple[int, int]
+) -> dict[str, float]:
+    """Parameters of one machine of the ordinary spread about the study's, each kind uniform and independent."""
+    shares = np.random.default_rng(list(seed)).uniform(-1.0, 1.0, len(spread))
+    nominal = {row.name: row.value for row in table.rows} | dict(changes)
     moved: dict[str, float] = {}
     for one, share in zip(spread, shares, strict=True):
         moved |= {name: one.moved(moved.get(name, nominal[name]), float(share)) for name in one.parameters}

@@ -16,6 +16,7 @@ from loopshape.excitation_parts import (
     check_band,
     check_below_half_rate,
     check_positive,
+    check_samples,
     ramp,
     repeated,
     samples,
@@ -138,6 +139,7 @@ class Prbs:
         from scipy.signal import max_len_seq
 
         hold = samples(self.clock_s, rate_hz)
+        check_samples(hold * 2**self.order)
         bits = np.asarray(max_len_seq(self.order)[0], dtype=float)
         start = int(np.random.default_rng(self.seed).integers(bits.size))
         one = np.repeat(2.0 * np.roll(bits, -start) - 1.0, hold)

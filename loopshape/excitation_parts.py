@@ -20,9 +20,14 @@ def samples(duration_s: float, rate_hz: float) -> int:
             f"{duration_s!r} s at {rate_hz:g} Hz",
             "change the duration or the rate",
         )
+    check_samples(n)
+    return round(n)
+
+
+def check_samples(n: float) -> None:
+    """Refuse a signal longer than any that is made."""
     if n > MOST_SAMPLES:
         raise WrongUseError("a signal is too long", f"{n:.3g} samples", f"{MOST_SAMPLES:g} at most")
-    return round(n)
 
 
 def ramp(n: int, ramp_n: int) -> Array:
@@ -65,5 +70,6 @@ def check_positive(kind: str, **numbers: float) -> None:
 def repeated(one: Array, periods: int, ramp_s: float, rate_hz: float) -> Array:
     """Whole periods of `one` (n,), with a ramp before the first and after the last."""
     ramp_n = samples(ramp_s, rate_hz) if ramp_s else 0
+    check_samples(periods * one.size + 2 * ramp_n)
     index = np.arange(-ramp_n, periods * one.size + ramp_n) % one.size
     return one[index] * ramp(index.size, ramp_n)

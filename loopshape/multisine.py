@@ -9,11 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopshape.errors import WrongUseError
-from loopshape.excitation_parts import check_band, check_below_half_rate, check_positive, repeated, samples
+from loopshape.excitation_parts import (
+    MOST_SAMPLES,
+    check_band,
+    check_below_half_rate,
+    check_positive,
+    repeated,
+    samples,
+)
 from loopshape.units import TWO_PI, Array, ComplexArray
 
 #: most turns of one multisine; each costs a transform per iteration
 MOST_TURNS = 64
+MOST_ITERATIONS = 10_000
 
 
 @dataclass(frozen=True)
@@ -61,8 +69,19 @@ class Multisine:
                 "0.5 changes the sign; for another turn give turns, for example turn = 0.25 and turns = 4",
             )
 
+        self._check_sizes()
         if self.levels:
             self._check_levels()
+
+    def _check_sizes(self) -> None:
+        """Refuse numbers that would take hours or fill the memory, before they are used."""
+        count = self.f_high_hz * self.period_s if self.lines_hz is None else len(self.lines_hz)
+        if count > MOST_SAMPLES or self.crest_iterations > MOST_ITERATIONS:
+            raise WrongUseError(
+                f"a multisine has {MOST_SAMPLES:g} lines and {MOST_ITERATIONS} crest_iterations at most",
+                f"{count:.3g} lines, {self.crest_iterations:g} iterations",
+                "lower its highest frequency, its period, or the iterations",
+            )
 
     def _check_levels(self) -> None:
         count = self.lines().size

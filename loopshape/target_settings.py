@@ -8,6 +8,7 @@ from math import inf
 
 from loopshape.channel import Channel
 from loopshape.errors import WrongUseError
+from loopshape.units import SUFFIXES
 
 ON_LIMIT = ("vent", "hold")
 
@@ -30,7 +31,7 @@ class Limit:
             )
 
     def __str__(self) -> str:
-        unit = Channel.from_column(self.column).unit
+        unit = SUFFIXES[Channel.from_column(self.column).unit]
         rate = "" if self.rate == inf else f", at most {self.rate:g} {unit}/s"
         return f"{self.low:g} to {self.high:g} {unit}{rate}"
 

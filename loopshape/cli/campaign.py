@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,25 +29,26 @@ def campaign(
     import time
 
     from loopshape import registry
-    from loopshape.rigs.many import carried_out
+    from loopshape.rigs.many import check_workers
+    from loopshape.rigs.simulated import plan
     from loopshape.store.campaigns import write_index
     from loopshape.store.files import make_folder
-    from loopshape.store.run_folder import add_recording, alone
+    from loopshape.store.run_folder import alone
 
+    check_workers(workers)
     output = Output(as_json, quiet)
     asked, study_file = _read(file)
     plant = registry.plant(asked.study.plant)
     machines = list(asked.machines(getattr(plant, "spread", ()), plant.parameters))
+    for machine in machines[: len(asked.amplitudes) * len(asked.effects)]:
+        plan(machine.study, plant)  # refuses before anything is written
     make_folder(out)
-    with alone(out):
+    started = time.monotonic()
+    with alone(out), _terminable():
         write_index(out, machines)
-        todo = [job for machine in machines for job in _todo(out, machine, plant, study_file)]
-        started = time.monotonic()
         try:
-            with output.progress("campaign", len(todo)) as step:
-                for job, recording in carried_out(plant, todo, workers, cluster):
-                    add_recording(out / job.machine, recording)
-                    step(f"{job.machine} {recording.info.name}")
+            todo = [job for machine in machines for job in _todo(out, machine, plant, study_file)]
+            _record(out, todo, plant, (workers, cluster), output)
         except KeyboardInterrupt:
             output.warn(["interrupted; what the runs list is kept, the same command goes on"])
             raise typer.Exit(130) from None
@@ -55,9 +57,34 @@ def campaign(
     output.json({"machines": len(machines), "recordings": len(todo), "wall_s": wall_s})
 
 
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """A request to terminate ends like Ctrl-C: with the workers."""
+    import signal
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _record(out: Path, todo: Sequence[Job], plant: Rig, by: tuple[int, str | None], output: Output) -> None:
+    """Do all jobs and write what comes, in order."""
+    from loopshape.rigs.many import carried_out
+    from loopshape.store.run_folder import add_recording
+
+    with output.progress("campaign", len(todo)) as step, closing(carried_out(plant, todo, *by)) as made:
+        for job, recording in made:
+            add_recording(out / job.machine, recording)
+            step(f"{job.machine} {recording.info.name}")
+
+
 def _read(file: Path) -> tuple[Campaign, Path]:
     from loopshape import registry
-    from loopshape.errors import WrongUseError
     from loopshape.rigs.effects import asked
     from loopshape.store.campaigns import read_campaign
 
@@ -65,10 +92,7 @@ def _read(file: Path) -> tuple[Campaign, Path]:
         listed = list(words)
         return asked(registry.plant(plant), listed) if listed else {}
 
-    read, study_file = read_campaign(file, of)
-    if read.study.rig != "simulated":
-        raise WrongUseError("a campaign is simulated", f"rig = {read.study.rig!r}", "measure a target by `measure`")
-    return read, study_file
+    return read_campaign(file, of)
 
 
 def _todo(out: Path, machine: Machine, plant: Rig, study_file: Path) -> Iterator[Job]:

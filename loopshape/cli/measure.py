@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,15 +27,54 @@ def measure(
     controllers: ControllersFile = None,
     port: Annotated[str | None, typer.Option(help="Where the target is; wins over the study's.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Let a target move: what it will do was looked at.")] = False,
+    show: Annotated[bool, typer.Option("--show", help="Show what a target would do, and stop.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive the rig of a study and write a run folder with its FRFs."""
+    """Drive the rig of a study and write a run folder with its FRFs.
+
+    Exit code 1 where a target passed a limit, 2 where a simulation ended early.
+    """
     from loopshape.cli.frf import estimate_and_report
+    from loopshape.cli.measure_target import StoppedAtLimitError
+    from loopshape.errors import LoopshapeError
 
     output = Output(as_json, quiet)
-    ended = record(study, out, output, controllers=controllers, port=port, arm=arm)
-    estimate_and_report(out, output, extra={"ended_early": ended})
+    try:
+        ended = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show)
+    except StoppedAtLimitError as stopped:
+        print(f"loopshape: {stopped}", file=sys.stderr)
+        early = [*ended_early(out), *([str(stopped)] if as_json else [])]
+        try:
+            estimate_and_report(out, output, extra={"ended_early": early})
+        except LoopshapeError as error:
+            print(f"loopshape: {error}", file=sys.stderr)
+        except typer.Exit:
+            pass
+        raise typer.Exit(1) from None
+    if _excited(out):
+        try:
+            estimate_and_report(out, output, extra={"ended_early": ended})
+        except typer.Exit as early:
+            raise typer.Exit(1 if _is_target(study) else early.exit_code) from None
+        return
+    output.warn(ended)
+    output.say(f"run {out}: no recording excites a loop, so there is no FRF; `loopshape simulate` draws what moved")
+    output.json({"run": str(out), "ended_early": ended})
+
+
+def _is_target(study_file: Path) -> bool:
+    """Whether a study drives a real-time target."""
+    from loopshape.store.study import read_study
+
+    return read_study(study_file).target is not None
+
+
+def _excited(run: Path) -> bool:
+    """Whether a recording of a run excites a loop."""
+    from loopshape.store.run_folder import read_run
+
+    return any(r.info.excites is not None for r in read_run(run).recordings)
 
 
 def record(
@@ -47,6 +87,7 @@ def record(
     controllers: Path | None = None,
     port: str | None = None,
     arm: bool = False,
+    show: bool = False,
 ) -> list[str]:
     """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
 
@@ -77,7 +118,7 @@ def record(
         KEY: {**versions(), "study": study_file.name, "seed": study.seed},
     }
     if study.rig == "target":
-        record_on_target(study, plant, out, output, port=port, armed=arm, extra=extra)
+        record_on_target(study, plant, out, output, port=port, armed=arm, show=show, extra=extra)
         return ended_early(out)
     todo = plan(study, plant)
     start_run(out, header(study, plant, extra))

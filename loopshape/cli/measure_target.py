@@ -10,53 +10,120 @@ from typing import TYPE_CHECKING
 import typer
 
 from loopshape.cli.output import Output, point
+from loopshape.errors import RigError
 
 if TYPE_CHECKING:
-    from loopshape.rigs.messages import Identity
+    from loopshape.rigs.messages import Configuration, Identity
+    from loopshape.rigs.session import Session
     from loopshape.rigs.simulated import Planned, Rig
     from loopshape.study import Study
     from loopshape.target_settings import TargetSettings
 
 WORD = "ARM"
-MARK = ".measuring.part"  # who drives a target into a run folder
+MARK = ".measuring.json"  # who drives a target into a run folder
+
+
+class StoppedAtLimitError(RigError):
+    """A real machine passed a limit: what was recorded is kept, and a person looks before anything moves again."""
 
 
 def record_on_target(
-    study: Study, plant: Rig, out: Path, output: Output, *, port: str | None, armed: bool, extra: dict[str, object]
-) -> None:
-    """Record what is missing of a study from a target. Refuses to move anything before it was shown and armed."""
+    study: Study, plant: Rig, out: Path, output: Output, *, port: str | None, armed: bool, show: bool,
+    extra: dict[str, object],
+) -> None:  # fmt: skip
+    """Record what is missing of a study from a target, or only `show` it. Moves nothing that was not armed."""
     from loopshape.errors import WrongUseError
     from loopshape.rigs.link import open_link
     from loopshape.rigs.session import Session
-    from loopshape.rigs.simulated import experiment, header, plan
-    from loopshape.rigs.target import arm, configuration, drive
-    from loopshape.store.run_folder import add_recording, alone, finished, start_run
+    from loopshape.rigs.simulated import header, plan
+    from loopshape.rigs.target import configuration
+    from loopshape.store.run_folder import alone, finished, start_run
 
     settings = study.target
     if settings is None or not (name := port or settings.port):
         raise WrongUseError("the study names no port", "neither port in [target] nor --port", "give one")
     _refuse_what_only_models_do(study)
     planned, head = plan(study, plant), header(study, plant, extra)
+    if out.is_dir():
+        with alone(out):  # whoever measures into it is left in peace
+            done = finished(out)
+    else:
+        done = set()
+    todo = [one for one in planned if one.name not in done]
+    if not todo:
+        start_run(out, head)
+        return
     with open_link(name, settings.baud) as link:
         session = Session(link)
         wanted = configuration(session.identity, planned[0].loops, settings, study.rate_hz, head.pwm or study.pwm)
-        todo = [one for one in planned if one.name not in finished(out)]
         _show(session.identity, name, settings, todo, study, plant, output)
-        if not todo:
-            return
+        if show:
+            output.say("nothing was moved; --arm lets it move")
+            raise typer.Exit(0)
         _be_armed(armed, output)
         start_run(out, head)
-        with alone(out), _marked(out, name), _interrupts(), output.progress("measure", len(todo)) as step:
+        with alone(out), _marked(out, name), _interrupts():
             try:
-                made = drive(
-                    arm(session, settings, planned[0].loops, wanted), (experiment(study, plant, one) for one in todo)
-                )
-                for recording in made:
-                    add_recording(out, recording)
-                    step(recording.info.name)
+                _drive(session, wanted, todo, study, plant, out, output)
             except KeyboardInterrupt:
-                output.warn([f"stopped and vented; what {out / 'run.toml'} lists is kept, the same command goes on"])
+                lines = [f"stopped and vented; what {out / 'run.toml'} lists is kept", _go_on(session.identity, name)]
+                output.warn(["; ".join(lines)])
                 raise typer.Exit(130) from None
+    _refuse_a_limit(session.identity, settings, name, out, [one.name for one in todo])
+
+
+def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out: Path, todo: Sequence[str]) -> None:
+    """A real machine that stopped at a limit is an error, though what it recorded is kept."""
+    from loopshape.store.run_folder import finished
+
+    holds, done = settings.on_limit == "hold", finished(out)
+    if left := [name for name in todo if name not in done]:
+        raise StoppedAtLimitError(
+            f"the machine {'holds' if holds else 'vented'} at a limit, and {len(left)} of {len(todo)} recordings were "
+            "not made",
+            ", ".join(left),
+            _go_on(identity, port),
+        )
+    if not identity.emulated and (hit := _at_limit(out, todo[-1])):
+        way = "it holds there" if holds else "it vented"
+        raise StoppedAtLimitError(f"the last recording ended at a limit, {way}", hit, _go_on(identity, port))
+
+
+def _go_on(identity: Identity, port: str) -> str:
+    """How to go on after a fault: a real machine is looked at first."""
+    look = (
+        "" if identity.emulated else f"look at the machine and clear the fault (loopshape stop {port} --clear), then "
+    )
+    return f"{look}the same command goes on"
+
+
+def _at_limit(out: Path, name: str) -> str | None:
+    from loopshape.store.run_folder import read_run
+
+    return read_run(out).recording(name).info.ended_early
+
+
+def _drive(
+    session: Session, wanted: Configuration, todo: Sequence[Planned], study: Study, plant: Rig, out: Path,
+    output: Output,
+) -> None:  # fmt: skip
+    """Arm, and record what is to be done; whatever ends this early vents before the link is closed."""
+    from contextlib import closing
+    from importlib import import_module
+
+    from loopshape.rigs.simulated import experiment
+    from loopshape.rigs.target import arm, drive, vented_on_error
+    from loopshape.store.run_folder import add_recording
+
+    assert study.target is not None
+    coming = (experiment(study, plant, one) for one in todo)
+    import_module("pyarrow.parquet")  # now: it takes longer than a watchdog waits
+    with output.progress("measure", len(todo)) as step:
+        armed = arm(session, study.target, todo[0].loops, wanted)
+        with vented_on_error(session), closing(drive(armed, coming)) as made:
+            for recording in made:
+                add_recording(out, recording)
+                step(recording.info.name)
 
 
 def _refuse_what_only_models_do(study: Study) -> None:
@@ -102,7 +169,8 @@ def _be_armed(armed: bool, output: Output) -> None:
 
     if armed:
         return
-    if not output.as_json and sys.stdin.isatty() and input(f"Type {WORD} to let it move: ").strip() == WORD:
+    shown = not (output.as_json or output.quiet)
+    if shown and sys.stdin.isatty() and input(f"Type {WORD} to let it move: ").strip() == WORD:
         return
     raise WrongUseError("nothing was moved", "no word to arm", "look at what is about to happen, then add --arm")
 
@@ -125,14 +193,24 @@ def _marked(out: Path, port: str) -> Iterator[None]:
 
 @contextmanager
 def _interrupts() -> Iterator[None]:
-    """A request to terminate ends like Ctrl-C: the machine vents first."""
+    """Ctrl-C, a request to terminate and a closed terminal end alike: the machine vents first, undisturbed by a second.
+
+    A shell that starts this in the background lets it ignore Ctrl-C's signal; `loopshape stop` sends that one.
+    """
     import signal
 
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
+    told = False
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal told
+        if not told:
+            told = True
+            raise KeyboardInterrupt
+
+    which = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(one, interrupt) for one in which]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for one, handler in zip(which, before, strict=True):
+            signal.signal(one, handler)

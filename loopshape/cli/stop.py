@@ -18,7 +18,11 @@ def stop(
     quiet: Quiet = False,
 ) -> None:
     """Vent a target at once: through the process that measures into a run folder, or through a port."""
+    from loopshape.errors import WrongUseError
+
     output = Output(as_json, quiet)
+    if clear and Path(what).is_dir():
+        raise WrongUseError("a fault is cleared through the target's port", what, "stop the run, then name the port")
     how = _interrupted(Path(what)) if Path(what).is_dir() else _through(what, baud, clear)
     output.say(how)
     output.json({"done": how})
@@ -43,11 +47,13 @@ def _interrupted(run: Path) -> str:
 
 def _through(port: str, baud: int, clear: bool) -> str:
     """Vent through a port of our own, and clear the fault that this is, if asked."""
+    from loopshape.rigs.frames import Frame
     from loopshape.rigs.link import open_link
     from loopshape.rigs.messages import Ask
     from loopshape.rigs.session import Session
 
     with open_link(port, baud) as link:
+        link.write(b"\0" + Frame(Ask.VENT, 65535).encoded)  # before anything is asked
         session = Session(link)
         session.ask(Ask.VENT)
         if clear:

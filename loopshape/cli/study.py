@@ -35,7 +35,7 @@ def study(
     output = Output(as_json, quiet)
     if not names and not everything:
         return _list(known, output)
-    ended = _run_all(experiments, names or list(known), jobs, output)
+    ended = _run_all(experiments, list(dict.fromkeys(names or known)), jobs, output)
     output.json({"studies": [vars(one) for one in ended]})
     if any(one.exit_code for one in ended):
         raise typer.Exit(2 if all(one.exit_code in (0, 2) for one in ended) else 1)
@@ -67,7 +67,9 @@ def _known(experiments: Path) -> dict[str, str]:
 
 def _question(folder: Path) -> str:
     readme = folder / "README.md"
-    return readme.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") if readme.is_file() else ""
+    if not readme.is_file():
+        return ""
+    return next(iter(readme.read_text(encoding="utf-8", errors="replace").splitlines()), "").lstrip("# ")
 
 
 def _list(known: dict[str, str], output: Output) -> None:
@@ -82,7 +84,11 @@ def _run_all(experiments: Path, names: Sequence[str], jobs: int, output: Output)
 
     first = [name for name in names if name not in LAST]
     with ThreadPoolExecutor(max(1, min(jobs or cpu_count() or 1, len(first)))) as pool:
-        ended = list(pool.map(lambda name: _run(experiments, name, output), first))
+        try:
+            ended = list(pool.map(lambda name: _run(experiments, name, output), first))
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return ended + [_run(experiments, name, output) for name in names if name in LAST]
 
 

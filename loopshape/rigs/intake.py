@@ -40,20 +40,25 @@ class Intake:
         """What is there (received, width)."""
         return self._table[: self.received]
 
-    def passed(self, new: int, places: slice, limits: Array, rate_hz: float) -> tuple[int, int, float, float] | None:
+    def passed(
+        self, new: int, places: slice, limits: Array, rate_hz: float, grain: float = 2.0**-52
+    ) -> tuple[int, int, float, float] | None:
         """The first limit that the last `new` ticks pass: column of `places`, tick, value, limit; None if none is.
 
-        `limits` (columns, 3) low, high and rate a second; a rate counts from RATE_TICKS on.
+        `limits` (columns, 3) low, high and rate a second; a rate counts from RATE_TICKS on. `grain` is the relative
+        rounding of what arrived: what the target found within its limits is within them here too. NaN passes them.
         """
         first = max(0, self.received - new)
         values = self._table[max(0, first - RATE_TICKS) : self.received, places]
         mine = values[-(self.received - first) :] if new else values[:0]
         rates = np.abs(values[RATE_TICKS:] - values[:-RATE_TICKS]) * (rate_hz / RATE_TICKS)
+        slack = grain * np.abs(limits[:, :2]).max(axis=1)
+        blur = slack * 2.0 * rate_hz / RATE_TICKS
         for found, low, high, back in (
-            (mine, limits[:, 0], limits[:, 1], len(mine)),
-            (rates, -np.inf, limits[:, 2], len(rates)),
+            (mine, limits[:, 0] - slack, limits[:, 1] + slack, len(mine)),
+            (rates, -np.inf, limits[:, 2] * (1.0 + grain) + blur, len(rates)),
         ):
-            over = (found < low) | (found > high)
+            over = ~((found >= low) & (found <= high))
             if over.any():
                 tick, column = (int(k) for k in np.argwhere(over)[0])
                 value = float(found[tick, column])

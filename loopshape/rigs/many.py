@@ -6,9 +6,14 @@ was faster. A worker that dies costs time: the cluster does its jobs again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import os
+import time
+import warnings
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
+from threading import Thread
 from typing import Any
 
 from loopshape.errors import RigError, WrongUseError
@@ -16,6 +21,8 @@ from loopshape.recording import Recording
 from loopshape.rigs.effects import moves
 from loopshape.rigs.simulated import Planned, Rig, experiment
 from loopshape.study import Study
+
+_PER_CORE = 8  # processes: each takes some 200 MB and a start of seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,26 +42,65 @@ def done(plant: Rig, job: Job) -> Recording:
     return plant.simulate([e], solver=job.study.solver, changes=changes, threads=1)[0]
 
 
+def _done(plant: Rig, job: Job, master: int) -> Recording:
+    """A job in a worker, which ends with the process that it works for, however that ends."""
+    if os.getppid() == master:
+        _watch(master)
+    return done(plant, job)
+
+
+@cache
+def _watch(master: int) -> None:
+    def until_alone() -> None:
+        while os.getppid() == master:
+            time.sleep(0.5)
+        os._exit(1)
+
+    Thread(target=until_alone, daemon=True).start()
+
+
 def carried_out(
     plant: Rig, jobs: Iterable[Job], workers: int = 0, cluster: str | None = None
-) -> Iterator[tuple[Job, Recording]]:
+) -> Generator[tuple[Job, Recording]]:
     """Jobs and their recordings, in order, a few ahead in memory.
 
-    `workers` processes here (0: one a core), or those of the Dask scheduler at `cluster`. Refuses a cluster without its
-    extra, and one that does not answer; a worker that dies here ends the work, with what was written kept.
+    `workers` processes here (0: one a core), or those of the Dask scheduler at `cluster`. Refuses a number of workers
+    that `check_workers` refuses, a cluster without its extra, and one that does not answer; a worker that dies here
+    ends the work, with what was written kept. Whoever stops taking results closes this, and the workers end.
     """
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    check_workers(workers)
     listed = list(jobs)
+    warnings.filterwarnings("ignore", r"\d+ tasks ", UserWarning, "joblib")  # nobody takes them after an interrupt
     with _executor(cluster):
-        parallel = Parallel(n_jobs=workers or -1, return_as="generator", pre_dispatch="2*n_jobs", max_nbytes=None)
+        parallel = Parallel(
+            n_jobs=_processes(workers, len(listed), cluster),
+            return_as="generator",
+            pre_dispatch="2*n_jobs",
+            max_nbytes=None,
+        )
         try:
-            yield from zip(listed, parallel(delayed(done)(plant, job) for job in listed), strict=True)
+            yield from zip(listed, parallel(delayed(_done)(plant, job, os.getpid()) for job in listed), strict=True)
         except TerminatedWorkerError:
             raise RigError(
                 "a worker process ended unasked", "killed, or out of memory", "the same command goes on; use fewer"
             ) from None
+
+
+def check_workers(workers: int) -> None:
+    """Refuse a negative number of processes, and more than a machine can hold."""
+    most = _PER_CORE * (os.cpu_count() or 1)
+    if not 0 <= workers <= most:
+        raise WrongUseError(
+            "the number of workers is not one of this machine", str(workers), f"use 1 to {most}, or 0 for one a core"
+        )
+
+
+def _processes(workers: int, jobs: int, cluster: str | None) -> int:
+    """Processes to start, no more than there is work for; -1 leaves it to a cluster."""
+    return -1 if cluster is not None else max(1, min(workers or os.cpu_count() or 1, jobs))
 
 
 @contextmanager

@@ -6,8 +6,10 @@ counted and asked for again.
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import count
 
 from loopshape.errors import LoopshapeError, RigError
@@ -18,6 +20,8 @@ from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Payload
 
 ANSWER_S = 0.25
 TRIES = 5
+SHORTEST_S = 0.02
+BUSY_S = 60.0  # a host that is busy for longer than this is as good as gone
 
 
 class Session:
@@ -25,8 +29,10 @@ class Session:
 
     def __init__(self, link: Link, clock: Callable[[], float] = time.monotonic) -> None:
         self._link, self._clock = link, clock
-        self._receiver, self._tags = Receiver(), count(1)
+        self._receiver, self._tags = Receiver(), count(time.monotonic_ns() // 1000)  # answers to another are no answer
         self._answer: Frame | None = None
+        self.again_s = ANSWER_S
+        self.vented = False  # the emergency stop was tried since the target was armed
         self._awaited = 0
         self.unasked: Callable[[Frame], None] = lambda frame: None
         self.last_sent_s = clock()
@@ -39,13 +45,14 @@ class Session:
 
     def ask(self, what: Ask, payload: bytes = b"") -> bytes:
         """Send a request until it is answered; its answer's payload. Refused or unanswered, it is a `RigError`."""
-        self._awaited = (next(self._tags) - 1) % 65535 + 1
+        self._awaited = next(self._tags) % 65535 + 1
         self._answer = None
-        frame = Frame(what, self._awaited, payload).encoded
-        for _ in range(TRIES):
+        frame = b"\0" + Frame(what, self._awaited, payload).encoded  # the zero ends what noise or a cut frame left
+        over = self._clock() + TRIES * ANSWER_S
+        while self._clock() < over:
             self._link.write(frame)
             self.last_sent_s = self._clock()
-            until = self._clock() + ANSWER_S
+            until = min(over, self._clock() + self.again_s)
             while self._answer is None and self._clock() < until:
                 self.listen(until - self._clock())
             if self._answer is not None:
@@ -84,6 +91,30 @@ class Session:
         while (left := time_s - self._clock()) > 0.0:
             self.listen(left)
 
+    def watched(self, watchdog_ms: int) -> None:
+        """From here on a lost request is sent again in time for the target's watchdog."""
+        self.again_s = min(ANSWER_S, max(SHORTEST_S, watchdog_ms / 3e3))
+
+    @contextmanager
+    def kept_alive(self, beat_s: float) -> Iterator[None]:
+        """While the caller is busy with something else, a thread says that the host is there, for BUSY_S at most."""
+        over, until = threading.Event(), self._clock() + BUSY_S
+
+        def beat() -> None:
+            try:
+                while not over.wait(beat_s) and self._clock() < until:
+                    self.status()
+            except LoopshapeError:
+                return  # whoever asks next is told
+
+        thread = threading.Thread(target=beat, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
     def silent_s(self) -> float:
         """How long ago the last request was sent."""
         return self._clock() - self.last_sent_s
@@ -119,4 +150,6 @@ class RefusedError(RigError):
     def __init__(self, what: Ask, code: int, said: str) -> None:
         self.code = code
         word = messages.REFUSALS.get(code, f"code {code}")
-        super().__init__(f"the target refuses {what.name}", f"{word}{': ' + said if said else ''}")
+        super().__init__(
+            f"the target refuses {what.name}", f"{word}{': ' + said if said else ''}", "look at the target first"
+        )

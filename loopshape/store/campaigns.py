@@ -16,7 +16,8 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from loopshape.campaign import Campaign, Machine
-from loopshape.store.files import inside, write_text_whole
+from loopshape.errors import WrongUseError
+from loopshape.store.files import PART, inside, reading, short, write_text_whole
 from loopshape.store.study import read_study
 from loopshape.store.words import read_words
 
@@ -28,12 +29,14 @@ Asked = Callable[[str, Iterable[str]], Mapping[str, float]]
 def read_campaign(path: Path, asked: Asked) -> tuple[Campaign, Path]:
     """The campaign in a file, and its study's file; `asked` turns a plant's name and words into magnitudes.
 
-    Refuses another format, unknown keys, a study outside the folder, and what the study refuses.
+    Refuses another format, unknown keys, a study outside the folder or not simulated, and what the study refuses.
     """
     words = read_words(path, FORMAT)
     words.only("format", "study", "amplitudes", "effects", "draws", "seed")
     file = inside(path.parent, words.text("study"), "the study of a campaign")
     study = read_study(file)
+    if study.rig != "simulated":
+        raise WrongUseError("a campaign is simulated", f"rig = {study.rig!r}", "measure a target by `measure`")
     sets = words.list_of_texts_or_empty("effects") or ("",)
     return Campaign(
         study,
@@ -49,14 +52,56 @@ def _names(text: str) -> list[str]:
 
 
 def write_index(folder: Path, machines: Iterable[Machine]) -> None:
-    """Table of machines: what was drawn and what was added, which their runs do not say; whole or not at all."""
-    listed = list(machines)
-    hidden = sorted({name for machine in listed for name in machine.hidden})
+    """Table of machines: what was drawn and what was added, which their runs do not say; whole or not at all.
+
+    Refuses a folder that holds other things than a campaign, and one whose table has other machines: their recordings
+    would pass for those of these.
+    """
+    rows = _index(list(machines))
+    there = _index_there(folder)
+    known = {tuple(row) for row in rows[1:]}
+    if there and (there[0] != rows[0] or not known.issuperset(map(tuple, there[1:]))):
+        raise WrongUseError(
+            f"{folder} holds the machines of another campaign",
+            _first_other(there, known) if there[0] == rows[0] else "other columns",
+            "choose another folder, or delete this one; more draws may be added, nothing else",
+        )
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["machine", "draw", "amplitude", "effects", *hidden])
-    for machine in listed:
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_text_whole(folder / INDEX, text.getvalue())
+
+
+def _first_other(there: list[list[str]], known: set[tuple[str, ...]]) -> str:
+    return short(next((f"{row[0]} drawn or asked for otherwise" for row in there[1:] if tuple(row) not in known), ""))
+
+
+def _index(machines: list[Machine]) -> list[list[str]]:
+    """Header and rows."""
+    hidden = sorted({name for machine in machines for name in machine.hidden})
+    rows = [["machine", "draw", "amplitude", "effects", "seed", *hidden]]
+    for machine in machines:
         effects = " + ".join(f"{name}={size!r}" for name, size in machine.study.effects.items())
         drawn = [repr(machine.hidden[name]) if name in machine.hidden else "" for name in hidden]
-        table.writerow([machine.name, machine.draw, repr(machine.amplitude), effects, *drawn])
-    write_text_whole(folder / INDEX, text.getvalue())
+        rows.append(
+            [machine.name, str(machine.draw), repr(machine.amplitude), effects, str(machine.study.seed), *drawn]
+        )
+    return rows
+
+
+def _index_there(folder: Path) -> list[list[str]]:
+    """The table in a folder, [] in an empty one; refuses a folder that is no campaign's."""
+    path = folder / INDEX
+    with reading(path, "a table of machines", csv.Error):
+        foreign = sorted(p.name for p in folder.iterdir() if not p.name.endswith(PART))
+        if INDEX in foreign:
+            rows = [row for row in csv.reader(path.read_text(encoding="utf-8").splitlines()) if row]
+            if not rows or rows[0][:1] != ["machine"]:
+                raise ValueError("it does not begin with the column machine")
+            return rows
+    if foreign:
+        raise WrongUseError(
+            "a folder that is no campaign is not written into",
+            f"{folder}, which holds {short(', '.join(foreign[:5]))}",
+            "choose a new or an empty folder",
+        )
+    return []

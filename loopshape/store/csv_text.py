@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from loopshape.errors import UnreadableInputError
 from loopshape.store.files import reading, short
+from loopshape.store.growth import Bounded
 from loopshape.units import Array
 
 if TYPE_CHECKING:
@@ -37,11 +39,15 @@ class CsvTable:
     names: tuple[str, ...]
     frame: pd.DataFrame
 
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.names)}
+
     def column(self, name: str) -> Array:
         """A column (n,) of numbers, empty cells NaN; refuses a cell that is no number, naming its row."""
         import pandas as pd
 
-        raw = self.frame.iloc[:, self.names.index(name)]
+        raw = self.frame.iloc[:, self._places[name]]
         values = np.asarray(pd.to_numeric(raw, errors="coerce"), dtype=float)
         bad = np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())
         if bad.size:
@@ -62,10 +68,14 @@ def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
     """The whole file; refuses rows that have more cells than the header or the row before."""
     import pandas as pd
 
-    names, lines = _header(path, shape) if shape.header else ((), shape.skip_rows)
-    with reading(path, "CSV"):
+    names, lines = _header(path, shape) if shape.header else ((), _skipped(path, shape))
+    with reading(path, "CSV"), _bytes(path) as file:
+        if path.suffix == ".gz":  # to its end: a table takes many times the room of its text
+            with _bytes(path) as packed:
+                while packed.read(1 << 20):
+                    pass
         frame = pd.read_csv(
-            path,
+            file,
             sep=r"\s+" if shape.separator == " " else shape.separator,
             header=None,
             skiprows=lines,
@@ -74,7 +84,6 @@ def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
             skip_blank_lines=False,
             encoding="utf-8-sig",
             low_memory=False,
-            compression="gzip" if path.suffix == ".gz" else None,
         )
     if names and len(names) != frame.shape[1]:
         raise UnreadableInputError(
@@ -88,8 +97,7 @@ def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
 def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
     """Names, and how many lines lie above the first row."""
     with reading(path, "CSV", csv.Error), _open(path) as file:
-        for _ in range(shape.skip_rows):
-            file.readline()
+        skipped = _skip(file, shape.skip_rows)
         if shape.separator == " ":
             cells, lines = file.readline().split(), 1
         else:
@@ -103,10 +111,28 @@ def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
             short(", ".join(names)) or "nothing",
             "repair the header",
         )
-    return names, shape.skip_rows + lines
+    return names, skipped + lines
+
+
+def _skipped(path: Path, shape: CsvShape) -> int:
+    with reading(path, "CSV"), _open(path) as file:
+        return _skip(file, shape.skip_rows)
+
+
+def _skip(file: IO[str], lines: int) -> int:
+    """Pass over lines; gives how many there were."""
+    for k in range(lines):
+        if not file.readline():
+            return k
+    return lines
 
 
 def _open(path: Path) -> IO[str]:
+    return io.TextIOWrapper(_bytes(path), encoding="utf-8-sig", newline="")
+
+
+def _bytes(path: Path) -> IO[bytes]:
+    """The file's bytes; of a packed one as they are unpacked, and no more than its size can carry."""
     if path.suffix == ".gz":
-        return io.TextIOWrapper(gzip.open(path), encoding="utf-8-sig", newline="")
-    return path.open(encoding="utf-8-sig", newline="")
+        return io.BufferedReader(Bounded(path, gzip.open(path)))
+    return path.open("rb")

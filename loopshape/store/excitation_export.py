@@ -16,7 +16,7 @@ import numpy as np
 from loopshape import __version__
 from loopshape.errors import WrongUseError
 from loopshape.experiment import Experiment
-from loopshape.store.files import make_folder, write_text_whole, write_whole
+from loopshape.store.files import make_folder, short, write_text_whole, write_whole
 from loopshape.units import Array
 
 _A_LINE = 6  # numbers in a line of C
@@ -27,6 +27,8 @@ def export_signals(folder: Path, experiments: Sequence[Experiment], to: str) -> 
     if to not in WRITERS:
         raise WrongUseError("a format for signals is not known", repr(to), f"use {', '.join(WRITERS)}")
     ending, write = WRITERS[to]
+    if to == "c":
+        _refuse_alike([_identifier(e.name) for e in experiments])
     make_folder(folder)
     paths = []
     for e in experiments:
@@ -36,13 +38,23 @@ def export_signals(folder: Path, experiments: Sequence[Experiment], to: str) -> 
     return tuple(paths)
 
 
+def _refuse_alike(names: Sequence[str]) -> None:
+    """Two headers of one name could not be included together: the second would be passed over in silence."""
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        raise WrongUseError(
+            "two experiments have one name in C", twice, "tell their names apart in letters from a to z and digits"
+        )
+
+
 def signals(e: Experiment) -> dict[str, Array]:
     """Columns (n,) of an experiment, as a run names them: time, references, and what is injected."""
-    columns = {"t_s": np.arange(e.samples) / e.rate_hz}
+    columns: dict[str, Array] = {"t_s": np.arange(e.samples) / e.rate_hz}
     for k, loop in enumerate(e.loops):
         place = loop.control if e.injection == "control" else loop.injected
-        columns |= {str(loop.reference): e.references[:, k], str(place): e.injected[:, k]}
-    return {name: values for name, values in columns.items() if name != "None"}
+        columns |= {
+            name: values[:, k] for name, values in ((loop.reference, e.references), (place, e.injected)) if name
+        }
+    return columns
 
 
 def _csv(path: Path, e: Experiment) -> None:
@@ -57,6 +69,10 @@ def _mat(path: Path, e: Experiment) -> None:
 
     columns = signals(e)
     t = columns.pop("t_s")
+    if bad := [name for name in columns if not re.fullmatch(r"[A-Za-z]\w{0,62}", name, re.ASCII)]:
+        raise WrongUseError(
+            "a column's name is none that MATLAB takes", short(", ".join(bad)), "use csv, or name it in letters a to z"
+        )
     data = {"t_s": t[:, None]} | {name: np.column_stack((t, values)) for name, values in columns.items()}
     words = {"rate_hz": e.rate_hz, "injection": e.injection, "made_by": f"loopshape {__version__}"}
     write_whole(path, lambda part: savemat(str(part), data | words, appendmat=False, do_compression=True))
@@ -83,6 +99,8 @@ def c_signals(e: Experiment) -> str:
 
 
 def _array(name: str, values: Array) -> str:
+    if np.abs(values).max() > np.finfo(np.float32).max:
+        raise WrongUseError(f"{name} does not fit in a float of C", f"{np.abs(values).max():g}", "use csv or mat")
     words = [_float(v) for v in values.astype(np.float32)]
     lines = [", ".join(words[k : k + _A_LINE]) for k in range(0, len(words), _A_LINE)]
     return f"static const float {name}[{len(words)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"

@@ -22,6 +22,7 @@ from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.toml_text import toml_text
 
 PART = ".part"  # ending of a file that is still being written
+_LONGEST_TOML = 256 * 1024 * 1024  # bytes; a run of half a million recordings is shorter
 
 #: what readers of damaged or foreign files raise
 _DAMAGE: tuple[type[Exception], ...] = (
@@ -107,7 +108,12 @@ def write_text_whole(path: Path, text: str) -> None:
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_bytes(text.encode("utf-8"))
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        near = error.object[max(error.start - 20, 0) : error.end + 20]
+        raise WrongUseError("a text holds half a character", short(ascii(near)), "write names as UTF-8") from None
+    path.write_bytes(data)
 
 
 def make_folder(path: Path) -> None:
@@ -146,8 +152,11 @@ def inside(folder: Path, name: object, what: str) -> Path:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; refuses one that is missing, damaged, or not TOML."""
-    with reading(path, "TOML"):
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))  # some editors put a byte order mark in front
+    with reading(path, "TOML"), path.open("rb") as file:
+        data = file.read(_LONGEST_TOML + 1)
+        if len(data) > _LONGEST_TOML:
+            raise ValueError(f"more than {_LONGEST_TOML} bytes")
+        return tomllib.loads(data.decode("utf-8-sig"))  # some editors put a byte order mark in front
 
 
 def write_toml(path: Path, data: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from loopshape.frf import FRF
 from loopshape.store.files import inside, make_folder, reading, write_whole
 from loopshape.store.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
 from loopshape.store.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
+from loopshape.store.growth import check_zip
 from loopshape.store.run_folder import excited_names, recording_digests
 from loopshape.store.words import refuse_doubles
 
@@ -38,6 +39,7 @@ def _write_all(run_folder: Path, frfs: Sequence[FRF], place: str) -> tuple[Path,
     names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}.npz" for frf in frfs]
     refuse_doubles(names, place, "FRFs")
     make_folder(run_folder / place)
+    inside(run_folder, place, "the folder of a run's FRFs")
     paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
     sources = recording_digests(run_folder)
     for path, frf in zip(paths, frfs, strict=True):
@@ -112,6 +114,7 @@ def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], wanted: set
 
 def _read(path: Path) -> tuple[FRF, str]:
     with reading(path, "FRF"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        check_zip(path)
         header = json.loads(str(file["header"]))
         found = header["format"]
         arrays = {name: file[name] for name in (*ARRAYS, *PERHAPS) if name in file.files}

@@ -17,6 +17,7 @@ from loopshape.errors import UnreadableInputError
 from loopshape.store.files import json_ready, reading, short
 
 FILE = "journal.jsonl"
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere
 _LONGEST = 64 * 1024 * 1024  # bytes read
 
 
@@ -25,10 +26,11 @@ def note(folder: Path, event: str, **words: object) -> None:
     line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
     path = folder / FILE
     try:
-        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o644)
         try:
             torn = _torn(handle)
-            os.write(handle, (("\n" if torn else "") + json.dumps(line, ensure_ascii=False) + "\n").encode())
+            first, text = "\n" * torn, json.dumps(line, ensure_ascii=False)
+            _write_all(handle, f"{first}{text}\n".encode("utf-8", "replace"))
             os.fsync(handle)
         finally:
             os.close(handle)
@@ -36,6 +38,12 @@ def note(folder: Path, event: str, **words: object) -> None:
         raise UnreadableInputError(
             f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
         ) from None
+
+
+def _write_all(handle: int, data: bytes) -> None:
+    """Write it to its end: a full disk takes a part and says so at the next one only."""
+    while data:
+        data = data[os.write(handle, data) :]
 
 
 def _torn(handle: int) -> bool:
@@ -47,9 +55,11 @@ def _torn(handle: int) -> bool:
 def read_journal(folder: Path) -> tuple[list[Mapping[str, Any]], int]:
     """The lines that are whole, in order, and how many are not; empty where there is no journal."""
     path = folder / FILE
-    if not path.is_file():
+    if not os.path.lexists(path):
         return [], 0
     with reading(path, "a journal"):
+        if not path.is_file():
+            raise ValueError("it is no file")
         if path.stat().st_size > _LONGEST:
             raise ValueError(f"{path.stat().st_size} bytes")
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()

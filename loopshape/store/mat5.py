@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from loopshape.store.growth import inflated
 
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
@@ -40,10 +41,12 @@ def read_mat5(path: Path, *, texts: bool = False) -> dict[str, np.ndarray]:
     """
     raw = path.read_bytes()
     order = _byte_order(raw)
-    arrays = {}
+    arrays, grown = {}, 0
     for element in _elements(memoryview(raw)[_HEADER:], order):
         if element.kind == _COMPRESSED:
-            element = _next(_elements(memoryview(zlib.decompress(element.data)), order))
+            unpacked = inflated(path, element.data, grown)
+            grown += len(unpacked)
+            element = _next(_elements(memoryview(unpacked), order))
         if element.kind == _MATRIX and (named := _matrix(element.data, order, texts)) and named[0]:
             arrays[named[0]] = named[1]
     return arrays

@@ -6,7 +6,6 @@ not named yet is written again when the work resumes.
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,7 +18,10 @@ import numpy as np
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
-from loopshape.store.files import PART, inside, make_folder, write_toml
+from loopshape.store.files import PART, inside, make_folder, reading, short, write_toml
+from loopshape.store.held import alone as alone
+from loopshape.store.held import held
+from loopshape.store.held import is_held as is_held
 from loopshape.store.journal import FILE as JOURNAL
 from loopshape.store.journal import note, read_journal
 from loopshape.store.provenance import KEY, file_sha256, versions
@@ -45,6 +47,7 @@ def read_run(folder: Path) -> Run:
     rate_hz = words.positive("rate_hz")
     loops = read_loops(words, rate_hz)
     tables = words.tables("recording")
+    _check_extra(words)
     infos = [read_recording(table, loops) for table in tables]
     refuse_doubles((info.name for info in infos), words.where, "recordings")
     return Run(
@@ -61,8 +64,23 @@ def read_run(folder: Path) -> Run:
     )
 
 
+def _check_extra(words: Words) -> None:
+    """Refuse further keys that others read from `extra`, where they are of another kind."""
+    words.numbers("parameters")
+    words.numbers("effects")
+    words.list_of_texts("notes")
+
+
+def has_run(folder: Path) -> bool:
+    """Whether a folder has a `run.toml`, readable or not; refuses one that cannot be looked into."""
+    with reading(folder, "a run's folder"):
+        return (folder / RUN_TOML).exists()
+
+
 def _read_words(folder: Path) -> Words:
-    if not folder.is_dir():
+    with reading(folder, "a run's folder"):
+        is_folder = folder.is_dir()
+    if not is_folder:
         raise UnreadableInputError("a run is a folder", f"{folder}, which is none", "name the folder with run.toml")
     words = read_words(folder / RUN_TOML, FORMAT)
     words.need("rate_hz")
@@ -71,7 +89,9 @@ def _read_words(folder: Path) -> Words:
 
 def _existing(folder: Path, file: str) -> Path:
     path = inside(folder, file, "the file of a recording")
-    if not path.is_file():
+    with reading(path, "a recording"):
+        is_file = path.is_file()
+    if not is_file:
         raise UnreadableInputError(
             "a recording named in run.toml is missing", str(path), "put the file back or take its entry out"
         )
@@ -80,7 +100,7 @@ def _existing(folder: Path, file: str) -> Path:
 
 def finished(folder: Path) -> set[str]:
     """Names of the recordings that `run.toml` lists; empty where there is no run yet."""
-    if not (folder / RUN_TOML).exists():
+    if not has_run(folder):
         return set()
     return {recording.info.name for recording in read_run(folder).recordings}
 
@@ -97,7 +117,7 @@ def holds(folder: Path, recording: Recording) -> bool:
 
 def recording_digests(folder: Path) -> dict[str, str]:
     """A mark of each recording by name: its table, what is said of it, loops, outputs; empty without a run."""
-    if not (folder / RUN_TOML).exists():
+    if not has_run(folder):
         return {}
     words = _read_words(folder)
     further = (words.table["outputs"],) if "outputs" in words.table else ()
@@ -105,7 +125,8 @@ def recording_digests(folder: Path) -> dict[str, str]:
     marks = {}
     for entry in words.tables("recording"):
         path = _existing(folder, entry.text("file"))
-        content = sha256(path.read_bytes())
+        with reading(path, "a recording"):
+            content = sha256(path.read_bytes())
         content.update((shared + repr(sorted(entry.table.items(), key=str))).encode())
         marks[path.name.split(".")[0]] = content.hexdigest()[:16]
     return marks
@@ -118,69 +139,57 @@ def excited_names(folder: Path) -> set[str]:
 
 
 def clear_run(folder: Path) -> None:
-    """Take a run out of its folder: its recordings' tables, FRFs, fits, `run.toml` and journal, in that order."""
-    if not (folder / RUN_TOML).exists():
+    """Take a run out of its folder: its recordings' tables, FRFs, fits, `run.toml` and journal, in that order.
+
+    Refuses what another process is writing, and what cannot be removed; a link to another folder is not followed.
+    """
+    if not has_run(folder):
         return
-    run = read_run(folder)
-    for path in [folder / r.info.file for r in run.recordings] + [*folder.glob("frf/*.npz"), folder / "fits.json"]:
-        with suppress(FileNotFoundError):
-            path.unlink()
-    (folder / RUN_TOML).unlink()
-    (folder / JOURNAL).unlink(missing_ok=True)
+    with held(folder):
+        tables = [folder / r.info.file for r in read_run(folder).recordings]
+        frfs = [] if (folder / "frf").is_symlink() else sorted(folder.glob("frf/*.npz"))
+        for path in (*tables, *frfs, folder / "fits.json", folder / RUN_TOML, folder / JOURNAL):
+            with _removing(path):
+                path.unlink(missing_ok=True)
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Hold a run folder for one writer; refuses a second one. The hold ends with the process, however it ends."""
+def _removing(path: Path) -> Iterator[None]:
     try:
-        import fcntl
-    except ImportError:  # no such locks on this system
         yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise WrongUseError("another process is writing this run", str(folder), "wait for it, or stop it") from None
-    finally:
-        os.close(handle)
-
-
-def is_held(folder: Path) -> bool:
-    """Whether a process is writing this run."""
-    try:
-        with alone(folder):
-            return False
-    except WrongUseError:
-        return True
+    except OSError as error:
+        raise UnreadableInputError(
+            f"{path} cannot be removed", error.strerror or short(error), "check the folder and its rights"
+        ) from None
 
 
 def start_run(folder: Path, run: Run) -> None:
     """Make a run folder without recordings, or resume one whose header is the same.
 
-    `run.recordings` are not written. Refuses a folder that holds other things, and a run whose loops,
-    rate, plant, outputs or further keys differ (`extra["notes"]` may: new notes are added).
+    `run.recordings` are not written. Refuses a folder that holds other things, one that another process is writing,
+    and a run whose loops, rate, plant, outputs or further keys differ (`extra["notes"]` may: new notes are added).
     """
     header = _header(run)
-    if (folder / RUN_TOML).exists():
-        _resume(folder, header)
-        return
-    ours = (PART, "figures", "frf", JOURNAL)
-    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)] if folder.is_dir() else []
-    if foreign:
-        raise WrongUseError(
-            "a folder that is no run is not written into",
-            f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
-            "choose a new or an empty folder",
-        )
     make_folder(folder)
-    write_toml(folder / RUN_TOML, header)
+    with held(folder):
+        if has_run(folder):
+            _resume(folder, header)
+            return
+        ours = (PART, "figures", "frf", JOURNAL)
+        if foreign := [p.name for p in folder.iterdir() if not p.name.endswith(ours)]:
+            raise WrongUseError(
+                "a folder that is no run is not written into",
+                f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
+                "choose a new or an empty folder",
+            )
+        write_toml(folder / RUN_TOML, header)
 
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:
-    old = dict(_read_words(folder).table)
-    _refuse_lost(folder, old)
+    words = _read_words(folder)
+    _check_extra(words)
+    old = dict(words.table)
+    _refuse_lost(folder, words)
     for left in folder.glob(f".*{PART}"):  # of a write that was killed
         with suppress(OSError):
             left.unlink()
@@ -203,10 +212,10 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
         write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
 
 
-def _refuse_lost(folder: Path, old: Mapping[str, Any]) -> None:
+def _refuse_lost(folder: Path, words: Words) -> None:
     """Refuse a run that no longer lists what its journal calls finished: going on would write over it."""
     lines, _ = read_journal(folder)
-    listed = {str(entry.get("file", "")).split(".")[0] for entry in old.get("recording", [])}
+    listed = {str(entry.table.get("file", "")).split(".")[0] for entry in words.tables("recording")}
     done = dict.fromkeys(str(line.get("recording")) for line in lines if line["event"] == "finished")
     if lost := [name for name in done if name not in listed]:
         raise UnreadableInputError(
@@ -229,9 +238,14 @@ def _header(run: Run) -> dict[str, Any]:
 def add_recording(folder: Path, recording: Recording) -> None:
     """Write a recording's table, then name it in `run.toml`; a kill in between leaves the run as it was.
 
-    Refuses a recording that is there already, another rate, stamps off the rate, a file that does not end
-    in `.parquet`, and words that `read_run` would refuse.
+    Refuses a run that another process is writing, a recording that is there already, another rate, stamps off the
+    rate, a file that does not end in `.parquet`, and words that `read_run` would refuse.
     """
+    with held(folder):
+        _add_recording(folder, recording)
+
+
+def _add_recording(folder: Path, recording: Recording) -> None:
     words = _read_words(folder)
     rate_hz = words.positive("rate_hz")
     entry = _entry(recording)

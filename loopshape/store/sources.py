@@ -12,6 +12,7 @@ import numpy as np
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, read_csv_table
 from loopshape.store.files import reading, short
+from loopshape.store.growth import check_growth, check_zip
 from loopshape.store.mat5 import read_mat5
 from loopshape.store.mdf4 import mdf_array, mdf_names
 from loopshape.store.tables import TableColumns
@@ -120,6 +121,7 @@ def _csv_source(path: Path, shape: CsvShape) -> Source:
 
 def _npz_source(path: Path) -> Source:
     with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        check_zip(path)
         names = tuple(file.files)
 
     def load(name: str) -> np.ndarray:
@@ -153,6 +155,7 @@ def _mat73_source(path: Path) -> Source:
 
     def load(name: str) -> np.ndarray:
         with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            check_growth(path, file[name].nbytes)
             return np.asarray(file[name][()]).T
 
     return Source(path, names, load)

@@ -11,7 +11,8 @@ import numpy as np
 
 from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
-from loopshape.store.files import json_ready, reading, write_whole
+from loopshape.store.files import json_ready, reading, short, write_whole
+from loopshape.store.growth import check_growth
 from loopshape.store.provenance import file_sha256
 from loopshape.units import Array
 
@@ -49,8 +50,12 @@ class TableColumns(Mapping[str, Array]):
         """Names of the columns."""
         names = _parquet_names(self.path) if self._is_parquet else read_csv_names(self.path, CsvShape())
         if len(set(names)) != len(names):
-            raise UnreadableInputError(f"{self.path.name} names two columns alike", ", ".join(names))
+            raise UnreadableInputError(f"{self.path.name} names two columns alike", short(", ".join(names)))
         return tuple(name for name in names if name)
+
+    @cached_property
+    def _known(self) -> frozenset[str]:
+        return frozenset(self.names)
 
     @cached_property
     def rows(self) -> int:
@@ -86,7 +91,7 @@ class TableColumns(Mapping[str, Array]):
         return self._load(name)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.names
+        return name in self._known
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names)
@@ -117,6 +122,7 @@ def _parquet_column(path: Path, name: str) -> Array:
     import pyarrow.parquet as pq
 
     with reading(path, "Parquet", pa.ArrowException), pq.ParquetFile(path) as file:
+        check_growth(path, 8 * file.metadata.num_rows)
         column = file.read(columns=[name]).column(name)
         kind = column.type
         numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
@@ -167,12 +173,13 @@ def check_rate(t_s: Array, rate_hz: float, what: str = "the recording") -> None:
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size or not t.size:
         raise BadSignalError(f"{what} has no time stamp in row {bad[0] if bad.size else 0}", "no finite number")
-    off = t - t[0] - np.arange(t.size) / rate_hz
-    slack = _TOLERANCE / rate_hz + 4.0 * np.finfo(float).eps * np.abs(t).max()
-    late = np.flatnonzero(np.abs(off) > slack)
+    with np.errstate(over="ignore", invalid="ignore"):  # stamps of 1e308 are off the grid, and that is all
+        off = t - t[0] - np.arange(t.size) / rate_hz
+        slack = _TOLERANCE / rate_hz + 4.0 * np.finfo(float).eps * np.abs(t).max()
+        late = np.flatnonzero(~(np.abs(off) <= slack))
+        steps = np.diff(t)
     if not late.size:
         return
-    steps = np.diff(t)
     jumps = np.flatnonzero(np.abs(steps - 1.0 / rate_hz) > slack)
     row = int(jumps[0]) + 1 if jumps.size else int(late[0])
     raise BadSignalError(

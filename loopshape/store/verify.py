@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from loopshape.errors import LoopshapeError
-from loopshape.store.files import PART, read_toml
+from loopshape.recording import Recording
+from loopshape.store.files import PART, read_toml, reading, short
 from loopshape.store.fits import FILE as FITS
 from loopshape.store.fits import read_fits
 from loopshape.store.frfs import FOLDER, MATRICES, read_frfs, read_matrices
@@ -36,49 +38,52 @@ def verify(folder: Path, study: Path | None = None) -> list[Finding]:
     """
     run = read_run(folder)
     entries = read_toml(folder / RUN_TOML).get("recording", [])
-    found = [_recording(folder, r.info.name, e.get("sha256")) for r, e in zip(run.recordings, entries, strict=True)]
+    marks = {str(entry["file"]): entry.get("sha256") for entry in entries}
+    found = [_table(folder, file, mark) for file, mark in marks.items()]
     found += [_columns(recording) for recording in run.recordings]
-    found += [_origin(run.extra.get(KEY)), _study(run.extra.get("study_sha256"), study)]
-    found += [*_made(folder), *_strange(folder, {r.info.file for r in run.recordings}), *_journal(folder, entries)]
-    return [finding for finding in found if finding.what]
+    found += [_origin(run.extra.get(KEY)), *_study(run.extra.get("study_sha256"), study)]
+    return [*found, *_made(folder), *_strange(folder, set(marks)), *_journal(folder, marks)]
 
 
-def _recording(folder: Path, name: str, noted: object) -> Finding:
-    file = next(r.info.file for r in read_run(folder).recordings if r.info.name == name)
-    if not isinstance(noted, str):
+def _table(folder: Path, file: str, noted: str | None) -> Finding:
+    if noted is None:
         return Finding(f"table {file}", None, "run.toml notes no hash of it")
-    if file_sha256(folder / file) != noted:
-        return Finding(f"table {file}", False, "it is not the file that was written: its hash is another")
-    return Finding(f"table {file}", True)
+    try:
+        same = file_sha256(folder / file) == noted
+    except LoopshapeError as error:
+        return Finding(f"table {file}", False, str(error))
+    return Finding(f"table {file}", same, "" if same else "it is not the file that was written: its hash is another")
 
 
-def _columns(recording: object) -> Finding:
+def _columns(recording: Recording) -> Finding:
     """Every column can be read, has as many rows as the others, and holds finite numbers."""
-    columns = recording.columns  # type: ignore[attr-defined]
-    what = f"columns of {recording.info.file}"  # type: ignore[attr-defined]
+    columns, what = recording.columns, f"columns of {recording.info.file}"
     try:
         sizes = {np.asarray(columns[name]).size for name in columns}
         bad = [name for name in columns if not np.isfinite(columns[name]).all()]
     except LoopshapeError as error:
         return Finding(what, False, str(error))
-    if len(sizes) != 1 or bad:
-        return Finding(what, False, f"not finite: {', '.join(bad)}" if bad else f"rows differ: {sorted(sizes)}")
+    if bad:
+        return Finding(what, False, f"not finite: {short(', '.join(bad))}")
+    if len(sizes) != 1:
+        return Finding(what, False, f"rows differ: {sorted(sizes)}" if sizes else "there is none")
     return Finding(what, True)
 
 
 def _origin(words: object) -> Finding:
     if not isinstance(words, dict):
         return Finding("origin", None, "run.toml does not say which versions made it")
-    return Finding("origin", True, ", ".join(f"{key} {value}" for key, value in words.items()))
+    return Finding("origin", True, short(", ".join(f"{key} {value}" for key, value in words.items()), 400))
 
 
-def _study(noted: object, study: Path | None) -> Finding:
+def _study(noted: object, study: Path | None) -> Iterator[Finding]:
     if study is None:
-        return Finding("", None)
-    if not isinstance(noted, str):
-        return Finding(f"study {study.name}", None, "run.toml notes no hash of a study")
+        return
     same = file_sha256(study) == noted
-    return Finding(f"study {study.name}", same, "" if same else "it is not the study that the run was made by")
+    if not isinstance(noted, str):
+        yield Finding(f"study {study.name}", None, "run.toml notes no hash of a study")
+        return
+    yield Finding(f"study {study.name}", same, "" if same else "it is not the study that the run was made by")
 
 
 def _made(folder: Path) -> Iterator[Finding]:
@@ -98,21 +103,27 @@ def _made(folder: Path) -> Iterator[Finding]:
 
 def _strange(folder: Path, listed: set[str]) -> Iterator[Finding]:
     """Tables that the run does not list, and files whose writing was cut short."""
-    for path in sorted(folder.iterdir()):
+    with reading(folder, "a run's folder"):
+        paths = sorted(folder.iterdir())
+    for path in paths:
         if path.name.endswith(PART):
             yield Finding(path.name, None, "a file whose writing was cut short; the next measurement removes it")
         elif path.name.endswith(ENDINGS) and path.name not in listed:
             yield Finding(path.name, None, "a table that run.toml does not list: it is not part of the run")
 
 
-def _journal(folder: Path, entries: list[dict]) -> Iterator[Finding]:
+def _journal(folder: Path, marks: Mapping[str, object]) -> Iterator[Finding]:
     """What the journal calls finished is there, with that hash."""
-    if not (folder / JOURNAL).exists():
+    if not os.path.lexists(folder / JOURNAL):
         return
-    lines, torn = read_journal(folder)
-    hashes = {str(e["file"]).split(".")[0]: e.get("sha256") for e in entries}
+    try:
+        lines, torn = read_journal(folder)
+    except LoopshapeError as error:
+        yield Finding("journal", None, str(error))
+        return
+    hashes = {file.split(".")[0]: mark for file, mark in marks.items()}
     done = {str(line.get("recording")): line.get("sha256") for line in lines if line["event"] == "finished"}
     lost = sorted(name for name, mark in done.items() if name not in hashes or hashes[name] not in (None, mark))
-    words = [f"finished and not in the run as they were: {', '.join(lost)}"] if lost else []
+    words = [f"finished and not in the run as they were: {short(', '.join(lost), 400)}"] if lost else []
     words += [f"{torn} torn lines"] if torn else []
     yield Finding("journal", not lost, "; ".join(words))

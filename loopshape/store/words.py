@@ -37,7 +37,7 @@ class Words:
         """Refuse keys that are not known, by name."""
         if unknown := [key for key in self.table if key not in known]:
             raise WrongUseError(
-                f"{self.where}: unknown key", ", ".join(map(repr, unknown)), f"known are {', '.join(known)}"
+                f"{self.where}: unknown key", short(", ".join(map(repr, unknown))), f"known are {', '.join(known)}"
             )
 
     def need(self, *keys: str) -> None:
@@ -50,7 +50,7 @@ class Words:
             )
 
     def _wrong(self, key: str, wanted: str) -> WrongUseError:
-        return WrongUseError(f"{self.where}: {key} must be {wanted}", short(repr(self.table[key])))
+        return WrongUseError(f"{self.where}: {short(key)} must be {wanted}", short(repr(self.table[key])))
 
     def text(self, key: str, default: str | None = None) -> str:
         """A text; without a default a missing key is refused."""
@@ -70,7 +70,7 @@ class Words:
         """A text out of `known`."""
         value = self.text(key, default)
         if value not in known:
-            raise WrongUseError(f"{self.where}: {key} is not known", repr(value), f"use {', '.join(known)}")
+            raise WrongUseError(f"{self.where}: {key} is not known", short(repr(value)), f"use {', '.join(known)}")
         return value
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -134,7 +134,7 @@ class Words:
         value = self.table.get(key, {})
         if not isinstance(value, dict):
             raise self._wrong(key, "a table")
-        return Words(value, f"{self.where}, {key}")
+        return Words(value, f"{self.where}, {short(key)}")
 
     def numbers(self, key: str) -> dict[str, float]:
         """A table of numbers; empty where it is missing."""
@@ -151,7 +151,7 @@ class Words:
 
 def _label(table: Mapping[str, Any], number: int) -> str:
     name = table.get("name", table.get("file"))
-    return repr(name) if isinstance(name, str) else str(number)
+    return short(repr(name)) if isinstance(name, str) else str(number)
 
 
 def read_words(path: Path, file_format: str) -> Words:
@@ -161,7 +161,7 @@ def read_words(path: Path, file_format: str) -> Words:
     if found != file_format:
         raise UnreadableInputError(
             f"{path} is not of the format {file_format}",
-            f"format = {found!r}" if found is not None else "no format",
+            short(f"format = {found!r}") if found is not None else "no format",
             f'begin the file with format = "{file_format}"',
         )
     return words
@@ -172,5 +172,5 @@ def refuse_doubles(names: Iterable[str], where: str, what: str) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise WrongUseError(f"{where}: two {what} have one name", repr(name), "give each its own")
+            raise WrongUseError(f"{where}: two {what} have one name", short(repr(name)), "give each its own")
         seen.add(name)

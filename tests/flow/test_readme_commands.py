@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -19,11 +20,15 @@ def blocks() -> dict[str, str]:
     return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
 
 
-@pytest.mark.parametrize("name", ["tour", "own", "arm", "several", "gap"])
+@pytest.mark.parametrize("name", ["tour", "own", "rig", "arm", "several", "gap"])
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent
     script = blocks()[name].replace("$PWD/.venv/bin", str(here))
+    if name == "rig":
+        if shutil.which("cc") is None:
+            pytest.skip("there is no C compiler, which the emulator needs")
+        script = script.replace("4040", str(_free_port()))
     if name == "arm":  # the whole identification belongs to `make demo`: two points of it here
         _shorten(tmp_path / "examples" / "arm" / "identify.toml")
     environment = os.environ | {"PATH": f"{here}:{os.environ['PATH']}"}
@@ -32,7 +37,11 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         check=False, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-    if name == "gap":
+    if name == "rig":
+        assert "nothing was moved; --arm lets it move" in done.stdout
+        assert "every file is what was written" in done.stdout
+        assert "the target is in state idle" in done.stdout
+    elif name == "gap":
         answer = json.loads((tmp_path / "out" / "gap" / "gap.json").read_text())
         assert answer["verdict"] == "gas_law"
         assert answer["gap"]["shrink"] > 0.9
@@ -42,6 +51,12 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         assert len(list((tmp_path / "out" / "arm2" / "export").glob("*.csv"))) == 5
     else:
         assert "\nverdict: pass\n" in done.stdout
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 def _shorten(study: Path) -> None:

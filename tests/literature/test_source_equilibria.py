@@ -48,14 +48,18 @@ def test_analytical_pressures_span_the_printed_range_and_fitted_ones_do_not(fitt
     assert np.max([pressures(fitted, *point) for point in within]) > high.value + high.half_digit
 
 
-def test_fitted_and_analytical_part_by_the_stated_shift_away_from_zero_only(fitted, analytical):
+def test_fitted_and_analytical_part_by_the_stated_shift_far_from_zero_and_by_half_of_it_in_the_good_range(
+    fitted, analytical
+):
+    """Why figure 4.9 holds partly: inside the good range the largest shift is more than half of the stated one."""
+
     def shift(theta, p_ab):
         return abs(angle_deg(analytical, *pressures(fitted, theta, p_ab)) - theta)
 
     angle, whole = value("equilibria.model_good_angle"), value("equilibria.angular_shift")
     sums = np.linspace(value("equilibria.model_good_from"), value("equilibria.model_good_to"), 4)
     inside = max(shift(theta, p) for theta in (-angle, 0.0, angle) for p in sums)
-    assert inside < 0.6 * whole  # measured: 5.6 deg; half of it, the study's rule, is just missed
+    assert 0.5 * whole < inside < whole
     assert shift(30.0, 1.0) > whole
 
 

@@ -1,0 +1,68 @@
+"""How much a file may grow while it is read: a small one that would fill the memory is refused before it does."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from gzip import GzipFile
+from pathlib import Path
+from typing import IO
+
+_FREE = 256 * 1024 * 1024  # bytes that any file may grow to
+_TIMES = 64  # its own size; recordings that hold noise shrink to a tenth at the best
+
+
+def most_bytes(path: Path) -> int:
+    """What a file may hold once it is unpacked."""
+    return max(_FREE, _TIMES * path.stat().st_size)
+
+
+def check_growth(path: Path, held_bytes: int) -> None:
+    """Raise `ValueError` for a file that holds far more than its size can carry."""
+    if held_bytes > most_bytes(path):
+        raise ValueError(f"{path.stat().st_size} bytes that would become {held_bytes}")
+
+
+def check_zip(path: Path) -> None:
+    """`check_growth` of all that a ZIP file (NPZ) says it holds; what is read from it is never more."""
+    with zipfile.ZipFile(path) as file:
+        check_growth(path, sum(member.file_size for member in file.infolist()))
+
+
+def inflated(path: Path, data: memoryview, so_far: int) -> bytes:
+    """Deflated data, whole; raises `ValueError` where it grows too far, with `so_far` bytes unpacked before."""
+    most = most_bytes(path) - so_far
+    unpack = zlib.decompressobj()
+    out = unpack.decompress(data, max(most, 0) + 1)
+    if len(out) > most:
+        raise ValueError(f"{path.stat().st_size} bytes that would become more than {most_bytes(path)}")
+    if not unpack.eof:
+        raise ValueError("a deflated part is cut short")
+    return out
+
+
+class Bounded(io.RawIOBase):
+    """A stream that raises `ValueError` where it goes on for longer than its file can carry."""
+
+    def __init__(self, path: Path, stream: IO[bytes] | GzipFile) -> None:
+        super().__init__()
+        self._stream, self._left, self._most = stream, most_bytes(path), most_bytes(path)
+
+    def readable(self) -> bool:
+        """It can."""
+        return True
+
+    def readinto(self, buffer: bytearray | memoryview) -> int:  # type: ignore[override]
+        """The next bytes."""
+        data = self._stream.read(len(buffer))
+        self._left -= len(data)
+        if self._left < 0:
+            raise ValueError(f"it would become more than {self._most} bytes")
+        buffer[: len(data)] = data
+        return len(data)
+
+    def close(self) -> None:
+        """Close the stream beneath too."""
+        self._stream.close()
+        super().close()

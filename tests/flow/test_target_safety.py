@@ -1,0 +1,356 @@
+"""What a target is told and when: nothing moves unasked, limits end a run, and whatever ends the host vents first."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from axis_study import experiment, measured, simulated, study_text, table, target, write_study
+from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE, RUNNING, SETPOINT, VENT
+from python_target_line import Running
+from typer.testing import CliRunner
+
+from loopshape.cli import measure_target
+from loopshape.cli.main import app
+from loopshape.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.store.run_folder import finished, read_run
+
+EXPERIMENTS = (
+    experiment("small", period_s=0.25),
+    experiment("large", period_s=0.25, amplitude=0.2),
+    experiment("after", period_s=0.25),
+)
+REAL = ("place = false", "settle_s = 0.1", "soft_start_s = 0.1")
+
+
+def real(**board):
+    return target(fast=False, emulated=False, **board)
+
+
+def told(running):
+    return [kind for kind, _ in running.log]
+
+
+def command(*words):
+    """Exit code, standard output, and what was said on standard error, as the shell sees them."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if isinstance(result.exception, LoopshapeError):
+        return 2, result.stdout, str(result.exception)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def until(what, seconds=30.0, process=None):
+    end = time.monotonic() + seconds
+    while not what():
+        assert process is None or process.poll() is None, process.stderr.read()
+        assert time.monotonic() < end, f"nothing came of it in {seconds} s"
+        time.sleep(0.005)
+
+
+def test_nothing_moves_unless_it_is_armed_by_hand(tmp_path):
+    study = write_study(tmp_path, study_text(*EXPERIMENTS))
+    with Running(real) as running:
+        code, said, error = command("measure", study, "--out", tmp_path / "run", "--port", running.port)
+        assert code == 2
+        assert "nothing was moved; received no word to arm; look at what is about to happen, then add --arm" in error
+        assert not {ARM, SETPOINT, BEGIN, GO} & set(told(running))
+        assert running.target.state == IDLE
+    for words in (
+        "a real machine",
+        "1000 Hz",
+        "angle1_rad",
+        "-3 to 3 rad",
+        "-40 to 40 V",
+        "vents",
+        "large",
+        "axis1 0.2",
+    ):
+        assert words in said
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("way", ["--json", "--quiet"])
+def test_what_is_not_shown_is_not_armed_by_a_word(tmp_path, way, monkeypatch):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    study = write_study(tmp_path, study_text())
+    with Running(real) as running:
+        code, said, _ = command("measure", study, "--out", tmp_path / "run", "--port", running.port, way)
+        assert (code, said) == (2, "")
+        assert ARM not in told(running)
+
+
+def passed(study, name, key, at, rate):
+    """Tick, value of the first sample of a column beyond `at`, in value or in rate over ten ticks."""
+    values = simulated(study, name)[key]
+    if rate:
+        before = np.concatenate([np.full(10, values[0]), values[:-10]])
+        values = np.abs(values - before) * 1000.0 / 10
+    tick = int(np.argmax(np.abs(values) > at))
+    assert tick > 0
+    return tick, values[tick]
+
+
+LIMITS = [
+    ("s1", False, "angle", "low_rad = -3.0, high_rad = 0.16", 0.16, "limit of angle1_rad"),
+    ("s1", True, "angle", "low_rad = -3.0, high_rad = 3.0, rate_rad_s = 4.0", 4.0, "rate limit of angle1_rad"),
+    ("u1", False, "drive", "low_v = -8.0, high_v = 8.0", 8.0, "limit of drive1_v"),
+    ("u1", True, "drive", "low_v = -40.0, high_v = 40.0, rate_v_s = 700.0", 700.0, "rate limit of drive1_v"),
+]
+
+
+@pytest.mark.parametrize(("key", "rate", "where", "limits", "at", "words"), LIMITS)
+@pytest.mark.parametrize("ignores", [False, True])
+def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
+    tmp_path, key, rate, where, limits, at, words, ignores
+):
+    text = study_text(*EXPERIMENTS, target=["soft_start_s = 1.0"], **{where: limits})
+    study, run = write_study(tmp_path, text), tmp_path / "run"
+    with Running(lambda: target(ignores_limits=ignores)) as running:
+        ended = measured(study, run, running.port)
+        assert (VENT in told(running)) == ignores
+    tick, value = passed(study, "large", key, at, rate)
+    at = at if value > 0.0 else -at
+    assert len(ended) == 1
+    assert ended[0].startswith(f"large: {words} at tick {tick}: {value:.6g}, by {abs(value - at):.3g} beyond {at:.6g}")
+    assert ("the target did not act, the host vented it" in ended[0]) == ignores
+    assert finished(run) == {"small", "large", "after"}  # emulated: armed anew
+    found, expected = table(run, "large"), simulated(study, "large")
+    assert found["s1"].size == tick + 1
+    for one in ("s1", "r1"):
+        np.testing.assert_array_equal(found[one], expected[one][: tick + 1])
+    np.testing.assert_array_equal(table(run, "after")["u1"], simulated(study, "after")["u1"])
+
+
+@pytest.mark.parametrize("on_limit", ["vent", "hold"])
+def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
+    text = study_text(*EXPERIMENTS, target=(*REAL, f'on_limit = "{on_limit}"'), angle="low_rad = -3.0, high_rad = 0.16")
+    study, run = write_study(tmp_path, text), tmp_path / "run"
+    with Running(real) as running:
+        words = ("measure", study, "--out", run, "--port", running.port, "--arm")
+        code, _, error = command(*words)
+        assert code == 1
+        assert f"the machine {'vented' if on_limit == 'vent' else 'holds'} at a limit, and 1 of 3 recordings" in error
+        assert "received after; look at the machine and clear the fault (loopshape stop tcp://" in error
+        assert finished(run) == {"small", "large"}
+        assert "limit of angle1_rad at tick" in read_run(run).recording("large").info.ended_early
+        assert (running.target.state, running.target.held) == (FAULT, on_limit == "hold")
+        if on_limit == "hold":
+            held = running.target.reference[0]
+            time.sleep(0.2)
+            assert abs(running.target.sensors[0] - held) < 0.05
+        code, _, error = command(*words)
+        assert code == 2
+        assert "the target is not idle; received fault, limit; look at the machine, then `loopshape stop" in error
+        assert command("stop", running.port, "--clear")[0] == 0
+        assert (running.target.state, running.target.held) == (IDLE, False)
+        with pytest.raises(RigError, match=r"refuses ARM; received out of range: angle1_rad is 0\.\d+, outside"):
+            measured(study, run, running.port)
+        running.target.machine.place([0.0])  # by hand
+        code, _, error = command(*words)
+        assert code == 1
+        assert "large: limit of angle1_rad at tick" in error
+    assert finished(run) == {"small", "large", "after"}
+    code, said, _ = command("verify", run)
+    assert code == 0, said
+
+
+def test_a_last_recording_at_a_limit_is_an_end_at_a_limit_too(tmp_path):
+    text = study_text(*EXPERIMENTS[:2], target=REAL, angle="low_rad = -3.0, high_rad = 0.16")
+    study = write_study(tmp_path, text)
+    with Running(real) as running:
+        code, said, _ = command("measure", study, "--out", tmp_path / "run", "--port", running.port, "--arm", "--json")
+        assert code == 1
+        warnings = json.loads(said)["warnings"]
+        assert any(
+            one.startswith("the last recording ended at a limit, it vented; received limit of") for one in warnings
+        )
+        assert any(one.startswith("large: limit of angle1_rad") for one in warnings)
+
+
+def test_a_limit_on_the_way_to_a_recording_is_said(tmp_path):
+    text = study_text(target=REAL, angle="low_rad = -0.05, high_rad = 0.05")
+    with Running(real) as running, pytest.raises(RigError, match=r"stopped on its way to 'one'; received fault, limit"):
+        measured(write_study(tmp_path, text), tmp_path / "run", running.port)
+    assert finished(tmp_path / "run") == set()
+
+
+LONG = study_text(
+    experiment("short", period_s=0.25), experiment("long", periods=120), experiment("after"),
+    target=(*REAL, "watchdog_ms = 300"),
+)  # fmt: skip
+
+
+@contextmanager
+def started(study, run, port, *, ignoring=False):
+    """`loopshape measure` as a process of its own; `ignoring` Ctrl-C, as a shell starts it in the background."""
+    words = [sys.executable, "-m", "loopshape.cli.main", "measure", study, "--out", run, "--port", port, "--arm"]
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN if ignoring else signal.default_int_handler)
+    try:
+        process = subprocess.Popen(list(map(str, words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "stop", "SIGKILL"])
+def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
+    study, run = write_study(tmp_path, LONG), tmp_path / "run"
+    with Running(real) as running, started(study, run, running.port, ignoring=how == "stop") as process:
+        until(lambda: finished(run) == {"short"} and running.target.state == RUNNING, process=process)
+        until(lambda: running.target.recording.tick > 100)
+        if how == "stop":
+            code, said, _ = command("stop", run)
+            assert code == 0
+            assert f"process {process.pid} was told to stop" in said
+        else:
+            process.send_signal(getattr(signal, how))
+        _, error = process.communicate(timeout=10)
+        until(lambda: running.target.state == FAULT, 1.0)
+        if how == "SIGKILL":
+            assert VENT not in told(running)
+            assert running.target.fault == BY_WATCHDOG
+        else:
+            assert process.returncode == 130
+            assert VENT in told(running)
+            assert "stopped and vented" in error
+            assert "Traceback" not in error
+            assert not (run / measure_target.MARK).exists()
+        assert finished(run) == {"short"}
+        assert read_run(run).recording("short").info.ended_early is None
+        if how == "SIGKILL":
+            assert command("stop", running.port, "--clear")[0] == 0
+            text = LONG.replace("periods = 120", "periods = 2")
+            with pytest.raises(WrongUseError, match="already holds another run"):  # another study is another run
+                measured(write_study(tmp_path, text), run, running.port)
+    assert command("verify", run)[0] == 0
+
+
+def test_a_second_interrupt_does_not_disturb_the_vent():
+    before = signal.getsignal(signal.SIGINT)
+    with measure_target._interrupts():
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_stop_through_a_port(tmp_path):
+    with Running(real) as running:
+        code, said, _ = command("stop", running.port)
+        assert (code, running.target.state) == (0, FAULT)
+        assert "vented; the target is in state fault" in said
+        assert told(running)[0] == VENT  # before any question
+        code, said, _ = command("stop", running.port, "--clear", "--json")
+        assert (code, running.target.state) == (0, IDLE)
+        assert json.loads(said) == {"done": "vented; the target is in state idle"}
+    code, _, error = command("stop", tmp_path, "--clear")
+    assert (code, "cleared through the target's port" in error) == (2, True)
+    code, _, error = command("stop", tmp_path)
+    assert (code, "nothing is measured into this run" in error) == (2, True)
+
+
+def test_the_reference_moves_no_faster_than_the_soft_start(tmp_path):
+    seen = []
+
+    def watched():
+        one = real()
+        tick = one.tick
+        one.tick = lambda: (tick(), seen.append((one.state, list(getattr(one, "reference", [0.0])))))[0]
+        return one
+
+    text = study_text(target=("place = false", "settle_s = 0.1", "soft_start_s = 0.4"))
+    with Running(watched) as running:
+        measured(write_study(tmp_path, text), tmp_path / "run", running.port)
+    moved = np.array([r[0] for state, r in seen if state == ARMED])
+    assert np.abs(np.diff(moved)).max() <= 0.1 / 400 * 1.01
+    assert abs(moved[0]) < 0.01  # bumpless: it starts where the machine is
+    assert moved[-1] == 0.1
+    assert running.target.state == IDLE
+
+
+def test_a_target_that_understood_something_else_is_not_armed(tmp_path):
+    def another():
+        one = real()
+        ready = one._ready
+        one._ready = lambda payload: bytes(b ^ 1 for b in ready(payload))
+        return one
+
+    with Running(another) as running:
+        with pytest.raises(RigError, match=r"understood another configuration; received digest .*; do not arm it"):
+            measured(write_study(tmp_path, study_text(target=REAL)), tmp_path / "run", running.port)
+        assert ARM not in told(running)
+
+
+@pytest.mark.parametrize("state", [ARMED, FAULT])
+def test_a_real_target_that_is_not_idle_is_left_alone(tmp_path, state):
+    def busy():
+        one = real()
+        one.state = state
+        one._watch = one.watch
+        one.watch = lambda: None
+        one.tick = lambda: None
+        return one
+
+    with Running(busy) as running:
+        with pytest.raises(RigError, match="the target is not idle"):
+            measured(write_study(tmp_path, study_text(target=REAL)), tmp_path / "run", running.port)
+        assert set(told(running)) == {1, ALIVE}
+        assert running.target.state == state
+
+
+def test_a_host_that_writes_for_long_is_still_there(tmp_path, monkeypatch):
+    from loopshape.store import run_folder
+
+    add = run_folder.add_recording
+    monkeypatch.setattr(run_folder, "add_recording", lambda *a: (time.sleep(0.5), add(*a)))
+    text = study_text(*EXPERIMENTS[::2], target=(*REAL, "watchdog_ms = 150"))
+    with Running(real) as running:
+        measured(write_study(tmp_path, text), tmp_path / "run", running.port)
+    assert finished(tmp_path / "run") == {"small", "after"}
+
+
+def test_a_run_that_is_whole_needs_no_target(tmp_path):
+    study, run = write_study(tmp_path, study_text()), tmp_path / "run"
+    with Running(target) as running:
+        code, said, _ = command("measure", study, "--out", run, "--port", running.port, "--arm", "--json")
+        assert code == 0
+        assert json.loads(said)["frfs"][0]["recording"] == "one"
+    code, said, error = command("measure", study, "--out", run, "--port", "tcp://127.0.0.1:1", "--quiet")
+    assert (code, said, error) == (0, "", "")
+    assert command("verify", run, "--study", study)[0] == 0
+
+
+def test_while_one_measures_another_is_refused_and_disturbs_nothing(tmp_path):
+    study, run = write_study(tmp_path, LONG), tmp_path / "run"
+    with Running(real) as running, started(study, run, running.port) as process:
+        until(lambda: finished(run) == {"short"}, process=process)
+        with pytest.raises(WrongUseError, match="another process is writing this run"):
+            measured(study, run, running.port)
+        assert (run / measure_target.MARK).exists()
+        assert command("stop", run)[0] == 0
+        process.communicate(timeout=10)
+        assert process.returncode == 130
+
+
+def test_sentences_come_in_three_breaths(tmp_path):
+    said = []
+    for make, text in (
+        (real, study_text(target=REAL, angle="low_rad = -0.05, high_rad = 0.05")),
+        (lambda: real(most_sections=1), study_text(target=REAL)),
+        (lambda: real(most_loops=0), study_text(target=REAL)),
+        (lambda: real(number_bytes=3), study_text(target=REAL)),
+    ):
+        with Running(make) as running, pytest.raises(LoopshapeError) as caught:
+            measured(write_study(tmp_path, text), tmp_path / "run", running.port)
+        said.append(caught.value)
+    for one in said:
+        assert all((one.what, one.received, one.way_out)), one

@@ -1,0 +1,642 @@
+"""A second target, in plain Python, written from docs/protocol.md alone: states, limits, watchdog, memory of samples.
+
+It shows that the page suffices. `Target` has no line and no clock of its own: `take` gives it bytes, `step` the time.
+"""
+
+import math
+import struct
+import zlib
+from collections import deque
+from dataclasses import dataclass, field
+
+from python_target_frames import Collector, frame
+from python_target_machine import Axes
+
+OK, NO, SAMPLES, ENDED = 0x81, 0x82, 0x90, 0x91
+IDENTIFY, CONFIGURE, SECTIONS, LIMIT, READY, ARM, SETPOINT, BEGIN, ROWS, GO, STOP, VENT, DISARM, ALIVE, AGAIN, CLEAR = (
+    range(1, 17)
+)
+IDLE, ARMED, RUNNING, FAULT = range(4)
+COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY = range(7)
+CONTROLLER_INPUT, PLANT_INPUT, CONTROL = range(3)
+NONE = 255
+RATE_TICKS = 10
+
+
+class RefusedError(Exception):
+    """A request that is refused: its code and a sentence."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """What IDENTIFY says."""
+
+    number_bytes: int = 8
+    most_loops: int = 4
+    most_sections: int = 8
+    buffer: int = 600
+    memory: int = 4000
+    frequency_hz: float = 0.0
+    fast: bool = True
+    emulated: bool = True
+    board: str = "python"
+    version: str = "1"
+    ignores_limits: bool = False
+    """A broken board, for tests of the host."""
+
+
+@dataclass
+class Settings:
+    """What CONFIGURE, SECTIONS and LIMIT set."""
+
+    loops: int
+    hold: bool
+    watchdog_ms: int
+    soft_start_s: float
+    y: list[list[float]]
+    u: list[list[float]]
+    digest: int
+    sections: list[list[tuple[float, ...]]] = field(default_factory=list)
+    limits: list[tuple[float, float, float]] = field(default_factory=list)
+    ready: bool = False
+
+
+@dataclass
+class Announced:
+    """A recording from BEGIN on."""
+
+    run: int
+    rows: int
+    injection: int
+    columns: list[int]
+    noise: int
+    place: bool
+    taken: int = 0
+    tick: int = 0
+    buffer: deque[tuple[float, ...]] = field(default_factory=deque)
+    waits: bool = False
+    ended: bytes = b""
+
+
+def fields(form: str, payload: bytes) -> tuple:
+    """The payload as these fields, or NO 2."""
+    if struct.calcsize("<" + form) != len(payload):
+        raise RefusedError(2, f"the payload has {len(payload)} bytes, not {struct.calcsize('<' + form)}")
+    return struct.unpack("<" + form, payload)
+
+
+def inside(fine: bool, sentence: str) -> None:
+    if not fine:
+        raise RefusedError(3, sentence)
+
+
+class Target:
+    """States and ticks; `out` holds frames that wait for the line, `log` the requests that were valid."""
+
+    def __init__(self, machine: Axes | None = None, board: Board | None = None) -> None:
+        self.machine, self.board = machine or Axes(), board or Board()
+        self.state, self.fault, self.settings = IDLE, 0, None
+        self.recording: Announced | None = None
+        self.out: deque[bytes] = deque()
+        self.log: list[tuple[int, bytes]] = []
+        self.made: list[bytes] = []
+        """Every sample of the last recording, for tests that compare."""
+        self.collector = Collector()
+        self.sensors = self.machine.read()
+        self.samples: deque[bytes] = deque(maxlen=self.board.memory)
+        self.unsent, self.tag, self.received = 0, 0, 0
+        self.again: deque[tuple[int, int]] = deque(maxlen=8)
+        self.ended_until = self.ended_next = 0.0
+        self.now = self.heard = self.sent_at = 0.0
+        self.ticks_unheard = 0
+        self.held = False
+        self._last: tuple[bytes, bytes] | None = None
+        self._rest()
+
+    # --- bytes
+
+    def connected(self) -> None:
+        """A host came: what an earlier one left half is forgotten."""
+        self.collector = Collector()
+        self._last = None
+
+    def take(self, data: bytes) -> None:
+        """Bytes from the host."""
+        for body in self.collector.take(data):
+            kind, tag = struct.unpack("<BH", body[:3])
+            if kind < 0x80:
+                self._heard()
+                self.out.append(self._once(body, kind, tag))
+
+    def _heard(self) -> None:
+        self.heard, self.ticks_unheard = self.now, 0
+
+    def _once(self, body: bytes, kind: int, tag: int) -> bytes:
+        if self._last and self._last[0] == body:
+            return self._last[1]
+        self.log.append((kind, body[3:]))
+        try:
+            answer = frame(OK, tag, self._request(kind, body[3:]))
+        except RefusedError as no:
+            code, sentence = no.args
+            answer = frame(NO, tag, struct.pack("<H", code) + text(sentence))
+        self._last = body, answer
+        return answer
+
+    def _request(self, kind: int, payload: bytes) -> bytes:
+        answers = {
+            IDENTIFY: (self._identify, (IDLE, ARMED, RUNNING, FAULT)),
+            CONFIGURE: (self._configure, (IDLE,)),
+            SECTIONS: (self._sections, (IDLE,)),
+            LIMIT: (self._limit, (IDLE,)),
+            READY: (self._ready, (IDLE,)),
+            ARM: (self._arm, (IDLE,)),
+            SETPOINT: (self._setpoint, (ARMED,)),
+            BEGIN: (self._begin, (ARMED,)),
+            ROWS: (self._rows, (IDLE, ARMED, RUNNING, FAULT)),
+            GO: (self._go, (ARMED,)),
+            STOP: (self._stop, (IDLE, ARMED, RUNNING, FAULT)),
+            VENT: (self._vent, (IDLE, ARMED, RUNNING, FAULT)),
+            DISARM: (self._disarm, (IDLE, ARMED, RUNNING, FAULT)),
+            ALIVE: (self._alive, (IDLE, ARMED, RUNNING, FAULT)),
+            AGAIN: (self._again, (IDLE, ARMED, RUNNING, FAULT)),
+            CLEAR: (self._clear, (FAULT,)),
+        }
+        if kind not in answers:
+            raise RefusedError(8, f"there is no request 0x{kind:02X}")
+        answer, states = answers[kind]
+        if self.state not in states:
+            raise RefusedError(1, f"not in state {('idle', 'armed', 'running', 'fault')[self.state]}")
+        return answer(payload)
+
+    # --- requests
+
+    def _identify(self, payload: bytes) -> bytes:
+        (protocol,) = fields("H", payload)
+        if protocol != 1:
+            raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
+        b, m = self.board, self.machine
+        flags = b.emulated + 2 * b.fast
+        head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
+        head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
+        return head + b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
+
+    def _configure(self, payload: bytes) -> bytes:
+        if len(payload) < 29:
+            raise RefusedError(2, f"the payload has {len(payload)} bytes")
+        loops, hold, closed, watchdog_ms, soft_s, frequency_hz, dead = struct.unpack("<BBBHddd", payload[:29])
+        sensors, commands = len(self.machine.sensors), len(self.machine.commands)
+        numbers = fields(f"{loops * (sensors + commands)}d", payload[29:])
+        inside(1 <= loops <= self.board.most_loops, f"{loops} loops, at most {self.board.most_loops}")
+        inside(hold in (0, 1) and closed == 1 and watchdog_ms > 0, "on_limit, closed or watchdog out of range")
+        inside(math.isfinite(soft_s) and soft_s >= 0.0, f"soft start {soft_s} s")
+        inside(all(map(math.isfinite, numbers)), "Y or U is not finite")
+        if frequency_hz or dead:
+            raise RefusedError(8, "there is no PWM here")
+        y = [list(numbers[i * sensors : (i + 1) * sensors]) for i in range(loops)]
+        rest = numbers[loops * sensors :]
+        u = [list(rest[i * loops : (i + 1) * loops]) for i in range(commands)]
+        digest = zlib.crc32(payload)
+        self.settings = Settings(loops, bool(hold), watchdog_ms, soft_s, y, u, digest, [[] for _ in range(loops)])
+        self.recording = None
+        self.samples.clear()
+        self.again.clear()
+        self.unsent, self.ended_until = 0, 0.0
+        self._rest()
+        return struct.pack("<I", digest)
+
+    def _configured(self) -> Settings:
+        if self.settings is None:
+            raise RefusedError(4, "nothing is configured")
+        return self.settings
+
+    def _sections(self, payload: bytes) -> bytes:
+        s = self._configured()
+        if len(payload) < 3:
+            raise RefusedError(2, "too short")
+        loop, first, count = payload[:3]
+        numbers = fields(f"{5 * count}d", payload[3:])
+        inside(loop < s.loops and not s.limits, f"loop {loop} at this place")
+        inside(first == len(s.sections[loop]) and not any(s.sections[loop + 1 :]), f"section {first} is out of order")
+        inside(first + count <= self.board.most_sections, f"{first + count} sections")
+        inside(all(map(math.isfinite, numbers)), "a coefficient is not finite")
+        s.sections[loop] += [numbers[5 * i : 5 * i + 5] for i in range(count)]
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _limit(self, payload: bytes) -> bytes:
+        s = self._configured()
+        index, low, high, rate = fields("Bddd", payload)
+        places = len(self.machine.sensors) + len(self.machine.commands)
+        inside(index == len(s.limits) and index < places, f"limit {index} is out of order")
+        inside(math.isfinite(low) and math.isfinite(high) and low < high and rate > 0.0, f"{low} .. {high}, {rate}/s")
+        s.limits.append((low, high, rate))
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _ready(self, payload: bytes) -> bytes:
+        fields("", payload)
+        s = self._configured()
+        missing = len(self.machine.sensors) + len(self.machine.commands) - len(s.limits)
+        if missing:
+            raise RefusedError(4, f"{missing} sensors or commands have no limit")
+        s.ready = True
+        return struct.pack("<I", s.digest)
+
+    def _arm(self, payload: bytes) -> bytes:
+        s = self._configured()
+        (digest,) = fields("I", payload)
+        if not s.ready:
+            raise RefusedError(4, "READY was not asked")
+        if digest != s.digest:
+            raise RefusedError(5, f"configured is {s.digest:08x}, received {digest:08x}")
+        self.sensors = self.machine.read()
+        for name, value, (low, high, _) in zip(self.machine.sensors, self.sensors, s.limits, strict=False):
+            inside(low <= value <= high, f"{name} is {value}, outside {low} .. {high}")
+        self._rest()
+        self._start_from(self._outputs(self.sensors))
+        self.state = ARMED
+        self._heard()
+        return b""
+
+    def _setpoint(self, payload: bytes) -> bytes:
+        s = self._configured()
+        ramp_s, *to = fields(f"{1 + s.loops}d", payload)
+        inside(math.isfinite(ramp_s) and ramp_s >= 0.0 and all(map(math.isfinite, to)), "the setpoint is not finite")
+        self._ramp(to, ramp_s)
+        return b""
+
+    def _begin(self, payload: bytes) -> bytes:
+        s = self._configured()
+        run, rows, injection, columns, noise, place = fields("IIBHQB", payload)
+        inside(run > 0 and rows > 0 and injection <= CONTROL, f"run {run}, {rows} rows, injection {injection}")
+        if place and not self.board.emulated:
+            raise RefusedError(8, "a real machine is not placed")
+        inside(columns < 1 << 2 * s.loops and place <= 1, f"columns {columns:x}, place {place}")
+        bits = [bit for bit in range(2 * s.loops) if columns >> bit & 1]
+        self.made = []
+        self.recording = Announced(run, rows, injection, bits, noise, bool(place))
+        self.samples.clear()
+        self.again.clear()
+        self.unsent, self.received, self.ended_until = 0, 0, 0.0
+        return struct.pack("<I", self.board.buffer)
+
+    def _of_run(self, run: int) -> Announced:
+        if self.recording is None or self.recording.run != run:
+            raise RefusedError(7, f"run {run} is not known")
+        return self.recording
+
+    def _rows(self, payload: bytes) -> bytes:
+        if len(payload) < 9:
+            raise RefusedError(2, "too short")
+        run, first, count = struct.unpack("<IIB", payload[:9])
+        r = self._of_run(run)
+        if r.ended:
+            return struct.pack("<II", r.taken, 0)
+        wide = len(r.columns)
+        numbers = fields(f"{count * wide}{self._letter}", payload[9:])
+        inside(wide > 0 and count > 0 and first + count <= r.rows, f"rows {first} .. {first + count}")
+        inside(all(map(math.isfinite, numbers)), "a row is not finite")
+        for k in range(max(0, r.taken - first), count if first <= r.taken else 0):
+            if len(r.buffer) < self.board.buffer:
+                r.buffer.append(numbers[k * wide : (k + 1) * wide])
+                r.taken += 1
+        return struct.pack("<II", r.taken, self.board.buffer - len(r.buffer))
+
+    def _go(self, payload: bytes) -> bytes:
+        r = self._of_run(fields("I", payload)[0])
+        if r.ended:
+            raise RefusedError(7, f"run {r.run} has ended")
+        self.state, r.waits = RUNNING, True
+        return b""
+
+    def _stop(self, payload: bytes) -> bytes:
+        fields("", payload)
+        if self.state == RUNNING:
+            self._end(STOPPED)
+        return b""
+
+    def _vent(self, payload: bytes) -> bytes:
+        fields("", payload)
+        self.held = False
+        if self.state != FAULT:
+            self._fail(EMERGENCY)
+            self.held = False
+        return b""
+
+    def _disarm(self, payload: bytes) -> bytes:
+        fields("", payload)
+        self.held = False
+        if self.state == RUNNING:
+            self._end(STOPPED)
+        if self.state in (ARMED, RUNNING):
+            self._idle()
+        return b""
+
+    def _clear(self, payload: bytes) -> bytes:
+        fields("", payload)
+        self._idle()
+        return b""
+
+    def _idle(self) -> None:
+        """Whoever brought it here looked after the machine: an emulated one stands at its start."""
+        self.state, self.fault, self.held = IDLE, 0, False
+        if self.board.emulated:
+            self.machine.place([0.0] * self.machine.count)
+
+    def _alive(self, payload: bytes) -> bytes:
+        run, received = fields("II", payload)
+        r = self.recording
+        if r is not None and r.run == run:
+            self.received = max(self.received, received)
+        if (r is not None and r.ended and run == r.run and received > r.tick) or (r is None and received > 0):
+            self.ended_until = 0.0
+        run, tick, taken = (r.run, r.tick, r.taken) if r else (0, 0, 0)
+        status = struct.pack("<BIIIIB", self.state, run, tick, taken, self.collector.bad, self.fault)
+        return status + struct.pack(f"<{len(self.sensors)}{self._letter}", *self.sensors)
+
+    def _again(self, payload: bytes) -> bytes:
+        run, first, count = fields("IIH", payload)
+        r = self._of_run(run)
+        inside(r.tick - len(self.samples) <= first, f"sample {first} is no longer in memory")
+        self.again.append((first, min(first + count, r.tick)))
+        return b""
+
+    # --- ticks
+
+    @property
+    def _letter(self) -> str:
+        return "d" if self.board.number_bytes == 8 else "f"
+
+    def _rest(self) -> None:
+        """Controllers at rest; the next tick's values count as those before it."""
+        self.history: deque[list[float]] = deque(maxlen=RATE_TICKS)
+        self.command_history: deque[list[float]] = deque(maxlen=RATE_TICKS)
+        self.closes = False
+        if self.settings:
+            self.memory = [[[0.0, 0.0] for _ in loop] for loop in self.settings.sections]
+
+    def _start_from(self, outputs: list[float]) -> None:
+        self.reference, self.setpoint, self.ramp_left = list(outputs), list(outputs), 0
+        self.ramp_from, self.ramp_ticks = list(outputs), 0
+
+    def _ramp(self, to: list[float], ramp_s: float) -> None:
+        ticks = math.ceil(max(ramp_s, self._configured().soft_start_s) * self.machine.rate_hz)
+        self.ramp_from, self.ramp_ticks, self.ramp_left = list(self.reference), ticks, ticks
+        self.setpoint = list(to)
+        if not ticks:
+            self.reference = list(to)
+
+    def _along_the_ramp(self) -> None:
+        if self.ramp_left:
+            self.ramp_left -= 1
+            part = 1.0 - self.ramp_left / self.ramp_ticks
+            pairs = zip(self.ramp_from, self.setpoint, strict=True)
+            self.reference = [a + part * (b - a) for a, b in pairs] if self.ramp_left else list(self.setpoint)
+
+    def _outputs(self, sensors: list[float]) -> list[float]:
+        return [weighed(row, sensors) for row in self._configured().y]
+
+    @property
+    def may_tick(self) -> bool:
+        """A board as fast as it can waits for rows and for what the host acknowledges."""
+        r = self.recording
+        if self.state != RUNNING or not self.board.fast or r is None:
+            return True
+        starts = not r.waits or r.place or not self.ramp_left
+        if r.columns and not r.buffer and starts and r.tick < r.rows:
+            return False
+        return r.tick - self.received < self.board.memory
+
+    def tick(self) -> None:
+        """One tick of machine and loops."""
+        self.ticks_unheard += 1
+        if self.state in (IDLE, FAULT) and not self.held:
+            self.sensors = self.machine.read()
+            self.machine.move([0.0] * len(self.machine.commands))
+            return
+        self._start_what_waits()
+        self.sensors = s = self.machine.read()
+        y = self._outputs(s)
+        if self.closes:
+            self.closes = False
+            self.memory = [[[0.0, 0.0] for _ in loop] for loop in self._configured().sections]
+            to, self.reference = self.setpoint, list(y)
+            self._ramp(to, 0.0)
+        self._loops(s, y)
+
+    def _start_what_waits(self) -> None:
+        """A recording that GO announced begins once the references stand at the setpoint, placed at once."""
+        r = self.recording
+        if self.state != RUNNING or r is None or not r.waits or (self.ramp_left and not r.place):
+            return
+        r.waits = False
+        if r.noise:
+            self.machine.noise.state = r.noise
+        if r.place:
+            self._rest()
+            self._start_from(self.setpoint)
+            self.machine.place(placed(self._configured().y, self.setpoint))
+
+    def _runs(self) -> bool:
+        r = self.recording
+        return self.state == RUNNING and r is not None and not r.waits
+
+    def _loops(self, s: list[float], y: list[float]) -> None:
+        found = None if self.state == FAULT else self._passed(s, self.history, 0)
+        if self._runs() and self.recording.columns and not self.recording.buffer:
+            self._end(UNDERRUN)
+            self.reference = list(self.setpoint)
+        runs = self._runs()
+        if not runs:
+            self._along_the_ramp()
+        r, n = self._row()
+        if found:  # the excitation stops at this tick
+            r, n = list(y if self._configured().hold else self.reference), [0.0] * len(n)
+        opens = runs and self.recording.injection == CONTROL
+        z, total = self._controllers(r, n, y, self.recording.injection if runs else CONTROLLER_INPUT)
+        if opens:
+            z = total = list(n)
+        u = [weighed(row, total) for row in self._configured().u]
+        first = len(s)
+        found = found or (None if self.state == FAULT else self._passed(u, self.command_history, first))
+        if runs:
+            self._sample([*r, *n, *z, *s, *u])
+        if self.state == FAULT:
+            self._hold_or_vent(s, u)
+        if found and not self.board.ignores_limits:
+            self._fail(*found, y=y)
+        elif runs and self.recording.tick == self.recording.rows:
+            self._end(COMPLETE)
+        self._drive(u)
+
+    def _row(self) -> tuple[list[float], list[float]]:
+        r, n = list(self.reference), [0.0] * len(self.reference)
+        if self._runs() and self.recording.columns:
+            row = self.recording.buffer.popleft()
+            for bit, value in zip(self.recording.columns, row, strict=True):
+                (n if bit % 2 else r)[bit // 2] = value
+        return r, n
+
+    def _controllers(
+        self, r: list[float], n: list[float], y: list[float], injection: int
+    ) -> tuple[list[float], list[float]]:
+        z, total = [], []
+        for k, cascade in enumerate(self._configured().sections):
+            e = r[k] - y[k]
+            if injection == CONTROLLER_INPUT:
+                e = e + n[k]
+            for section, state in zip(cascade, self.memory[k], strict=True):
+                e = biquad(section, state, e)
+            z.append(e)
+            total.append(e + n[k] if injection == PLANT_INPUT else e)
+        return z, total
+
+    def _passed(self, values: list[float], history: deque[list[float]], first: int) -> tuple | None:
+        """(reason, index, value, limit) of the first limit that is passed, or None."""
+        while len(history) < RATE_TICKS:
+            history.append(list(values))
+        before = history[0]
+        history.append(list(values))
+        for k, value in enumerate(values):
+            low, high, most = self._configured().limits[first + k]
+            if not low <= value <= high:
+                return BY_LIMIT, first + k, value, low if value < low else high
+            rate = abs(value - before[k]) * self.machine.rate_hz / RATE_TICKS
+            if not rate <= most:
+                return BY_RATE, first + k, rate, most
+        return None
+
+    def _hold_or_vent(self, s: list[float], u: list[float]) -> None:
+        """A held machine is vented where a limit is passed by more than a tenth of its span."""
+        for value, (low, high, _) in zip([*s, *u], self._configured().limits, strict=True):
+            more = 0.1 * (high - low)
+            if not low - more <= value <= high + more:
+                self.held = False
+
+    def _drive(self, u: list[float]) -> None:
+        """The commands to the machine, bound by their limits; nothing where it is vented."""
+        closed = self.state in (ARMED, RUNNING) or self.held
+        limits = self._configured().limits[len(self.sensors) :]
+        if not self.board.ignores_limits:
+            u = [min(max(value, low), high) for value, (low, high, _) in zip(u, limits, strict=True)]
+        self.machine.move(u if closed else [0.0] * len(u))
+
+    def _sample(self, numbers: list[float]) -> None:
+        self.samples.append(struct.pack(f"<{len(numbers)}{self._letter}", *numbers))
+        self.made.append(self.samples[-1])
+        self.recording.tick += 1
+        self.unsent += 1
+
+    # --- ends
+
+    def _end(self, reason: int, index: int = NONE, value: float = 0.0, limit: float = 0.0) -> None:
+        r = self.recording
+        if self._runs() and r.injection == CONTROL:
+            self.closes = True
+        elif self._runs():
+            self.reference = list(self.setpoint)
+        tick = max(r.tick - 1, 0) if reason in (BY_LIMIT, BY_RATE) else r.tick
+        r.ended = self._ended(r.run, r.tick, reason, index, tick, value, limit)
+        r.waits = False
+        self.state = ARMED
+
+    def _ended(self, run: int, ticks: int, reason: int, index: int, tick: int, value: float, limit: float) -> bytes:
+        words = ("complete", "stopped", "limit", "rate limit", "watchdog", "underrun", "emergency stop")[reason]
+        self.ended = struct.pack("<IIBBIdd", run, ticks, reason, index, tick, value, limit) + text(words)
+        self.ended_until, self.ended_next = self.now + 5.0, self.now
+        return self.ended
+
+    def _fail(
+        self, reason: int, index: int = NONE, value: float = 0.0, limit: float = 0.0, y: list[float] | None = None
+    ) -> None:
+        """What a limit, the watchdog and VENT have in common."""
+        closed = self.state in (ARMED, RUNNING)
+        if self.state == RUNNING:
+            self._end(reason, index, value, limit)
+        else:
+            self._ended(0, 0, reason, index, 0, value, limit)
+        self.state, self.fault = FAULT, reason
+        self.held = closed and self._configured().hold
+        if self.held:
+            self._start_from(y if y is not None else self._outputs(self.sensors))
+
+    # --- time
+
+    def watch(self) -> None:
+        """The watchdog: by ticks in real time, by the clock where the board is as fast as it can."""
+        if self.state not in (ARMED, RUNNING):
+            return
+        real_ms = self.ticks_unheard / self.machine.rate_hz * 1000.0
+        unheard_ms = (self.now - self.heard) * 1000.0 if self.board.fast else real_ms
+        if unheard_ms > self._configured().watchdog_ms:
+            self._fail(BY_WATCHDOG, NONE, unheard_ms, float(self._configured().watchdog_ms))
+
+    def step(self, now: float, ticks: int) -> int:
+        """So many ticks at most; then what is to be sent is in `out`. Returns how many ticks it made."""
+        self.now, made = now, 0
+        self.watch()
+        while made < ticks and self.may_tick:
+            self.tick()
+            made += 1
+            if not self.board.fast:
+                self.watch()
+        self._send()
+        return made
+
+    def _send(self) -> None:
+        while self.again:
+            self._frames(*self.again.popleft())
+        r, wait = self.recording, self.now - self.sent_at
+        if r is not None and self.unsent and (self.unsent >= self._a_frame or r.ended or wait > 0.02):
+            self._frames(r.tick - self.unsent, r.tick)
+            self.unsent, self.sent_at = 0, self.now
+        if self.now < self.ended_until and self.now >= self.ended_next:
+            self.ended_next = self.now + 0.2
+            self.out.append(frame(ENDED, 0, self.ended))
+
+    @property
+    def _a_frame(self) -> int:
+        return min(255, (1000 - 9) // len(self.samples[0])) if self.samples else 1
+
+    def _frames(self, first: int, end: int) -> None:
+        """Samples first .. end - 1 as frames."""
+        start = self.recording.tick - len(self.samples)
+        kept = list(self.samples)
+        first = max(first, start)
+        while first < end:
+            some = kept[first - start : min(end, first + self._a_frame) - start]
+            self.tag = (self.tag + 1) & 0xFFFF
+            payload = struct.pack("<IIB", self.recording.run, first, len(some)) + b"".join(some)
+            self.out.append(frame(SAMPLES, self.tag, payload))
+            first += len(some)
+
+
+def text(words: str) -> bytes:
+    data = words.encode()[:255]
+    return bytes([len(data)]) + data
+
+
+def weighed(row: list[float], values: list[float]) -> float:
+    total = 0.0
+    for weight, value in zip(row, values, strict=True):
+        total = total + weight * value
+    return total
+
+
+def biquad(section: tuple[float, ...], state: list[float], x: float) -> float:
+    """Transposed direct form II."""
+    b0, b1, b2, a1, a2 = section
+    y = b0 * x + state[0]
+    state[0] = b1 * x - a1 * y + state[1]
+    state[1] = b2 * x - a2 * y
+    return y
+
+
+def placed(y: list[list[float]], setpoint: list[float]) -> list[float]:
+    """Positions with these outputs; loops here take one sensor each."""
+    position = [0.0] * len(y[0])
+    for row, value in zip(y, setpoint, strict=True):
+        taken = max(range(len(row)), key=lambda k: abs(row[k]))
+        position[taken] = value / row[taken]
+    return position
