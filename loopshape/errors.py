@@ -17,6 +17,10 @@ class LoopshapeError(Exception):
             parts.append(way_out)
         super().__init__("; ".join(parts) + ".")
 
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        """As a worker process sends it back: whole."""
+        return type(self), (self.what, self.received, self.way_out)
+
 
 class UnreadableInputError(LoopshapeError):
     """A file that is missing, damaged, foreign, or reaches outside its folder."""

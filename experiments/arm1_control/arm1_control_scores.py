@@ -133,7 +133,12 @@ def _measured(
     text = ", ".join(f"{x:.2g}" for x in values)
     who = f"{m.arm.label}; {m.controllers}"
     return Score(
-        item, name, f"{{{key}}}", f"{text} {number(key).unit} ({where}; {who})", verdict, _unless(verdict, why)
+        item,
+        f"{name}, {m.arm.label}",
+        f"{{{key}}}",
+        f"{text} {number(key).unit} ({where}; {who})",
+        verdict,
+        _unless(verdict, why),
     )
 
 
@@ -197,7 +202,7 @@ def _figure_5_6(r: Results) -> Iterator[Score]:
         short = 1.0 - c.end_deg / value("step_5_3.theta2"), 1.0 - c.end_bar / r.asked_bar
         lower = DIFFERS if min(short) <= 0.0 else AGREES if max(short) <= rules["slightly"] else PARTLY
         text = f"asked for 30 deg and {r.asked_bar:g} bar, ends at {c.end_deg:.1f} deg and {c.end_bar:.2f} bar"
-        words, why = "stabilises at a slightly lower angle and pressure", _unless(lower, INFEASIBLE)
+        words, why = "both settle a little below what was asked", _unless(lower, INFEASIBLE)
         yield Score("figure 5.6", f"infeasible setpoint, {who}", words, text, lower, why)
 
 

@@ -213,15 +213,19 @@ def _three(
         words = "; ".join(f"{f.arm.label} {_with_interval(f, name)}" for f in arms.values())
         verdict = judged(f"{place}.{key}", low, high, rules["partly_within"])
         yield Score(item, f"{key}, {kind} by the source", f"{{{place}.{key}}}", f"{words} {UNITS[name]}".rstrip(),
-                    verdict, f"judged: {arms[judged_on].arm.label}; " + WHY[kind, key])  # fmt: skip
+                    verdict, f"arm judged: {arms[judged_on].arm.label}; " + WHY[kind, key])  # fmt: skip
 
 
 #: causes, each measured where it says
 WHY = {
-    ("measured", "kappa"): f"not too large flows (experiments/arm1_control); h0 at low pressure is suspect ({GAP})",
+    ("measured", "kappa"): "flows modelled too large are not the reason (experiments/arm1_control), h0(p) at low "
+    f"pressure is suspect ({GAP})",
     ("measured", "f"): f"with digits within table 4.1's rounding the absolute gas law gives the arm's ({GAP})",
     ("measured", "zeta"): "damping by the source's 4.12; at 30 deg the pressure loop adds to it (pressure_loop.csv)",
-    ("simulated", "kappa"): "unknown; digits that give the source's f raise kappa further (digits within rounding)",
+    (
+        "simulated",
+        "kappa",
+    ): "cause unknown; digits that give the source's f raise kappa further (digits within rounding)",
     ("simulated", "f"): "table 4.1 is printed with two digits: digits within its rounding give the source's f",
     ("simulated", "zeta"): "follows f through zeta = d r^2/(2 J w); half a printed digit decides",
 }
@@ -240,7 +244,8 @@ def _band(f: Found, rules: Mapping[str, float]) -> Score:
     return Score("figure 4.12", "band of good coherence", "{identification.coherent_from} to "
                  "{identification.coherent_to}", f"coherence above {rules['coherent']:g} from {low:.2f} to "
                  f"{high:.1f} Hz; trusted to 10 % {f.frf.trusted_band_hz[0]:.2f} to {f.frf.trusted_band_hz[1]:.1f} Hz",
-                 AGREES if covered else PARTLY, "ends within 10 % count")  # fmt: skip
+                 AGREES if covered else PARTLY, "the source prints neither amplitude nor length of its sweeps; "
+                 "ends within 10 % count")  # fmt: skip
 
 
 def _count(every: Sequence[Found]) -> Score:
@@ -264,16 +269,17 @@ def _level(item: str, key: str, measured: str, f: Found, rules: Mapping[str, flo
 def _stiffnesses(at: Mapping[tuple[str, str], Found]) -> list[Score]:
     """k_A + k_B by (4.11), which has J_zz2 alone, from the fitted f."""
     out = []
-    for item, key, arm, where in (
-        ("section 4.3", "identification.k_ab", "gas_law", "upright"),
-        ("figure 4.15", "figure_4_15.k_ab_measured", "gas_law", "wide"),
-        ("figure 4.15", "figure_4_15.k_ab_simulated", "nominal", "wide"),
+    for item, key, arm, where, said in (
+        ("section 4.3", "identification.k_ab", "gas_law", "upright", "measured"),
+        ("figure 4.15", "figure_4_15.k_ab_measured", "gas_law", "wide", "measured"),
+        ("figure 4.15", "figure_4_15.k_ab_simulated", "nominal", "wide", "simulated"),
     ):
         low, high = (k_ab_kn_m(x) for x in at[arm, where].interval("f_hz"))
-        out.append(Score(item, f"k_A + k_B by (4.11) at {where} point", f"{{{key}}}", f"{low:.2f} to {high:.2f} kN/m, "
-                   f"{at[arm, where].arm.label}; {ratio():.1f} times that with the inertia about the joint",
-                   judged(key, low, high, 0.15), "f squared; (4.11) has the inertia about the body's centre and "
-                   "leaves the gas out"))  # fmt: skip
+        out.append(Score(item, f"k_A + k_B by (4.11) at {where} point, {said}", f"{{{key}}}",
+                   f"{low:.2f} to {high:.2f} kN/m, {at[arm, where].arm.label}; {ratio():.1f} times that with the "
+                   "inertia about the joint",
+                   judged(key, low, high, 0.15), "our f is lower and (4.11) takes its square; (4.11) has "
+                   "the inertia about the body's centre and leaves the gas out"))  # fmt: skip
     k = muscle_kn_m(0.5 * at["nominal", "upright"].point[1], value("e_4.reference_length"))
     out.append(Score("section 4.3", "one muscle's k by (4.5) at 0.5 bar, 190 mm", "{identification.k_model}",
                      f"{k:.2f} kN/m", judged("identification.k_model", k, k, 0.15),

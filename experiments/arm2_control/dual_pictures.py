@@ -11,12 +11,13 @@ from loopshape.draw.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure
 from loopshape.recording import Recording
 from loopshape.units import deg
 
+PANELS = 8  # of a loop page
 _ROWS = (
     ("theta1 [deg]", "theta1_rad"), ("p_C [bar]", "p_c_bar"), ("theta2 [deg]", "theta2_rad"), ("p_A [bar]", "p_a_bar"),
 )  # fmt: skip
 _WORDS = {
-    "joint-1": ("figure_5_11", "figure 5.11: steps of theta1 and p_C"),
-    "joint-2": ("figure_5_12", "figure 5.12: steps of theta2 and p_A"),
+    "joint-1": ("figure_5_11", "Figure 5.11 on the simulated arm: steps of theta1 and p_C"),
+    "joint-2": ("figure_5_12", "Figure 5.12 on the simulated arm: steps of theta2 and p_A"),
 }
 
 
@@ -51,6 +52,19 @@ def _outputs(axes: Sequence[Axes], r: Recording, colour: str, controllers: str) 
             label = "leaves the model's range" if ax is axes[0] else ""
             end = {"marker": "x", "linestyle": "none", "color": colour, "markersize": 6.0, "label": label}
             ax.plot(r.column("t_s")[-1:], scale * r.column(column)[-1:], **end)
+
+
+def entitled(figure: Figure, title: str) -> Figure:
+    """A loop page or chart under what it shows here, not its general title; a page's notes clear of its curves."""
+    next(t for t in figure.texts if t.get_text().startswith(("Loop shaping", "Open loop"))).set_text(title)
+    if len(figure.axes) == PANELS:
+        for ax, place in ((figure.axes[3], "lower left"), (figure.axes[6], "lower right")):  # phase of C, |S|
+            low, high = ax.get_ylim()
+            ax.set_ylim(low - 0.3 * (high - low), high)
+            notes = ax.get_legend()
+            if notes is not None:
+                notes.set_loc(place)
+    return figure
 
 
 @styled()

@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's other files, however it is started
 
 from dual_damping import DAMPING, SIMULATED, linear_rows, read_settings, simulated_rows  # noqa: E402
-from dual_pictures import draw_damping, draw_steps  # noqa: E402
+from dual_pictures import draw_damping, draw_steps, entitled  # noqa: E402
 from dual_scores import Found, scores  # noqa: E402
 from dual_steps import INTERACTION, STEPS, interaction_rows, step_rows, stepped  # noqa: E402
 
@@ -248,8 +248,22 @@ def pages(
     for loop, page, chart in (("theta1", "figure_5_9", "figure_h_8"), ("theta2", "figure_5_10", "figure_h_9")):
         loops, _ = loops_of(plants(found, loop), printed[loop], wished[loop])
         verdict = verdicts[f"source's {loop}"]
-        write_bytes_whole(FIGURES / f"{page}.png", png(loop_page(loops, wished[loop], verdict=verdict)))
-        write_bytes_whole(FIGURES / f"{chart}.png", png(nichols(loops, wished[loop], verdict=verdict).figure))
+        table = {"theta1": "table 5.4", "theta2": "table 5.5"}[loop]
+        drawn = {
+            page: entitled(loop_page(loops, wished[loop], verdict=verdict), f"{spoken(page)}: {loop} under {table}"),
+            chart: entitled(
+                nichols(loops, wished[loop], verdict=verdict).figure,
+                f"{spoken(chart)}: open loop of {loop} under {table}",
+            ),
+        }
+        for name, figure in drawn.items():
+            write_bytes_whole(FIGURES / f"{name}.png", png(figure))
+
+
+def spoken(name: str) -> str:
+    """ "Figure 5.9 on the simulated arm" of "figure_5_9"."""
+    _, chapter, number = name.split("_")
+    return f"Figure {chapter.upper()}.{number} on the simulated arm"
 
 
 def write(name: str, columns: Sequence[str], rows: Sequence[Sequence]) -> None:

@@ -57,17 +57,18 @@ def score_maps(s: dict, points: list[Row]) -> list[Row]:
     return [
         [
             "figure 4.7", "every pair of pressures of the supply is a stable rest",
-            "any combination of p_A and p_B up to the supply results in a stable equilibrium",
+            "whatever p_A and p_B are up to the supply, the arm has a stable equilibrium",
             f"a rest within 45 deg for {100 * rest:.0f} % of the pairs, a stable one for {100 * firm:.0f} %",
             "agrees" if firm == 1.0 else "partly",
             "pairs far apart carry it beyond 45 deg; below 0.17 bar in each muscle the fitted stiffness is unstable",
         ],
         [
             "figure 4.8", "points that a supply of 1 bar can hold",
-            "{identification.count} equilibria identified, {equilibria.count} verified",
+            "{identification.count} equilibria identified, {equilibria.count} verified, all with a supply of 1 bar",
             f"{int(inside.sum())} of {len(points)}; the other four ask for {top(points, ~inside)} bar",
-            "agrees" if int(inside.sum()) == int(value("equilibria.count")) else "differs",
-            "the number agrees; that these are the ones verified is a guess, the text does not list them",
+            "agrees" if inside.all() else "partly" if inside.sum() == value("equilibria.count") else "differs",
+            "as many as were verified, but the source identified at all; which ones it verified the text does not say "
+            "(it counts the circles of figure 4.9 as either number)",
         ],
         [
             "figure 4.8", "pressures in the verified equilibria, fitted stiffness",

@@ -15,6 +15,8 @@ from loopshape.plants.arm.linear2 import Linearisation2
 from loopshape.recording import Recording
 from loopshape.units import db, deg
 
+PANELS = 8  # of a loop page
+
 
 @styled()
 def draw_plant(frfs: Sequence[FRF], fits: Sequence[Fit], linears: Sequence[Linearisation2]) -> Figure:
@@ -45,13 +47,26 @@ def draw_plant(frfs: Sequence[FRF], fits: Sequence[Fit], linears: Sequence[Linea
     handles, labels = figure.axes[0].get_legend_handles_labels()
     handles += [figure.axes[0].plot([], [], color=QUIET, linestyle=(0, (4, 2)), linewidth=0.7)[0]]
     figure.legend(handles, [*labels, "linearisation"], loc="outside lower center", ncols=5)
-    head(figure, "figure H.3, the plant: theta1/z_theta1 of joint 1 alone at six working points")
+    head(figure, "Figure H.3's plant on the simulated arm: theta1/z_theta1 of joint 1 alone at six working points")
     return figure
 
 
 def _branch(H: np.ndarray) -> np.ndarray:
     """Phase in deg between -405 and -45."""
     return np.mod(deg(np.angle(H)) + 45.0, 360.0) - 405.0
+
+
+def entitled(figure: Figure, title: str) -> Figure:
+    """A loop page or chart under what it shows here, not its general title; a page's notes clear of its curves."""
+    next(t for t in figure.texts if t.get_text().startswith(("Loop shaping", "Open loop"))).set_text(title)
+    if len(figure.axes) == PANELS:
+        for ax, place in ((figure.axes[3], "lower left"), (figure.axes[6], "lower right")):  # phase of C, |S|
+            low, high = ax.get_ylim()
+            ax.set_ylim(low - 0.3 * (high - low), high)
+            notes = ax.get_legend()
+            if notes is not None:
+                notes.set_loc(place)
+    return figure
 
 
 @styled()

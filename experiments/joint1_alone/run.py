@@ -14,8 +14,9 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's other file, however it is started
 
 from joint1_causes import CAUSES, causes  # noqa: E402
-from joint1_pictures import draw_plant, draw_steps  # noqa: E402
+from joint1_pictures import draw_plant, draw_steps, entitled  # noqa: E402
 from joint1_scores import scores  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
 
 from loopshape.check.indicators import recorded_steps  # noqa: E402
 from loopshape.check.verdict import check, loops_of  # noqa: E402
@@ -26,6 +27,7 @@ from loopshape.draw.style import png  # noqa: E402
 from loopshape.estimate.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.fit.fit import fit, structure_by_name  # noqa: E402
 from loopshape.frf import FRF  # noqa: E402
+from loopshape.loop import Loop  # noqa: E402
 from loopshape.model import Fit  # noqa: E402
 from loopshape.plants.arm.arm2 import Arm2  # noqa: E402
 from loopshape.plants.arm.closed_linear2 import close2  # noqa: E402
@@ -202,6 +204,26 @@ def swing_row(name: str, of: Controller, found: tuple[float, float]) -> list:
     return [name, f"{found[0]:.3g}", f"{found[1]:.3g}" if found[0] > NOISE_DEG else "", f"{zeta:.3f}", f"{f_hz:.3g}"]
 
 
+TITLES = {
+    "figure_h_3": "Figure H.3 on the simulated arm: joint 1 alone under table H.1",
+    "figure_h_4": "Figure H.4 on the simulated arm: open loop of joint 1 alone under table H.1",
+    "tuned": "Joint 1 alone under table H.1's structure, tuned on the simulated arm",
+    "tuned_nichols": "Open loop of joint 1 alone under table H.1's structure, tuned on the simulated arm",
+}
+
+
+def loop_pictures(
+    loops: dict[str, list[Loop]], wished: Requirements, verdicts: dict[str, Verdict]
+) -> dict[str, Figure]:
+    """Loop page and Nichols chart of theta1 under table H.1 and under the tuned controller."""
+    out = {}
+    for name, page, chart in (("table H.1", "figure_h_3", "figure_h_4"), ("tuned", "tuned", "tuned_nichols")):
+        found = {"verdict": verdicts[name]}
+        out[page] = entitled(loop_page(loops[name], wished, **found), TITLES[page])
+        out[chart] = entitled(nichols(loops[name], wished, **found).figure, TITLES[chart])
+    return out
+
+
 def pages(
     frfs: dict[str, list[FRF]],
     fits: dict[str, list[Fit]],
@@ -214,10 +236,7 @@ def pages(
     loops = {name: loops_of(frfs[c.loop], c, wished[c.loop], fits[c.loop])[0] for name, c in controllers.items()}
     linears = [linear(dict(frf.operating_point)) for frf in frfs["theta1"]]
     figures = {
-        "figure_h_3": loop_page(loops["table H.1"], wished["theta1"], verdict=verdicts["table H.1"]),
-        "figure_h_4": nichols(loops["table H.1"], wished["theta1"], verdict=verdicts["table H.1"]).figure,
-        "tuned": loop_page(loops["tuned"], wished["theta1"], verdict=verdicts["tuned"]),
-        "tuned_nichols": nichols(loops["tuned"], wished["theta1"], verdict=verdicts["tuned"]).figure,
+        **loop_pictures(loops, wished["theta1"], verdicts),
         "plant": draw_plant(frfs["theta1"], fits["theta1"], linears),
         "steps": draw_steps(runs),
     }

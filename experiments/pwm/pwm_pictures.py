@@ -148,5 +148,9 @@ def rest(found: dict[str, Any]) -> Figure:
     trace.set_ylabel("theta2 about its mean [deg]")
     handles, labels = span.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    head(figure, "What keeps the arm moving at rest: noise, converters, and valves that close late")
+    head(
+        figure,
+        "What keeps the arm moving at rest: noise, converters, and valves that close late",
+        "marks at 1e-4 deg: that or less; dashed: the dead zone of figure C.6",
+    )
     return figure

@@ -43,7 +43,7 @@ class Item:
     """A table, figure or section of the source, the studies that answer it, or a note why none does."""
 
     name: str
-    page: int
+    page: str
     shows: str
     studies: tuple[str, ...]
     note: str
@@ -77,8 +77,7 @@ def items() -> list[Item]:
     """All tables, figures and sections that the source can be asked about, in its order."""
     with (HERE / "items.csv").open(newline="", encoding="utf-8") as file:
         return [
-            Item(r["item"], int(r["page"]), r["shows"], tuple(r["study"].split()), r["note"])
-            for r in csv.DictReader(file)
+            Item(r["item"], r["page"], r["shows"], tuple(r["study"].split()), r["note"]) for r in csv.DictReader(file)
         ]
 
 
@@ -140,7 +139,18 @@ def _reasons(mine: Sequence[Item], all_scores: Sequence[Score]) -> str:
     names = {item.name for item in mine}
     told = [score for score in all_scores if score.item in names and score.verdict != "agrees"]
     lines = [f"- **{score.item}, {score.quantity}** ({score.verdict}): {score.why}" for score in told]
-    return "\n".join(["Where and why they do not agree:", "", *lines]) if lines else ""
+    parts = ["Where and why they do not agree:", "", *lines] if lines else []
+    rules = [
+        f"- **{s.item}, {s.quantity}**: {s.why}"
+        for s in all_scores
+        if s.item in names and s.verdict == "agrees" and s.why
+    ]
+    parts += (
+        ["", "<details><summary>By which rule the others agree</summary>", "", *rules, "", "</details>"]
+        if rules
+        else []
+    )
+    return "\n".join(parts).strip("\n")
 
 
 def _studies() -> str:

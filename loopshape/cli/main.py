@@ -90,6 +90,12 @@ def run() -> None:
     except LoopshapeError as error:
         print(f"loopshape: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except OSError as error:  # a disk or a file that the system refuses
+        print(
+            f"loopshape: the system refuses; received {error}; check the file, its rights and the disk.",
+            file=sys.stderr,
+        )
+        raise SystemExit(2) from None
 
 
 if __name__ == "__main__":

@@ -34,14 +34,22 @@ def _interrupted(run: Path) -> str:
     import signal
 
     from loopshape.cli.measure_target import MARK
-    from loopshape.errors import WrongUseError
-    from loopshape.store.files import read_json
+    from loopshape.errors import UnreadableInputError, WrongUseError
+    from loopshape.store.files import read_json, short
     from loopshape.store.run_folder import is_held
 
     if not (run / MARK).is_file() or not is_held(run):
         raise WrongUseError("nothing is measured into this run", str(run), "name the port")
-    pid = int(read_json(run / MARK)["pid"])
-    os.kill(pid, signal.SIGINT)
+    mark = read_json(run / MARK)
+    pid = mark.get("pid") if isinstance(mark, dict) else None
+    if not isinstance(pid, int) or isinstance(pid, bool) or pid < 2:
+        raise UnreadableInputError(f"{run / MARK} names no process", short(repr(pid)), "name the port")
+    try:
+        os.kill(pid, signal.SIGINT)
+    except OSError as error:
+        raise WrongUseError(
+            "the process could not be told to stop", f"{pid}: {error.strerror}", "name the port"
+        ) from None
     return f"process {pid} was told to stop; it vents the machine before it ends"
 
 

@@ -13,11 +13,15 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import Any
 
+import numpy as np
+
 from loopshape.errors import RigError, WrongUseError
-from loopshape.recording import Recording
+from loopshape.recording import Recording, RecordingInfo
 from loopshape.rigs.effects import moves
 from loopshape.rigs.simulated import Planned, Rig, experiment
 from loopshape.study import Study
@@ -42,11 +46,37 @@ def done(plant: Rig, job: Job) -> Recording:
     return plant.simulate([e], solver=job.study.solver, changes=changes, threads=1)[0]
 
 
-def _done(plant: Rig, job: Job, master: int) -> Recording:
+Shelved = tuple[RecordingInfo, float, Path]
+
+
+def _done(plant: Rig, job: Job, master: int, shelf: Path | None) -> Recording | Shelved:
     """A job in a worker, which ends with the process that it works for, however that ends."""
     if os.getppid() == master:
         _watch(master)
-    return done(plant, job)
+    recording = done(plant, job)
+    return recording if shelf is None else _put(recording, shelf)
+
+
+def _put(recording: Recording, shelf: Path) -> Shelved:
+    """Columns in a file: what then goes through the pipe is so small that a kill cannot cut it in two."""
+    path = shelf / f"{os.urandom(8).hex()}.npz"
+    try:
+        np.savez(path, **dict(recording.columns))  # type: ignore[arg-type]
+    except OSError as error:
+        raise RigError(
+            "a worker cannot put its result down", f"{shelf}: {error.strerror}", "make room there, or set TMPDIR"
+        ) from None
+    return recording.info, recording.rate_hz, path
+
+
+def _taken(result: Recording | Shelved) -> Recording:
+    if isinstance(result, Recording):
+        return result
+    info, rate_hz, path = result
+    with np.load(path, allow_pickle=False) as file:
+        columns = {name: file[name] for name in file.files}
+    path.unlink()
+    return Recording(info, rate_hz, columns)
 
 
 @cache
@@ -74,7 +104,8 @@ def carried_out(
     check_workers(workers)
     listed = list(jobs)
     warnings.filterwarnings("ignore", r"\d+ tasks ", UserWarning, "joblib")  # nobody takes them after an interrupt
-    with _executor(cluster):
+    with _executor(cluster), TemporaryDirectory(prefix="loopshape-") as folder:
+        shelf = Path(folder) if cluster is None else None
         parallel = Parallel(
             n_jobs=_processes(workers, len(listed), cluster),
             return_as="generator",
@@ -82,7 +113,8 @@ def carried_out(
             max_nbytes=None,
         )
         try:
-            yield from zip(listed, parallel(delayed(_done)(plant, job, os.getpid()) for job in listed), strict=True)
+            results = parallel(delayed(_done)(plant, job, os.getpid(), shelf) for job in listed)
+            yield from ((job, _taken(result)) for job, result in zip(listed, results, strict=True))
         except TerminatedWorkerError:
             raise RigError(
                 "a worker process ended unasked", "killed, or out of memory", "the same command goes on; use fewer"
