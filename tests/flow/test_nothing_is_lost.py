@@ -26,7 +26,7 @@ operating_points = [{{ theta2_deg = 0.0, p_ab_bar = 1.0 }}]
 name = "angle"
 excites = "theta2"
 realisations = {RECORDINGS}
-excitation = {{ kind = "multisine", f_low_hz = 2.0, f_high_hz = 9.0, period_s = 1.0, ramp_s = 0.1, amplitude_deg = 1.0 }}
+excitation = {{ kind = "multisine", f_low_hz = 2.0, f_high_hz = 9.0, period_s = 1.0, ramp_s = 0.1, amplitude_deg = 1 }}
 """
 QUIET = Output(quiet=True)
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
