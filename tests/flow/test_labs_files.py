@@ -112,7 +112,7 @@ operating_points = [{ theta2_deg = 10.0, p_ab_bar = 1.0 }]
 name = "angle"
 excites = "theta2"
 lead_s = 0.1
-excitation = { kind = "multisine", f_low_hz = 1, f_high_hz = 9, period_s = 1, ramp_s = 0.1, periods = 1, amplitude_deg = 2 }
+excitation = { kind="multisine", f_low_hz=1, f_high_hz=9, period_s=1, ramp_s=0.1, periods=1, amplitude_deg=2}
 """
 
 
