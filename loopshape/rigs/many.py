@@ -26,6 +26,7 @@ from loopshape.rigs.effects import moves
 from loopshape.rigs.simulated import Planned, Rig, experiment
 from loopshape.study import Study
 
+_AHEAD = 8  # recordings a worker that may wait to be written
 _PER_CORE = 8  # processes: each takes some 200 MB and a start of seconds
 
 
@@ -92,13 +93,13 @@ def _watch(master: int) -> None:
 def carried_out(
     plant: Rig, jobs: Iterable[Job], workers: int = 0, cluster: str | None = None
 ) -> Generator[tuple[Job, Recording]]:
-    """Jobs and their recordings, in order, a few ahead in memory.
+    """Jobs and their recordings, in order; some of each worker wait to be taken, in files of a temporary folder.
 
     `workers` processes here (0: one a core), or those of the Dask scheduler at `cluster`. Refuses a number of workers
     that `check_workers` refuses, a cluster without its extra, and one that does not answer; a worker that dies here
     ends the work, with what was written kept. Whoever stops taking results closes this, and the workers end.
     """
-    from joblib import Parallel, delayed
+    from joblib import Parallel, delayed, effective_n_jobs
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     check_workers(workers)
@@ -106,15 +107,14 @@ def carried_out(
     warnings.filterwarnings("ignore", r"\d+ tasks ", UserWarning, "joblib")  # nobody takes them after an interrupt
     with _executor(cluster), TemporaryDirectory(prefix="loopshape-") as folder:
         shelf = Path(folder) if cluster is None else None
-        parallel = Parallel(
-            n_jobs=_processes(workers, len(listed), cluster),
-            return_as="generator",
-            pre_dispatch="2*n_jobs",
-            max_nbytes=None,
-        )
+        processes = _processes(workers, len(listed), cluster)
+        ahead = _AHEAD * effective_n_jobs(processes)
         try:
-            results = parallel(delayed(_done)(plant, job, os.getpid(), shelf) for job in listed)
-            yield from ((job, _taken(result)) for job, result in zip(listed, results, strict=True))
+            with Parallel(n_jobs=processes, return_as="generator", max_nbytes=None) as parallel:
+                for first in range(0, len(listed), ahead):  # joblib works ahead of whoever takes, without an end
+                    part = listed[first : first + ahead]
+                    results = parallel(delayed(_done)(plant, job, os.getpid(), shelf) for job in part)
+                    yield from ((job, _taken(result)) for job, result in zip(part, results, strict=True))
         except TerminatedWorkerError:
             raise RigError(
                 "a worker process ended unasked", "killed, or out of memory", "the same command goes on; use fewer"

@@ -113,6 +113,30 @@ def test_a_campaign_that_was_killed_goes_on_to_the_same_result(campaign, alone):
     assert all(path.stat().st_mtime_ns == before[path] for path in listed)  # what was finished was not made again
 
 
+def workers_of(pid):
+    """The worker processes of a campaign, which are its children."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(c) for c in children if b"popen_loky" in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
+@pytest.mark.parametrize("recordings", [1, 4, 9])
+def test_a_worker_that_is_killed_ends_in_a_sentence_and_the_work_goes_on(tmp_path, recordings):
+    (tmp_path / "study.toml").write_text(STUDY.replace("periods = 2", "periods = 25"))
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace("draws = 2", "draws = 3"))
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        command(tmp_path / "campaign.toml", out, "--workers", "2"), stderr=subprocess.PIPE, text=True
+    )
+    wait_for(out, recordings, process)
+    os.kill(workers_of(process.pid)[0], signal.SIGKILL)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == (2 if "a worker process ended unasked" in said else 0), said
+    assert recordings > 4 or process.returncode == 2  # later the workers may have done all of their part
+    subprocess.run(command(tmp_path / "campaign.toml", out, "--workers", "2"), check=True, capture_output=True)
+    assert sum(len(read_run(toml.parent).recordings) for toml in out.glob("*/run.toml")) == 3 * 2 * 2 * 2
+
+
 def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, alone):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     from distributed import LocalCluster
