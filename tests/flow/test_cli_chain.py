@@ -323,7 +323,7 @@ def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
 
 def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
     from loopshape.errors import WrongUseError
-    from loopshape.store.run_folder import alone
+    from loopshape.store.held import alone, held
 
     holds = (
         "import sys; from pathlib import Path; from loopshape.store.run_folder import alone\n"
@@ -336,5 +336,6 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
         with pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
             pass
         other.communicate("")
-    with alone(tmp_path), alone(tmp_path):  # this process may hold it again
-        pass
+    with alone(tmp_path), held(tmp_path):  # a step of writing within the hold that this process has
+        with pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+            pass

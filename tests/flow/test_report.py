@@ -199,7 +199,7 @@ def test_a_link_out_of_the_run_brings_nothing_in(tmp_path: Path) -> None:
     found = gather(run, None, None, DATE)
     assert not found.figures
     assert found.figures_left_out == {"nichols_x.svg": "a link that leaves the run's folder"}
-    assert {one.name for one in found.files} == {"run.toml", "near.parquet", "far-away.parquet"}
+    assert {one.name for one in found.files} == {"run.toml", "journal.jsonl", "near.parquet", "far-away.parquet"}
 
 
 def test_the_same_run_gives_the_same_page_but_for_the_date(run: Path, whole: str) -> None:
