@@ -8,7 +8,7 @@ from math import inf
 
 from loopshape.channel import Channel
 from loopshape.errors import WrongUseError
-from loopshape.units import SUFFIXES
+from loopshape.units import SUFFIXES, deg
 
 ON_LIMIT = ("vent", "hold")
 
@@ -30,10 +30,19 @@ class Limit:
                 f"{self.low:g}, {self.high:g} and {self.rate:g}",
             )
 
+    def said(self, value: float) -> str:
+        """A value of this column as people say it: angles in degrees."""
+        return spoken(value, Channel.from_column(self.column).unit)
+
     def __str__(self) -> str:
-        unit = SUFFIXES[Channel.from_column(self.column).unit]
-        rate = "" if self.rate == inf else f", at most {self.rate:g} {unit}/s"
-        return f"{self.low:g} to {self.high:g} {unit}{rate}"
+        low, high = self.said(self.low).split(" ", 1)[0], self.said(self.high)
+        rate = "" if self.rate == inf else f", at most {self.said(self.rate)}/s"
+        return f"{low} to {high}{rate}"
+
+
+def spoken(value: float, unit: str) -> str:
+    """A value with its unit as people say it: angles in degrees."""
+    return f"{deg(value):.4g} deg" if unit == "rad" else f"{value:.4g} {SUFFIXES[unit]}"
 
 
 @dataclass(frozen=True, eq=False)

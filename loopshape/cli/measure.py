@@ -57,6 +57,11 @@ def measure(
             estimate_and_report(out, output, extra={"ended_early": ended})
         except typer.Exit as early:
             raise typer.Exit(1 if _is_target(study) else early.exit_code) from None
+        except LoopshapeError as error:
+            if not (ended and _is_target(study)):
+                raise
+            print(f"loopshape: {error}", file=sys.stderr)
+            raise typer.Exit(1) from None
         return
     output.warn(ended)
     output.say(f"run {out}: no recording excites a loop, so there is no FRF; `loopshape simulate` draws what moved")

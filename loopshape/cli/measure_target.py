@@ -13,6 +13,7 @@ from loopshape.cli.output import Output, point
 from loopshape.errors import RigError
 
 if TYPE_CHECKING:
+    from loopshape.experiment import LoopSetup
     from loopshape.rigs.messages import Configuration, Identity
     from loopshape.rigs.session import Session
     from loopshape.rigs.simulated import Planned, Rig
@@ -52,10 +53,14 @@ def record_on_target(
     todo = [one for one in planned if one.name not in done]
     if not todo:
         start_run(out, head)
+        output.say(f"all {len(planned)} recordings are there: nothing is left to measure")
+        if show:
+            raise typer.Exit(0)
         return
     with open_link(name, settings.baud) as link:
         session = Session(link)
         wanted = configuration(session.identity, planned[0].loops, settings, study.rate_hz, head.pwm or study.pwm)
+        _refuse_points_beyond_limits(settings, todo, study, plant)
         _show(session.identity, name, settings, todo, study, plant, output)
         if show:
             output.say("nothing was moved; --arm lets it move")
@@ -137,12 +142,32 @@ def _refuse_what_only_models_do(study: Study) -> None:
         )
 
 
+def _refuse_points_beyond_limits(settings: TargetSettings, todo: Sequence[Planned], study: Study, plant: Rig) -> None:
+    """Refuse an operating point, or a setpoint on the way, outside the limits of the column that it is held on."""
+    from loopshape.errors import WrongUseError
+    from loopshape.rigs.simulated import experiment
+
+    for one in todo:
+        e = experiment(study, plant, one)
+        for k, loop in enumerate(e.loops):
+            limit = settings.limits.get(loop.output)
+            low, high = float(e.references[:, k].min()), float(e.references[:, k].max())
+            if limit is not None and not limit.low < low <= high < limit.high:
+                raise WrongUseError(
+                    f"the setpoint of {loop.name} in {one.name!r} lies outside its limits",
+                    f"{limit.said(low if low <= limit.low else high)}, limits {limit}",
+                    "move the operating point, or widen the limit",
+                )
+
+
 def _show(
     identity: Identity, port: str, settings: TargetSettings, todo: Sequence[Planned], study: Study, plant: Rig,
     output: Output,
 ) -> None:  # fmt: skip
     """What is about to happen: machine, limits, and each recording with the amplitude of what is injected."""
+    from loopshape.channel import Channel
     from loopshape.rigs.simulated import experiment
+    from loopshape.target_settings import spoken
 
     kind = "emulated, nothing real moves" if identity.emulated else "a real machine"
     output.say(f"target: {identity.board} {identity.version} at {port} ({kind}), {identity.rate_hz:g} Hz\n")
@@ -156,9 +181,15 @@ def _show(
     for one in todo:
         e = experiment(study, plant, one)
         largest = {loop.name: float(abs(e.injected[:, k]).max()) for k, loop in enumerate(e.loops)}
-        moved = ", ".join(f"{name} {value:.3g}" for name, value in largest.items() if value > 0.0) or "references only"
+        units = {loop.name: Channel.from_column(_entered(loop, e.injection)).unit for loop in e.loops}
+        moved = ", ".join(f"{n} {spoken(v, units[n])}" for n, v in largest.items() if v > 0.0) or "references only"
         rows.append((one.name, point(one.operating_point), e.injection, moved, e.duration_s))
     output.table("To be recorded:", ("recording", "operating point", "injection", "largest", "s"), rows)
+    output.say("largest: of what is injected; what the machine makes of it depends on the loop\n")
+
+
+def _entered(loop: LoopSetup, injection: str) -> str:
+    return loop.control if injection == "control" else str(loop.injected)
 
 
 def _be_armed(armed: bool, output: Output) -> None:

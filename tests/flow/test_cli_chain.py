@@ -337,5 +337,6 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
             pass
         other.communicate("")
     with alone(tmp_path), held(tmp_path):  # a step of writing within the hold that this process has
-        with pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
-            pass
+        pass
+    with alone(tmp_path), pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+        pass

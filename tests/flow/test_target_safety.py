@@ -64,11 +64,11 @@ def test_nothing_moves_unless_it_is_armed_by_hand(tmp_path):
         "a real machine",
         "1000 Hz",
         "angle1_rad",
-        "-3 to 3 rad",
+        "-171.9 to 171.9 deg",
         "-40 to 40 V",
         "vents",
         "large",
-        "axis1 0.2",
+        "axis1 11.46 deg",
     ):
         assert words in said
     assert not (tmp_path / "run").exists()
@@ -173,10 +173,18 @@ def test_a_last_recording_at_a_limit_is_an_end_at_a_limit_too(tmp_path):
 
 
 def test_a_limit_on_the_way_to_a_recording_is_said(tmp_path):
-    text = study_text(target=REAL, angle="low_rad = -0.05, high_rad = 0.05")
-    with Running(real) as running, pytest.raises(RigError, match=r"stopped on its way to 'one'; received fault, limit"):
+    text = study_text(target=REAL, angle="low_rad = -3.0, high_rad = 3.0, rate_rad_s = 0.02")
+    with Running(real) as running, pytest.raises(RigError, match=r"way to 'one'; received fault, rate limit"):
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
     assert finished(tmp_path / "run") == set()
+
+
+def test_an_operating_point_beyond_the_limits_is_refused_before_anything_moves(tmp_path):
+    text = study_text(target=REAL, angle="low_rad = -0.05, high_rad = 0.05")
+    sentence = "the setpoint of axis1 in 'one' lies outside its limits; received 5.73 deg, limits -2.865 to 2.865 deg"
+    with Running(real) as running, pytest.raises(WrongUseError, match=sentence):
+        measured(write_study(tmp_path, text), tmp_path / "run", running.port)
+    assert not {ARM, SETPOINT, BEGIN, GO} & set(told(running))
 
 
 LONG = study_text(
