@@ -33,11 +33,12 @@ def record_on_target(
     extra: dict[str, object],
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target, or only `show` it. Moves nothing that was not armed."""
-    from loopshape.errors import WrongUseError
+    from loopshape.errors import LoopshapeError, WrongUseError
     from loopshape.rigs.link import open_link
     from loopshape.rigs.session import Session
     from loopshape.rigs.simulated import header, plan
     from loopshape.rigs.target import configuration
+    from loopshape.store.journal import note
     from loopshape.store.run_folder import alone, finished, start_run
 
     settings = study.target
@@ -70,7 +71,11 @@ def record_on_target(
         with alone(out), _marked(out, name), _interrupts():
             try:
                 _drive(session, wanted, todo, study, plant, out, output)
+            except LoopshapeError as error:
+                note(out, "fault", said=str(error))
+                raise
             except KeyboardInterrupt:
+                note(out, "stopped")
                 lines = [f"stopped and vented; what {out / 'run.toml'} lists is kept", _go_on(session.identity, name)]
                 output.warn(["; ".join(lines)])
                 raise typer.Exit(130) from None

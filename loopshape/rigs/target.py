@@ -20,9 +20,11 @@ from loopshape.rigs.armed import Armed as Armed
 from loopshape.rigs.armed import arm as arm
 from loopshape.rigs.armed import beat_s, reason_words
 from loopshape.rigs.armed import vented_on_error as vented_on_error
-from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Reason, State
+from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
 from loopshape.rigs.taking import KEPT, Taking
 from loopshape.target_settings import TargetSettings
+
+ENDED_S = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
 
 
 def configuration(
@@ -136,13 +138,17 @@ def _reach(armed: Armed, e: Experiment, place: bool) -> None:
     armed.session.ask(Ask.SETPOINT, messages.setpoint(ramp_s, e.references[0].tolist()))
     if place:
         return
+    endings: list[Ended] = []
+    armed.session.unasked = lambda f: endings.append(armed.session.ended(f)) if f.type == Say.ENDED else None
     for _ in range(int((ramp_s + armed.settings.settle_s) / beat_s(armed)) + 1):
         until = armed.session.last_sent_s + beat_s(armed)
         status = armed.session.status()
         if status.state is not State.ARMED:
+            armed.session.listen_until(armed.session.last_sent_s + ENDED_S)
+            which = [f", {_why(armed, ended)}" for ended in endings[-1:]] or [reason_words(status.fault)]
             raise RigError(
                 f"the target stopped on its way to {e.name!r}",
-                f"{status.state.name.lower()}{reason_words(status.fault)}",
+                f"{status.state.name.lower()}{which[0]}",
                 "look at the machine: is a limit too narrow for the way there?",
             )
         armed.session.listen_until(until)
@@ -157,7 +163,10 @@ def _why(armed: Armed, ended: Ended) -> str | None:
         return f"{word} at tick {ended.tick}{': ' + ended.sentence if ended.sentence else ''}"
     column = armed.columns[ended.index]
     said = f"; {ended.sentence}" if ended.sentence.startswith("the target") else ""
-    return (
-        f"{word} of {column} at tick {ended.tick}: {ended.value:.6g}, by {abs(ended.value - ended.limit):.3g} "
-        f"beyond {ended.limit:.6g}{said}"
+    unit = "/s" if ended.reason is Reason.RATE_LIMIT else ""
+    value, beyond, limit = (
+        armed.settings.limits[column].said(one) + unit
+        for one in (ended.value, abs(ended.value - ended.limit), ended.limit)
     )
+    when = f"tick {ended.tick} ({ended.tick / armed.session.identity.rate_hz:.3f} s)"
+    return f"{word} of {column} at {when}: {value}, by {beyond} beyond {limit}{said}"

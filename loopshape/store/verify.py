@@ -67,7 +67,9 @@ def _columns(recording: Recording) -> Finding:
         return Finding(what, False, f"not finite: {short(', '.join(bad))}")
     if len(sizes) != 1:
         return Finding(what, False, f"rows differ: {sorted(sizes)}" if sizes else "there is none")
-    return Finding(what, True)
+    return Finding(
+        what, True, short(f"ended early: {recording.info.ended_early}") if recording.info.ended_early else ""
+    )
 
 
 def _origin(words: object) -> Finding:

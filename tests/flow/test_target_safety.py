@@ -18,6 +18,7 @@ from loopshape.cli import measure_target
 from loopshape.cli.main import app
 from loopshape.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.store.run_folder import finished, read_run
+from loopshape.target_settings import spoken
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
@@ -116,7 +117,10 @@ def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
     tick, value = passed(study, "large", key, at, rate)
     at = at if value > 0.0 else -at
     assert len(ended) == 1
-    assert ended[0].startswith(f"large: {words} at tick {tick}: {value:.6g}, by {abs(value - at):.3g} beyond {at:.6g}")
+    unit, per = ("rad", "/s" if rate else "") if key == "s1" else ("v", "/s" if rate else "")
+    found_said, by, limit = (spoken(one, unit) + per for one in (value, abs(value - at), at))
+    when = f"at tick {tick} ({tick / 1000.0:.3f} s)"
+    assert ended[0].startswith(f"large: {words} {when}: {found_said}, by {by} beyond {limit}")
     assert ("the target did not act, the host vented it" in ended[0]) == ignores
     assert finished(run) == {"small", "large", "after"}  # emulated: armed anew
     found, expected = table(run, "large"), simulated(study, "large")
@@ -174,7 +178,12 @@ def test_a_last_recording_at_a_limit_is_an_end_at_a_limit_too(tmp_path):
 
 def test_a_limit_on_the_way_to_a_recording_is_said(tmp_path):
     text = study_text(target=REAL, angle="low_rad = -3.0, high_rad = 3.0, rate_rad_s = 0.02")
-    with Running(real) as running, pytest.raises(RigError, match=r"way to 'one'; received fault, rate limit"):
+    with (
+        Running(real) as running,
+        pytest.raises(
+            RigError, match=r"way to 'one'; received fault, rate limit of angle1_rad at tick \d+ .* beyond 1\.146 deg/s"
+        ),
+    ):
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
     assert finished(tmp_path / "run") == set()
 
