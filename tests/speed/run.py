@@ -271,6 +271,7 @@ def main() -> None:
     line("  filled cache", first_call(True), "s")
     frf()
     tuning()
+    campaign(speed)
 
 
 def frf() -> None:
@@ -285,6 +286,15 @@ def frf() -> None:
     line("  pairwise scipy.signal.csd", pairs, f"s, ours is {pairs / taken:.1f} times as fast")
     few, many = peak_megabytes(10), peak_megabytes(40)
     line("  memory beside the record, 10 minutes", few, f"MB; 40 minutes {many:.3g} MB")
+
+
+def campaign(speed: float) -> None:
+    """A campaign's recording of 100 s, written, against its simulation alone, on one worker and on two."""
+    from campaign_workload import per_recording
+
+    one, two = per_recording(1), per_recording(2)
+    line("campaign, a recording of 100 s, one worker", one, f"s, {one * speed / 100.0:.1f} times its simulation alone")
+    line("  two workers", two, f"s, {one / two:.2f} times as fast")
 
 
 def line(what: str, value: float, unit: str) -> None:
