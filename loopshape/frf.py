@@ -48,7 +48,8 @@ class FRF:
     effective number of averages behind them, without which a coherence says nothing (it is biased by inputs/averages).
     `recording` names what it was measured from, in short; where that was several, `recordings` names all.
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
-    which the loop stood, where it is known. `method` says in one line how it
+    which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
+    a plant whose output stayed bounded has no unstable pole. `method` says in one line how it
     was measured; `notes` are warnings.
     """
 
@@ -79,6 +80,7 @@ class FRF:
     partial_coherence: Array | None = None
     averages: float = float("nan")
     recordings: tuple[str, ...] = ()
+    open_loop: bool = False
 
     def __post_init__(self) -> None:
         nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)

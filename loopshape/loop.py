@@ -34,9 +34,9 @@ def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
 class Loop:
     """One plant FRF (1 x 1) under one controller; responses (nf,) on the FRF's lines.
 
-    `integrators` is the number of poles of the plant at s = 0 (None: not known), `unstable_poles` in the right
-    half plane; the data alone do not show them, they come from the fit or from the user. `model`, where there is a fit,
-    says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
+    `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane (None: not
+    known); the data alone do not show them, they come from the recorded loop, a fit or the user. `model`, where there
+    is a fit, says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
     lines above those that are judged, less sure: they may still show that |L| comes up again. Where `plant` was
     smoothed over its lines, `raw` are these as they were measured, and `scatter` draws what noise does to `plant`.
     """
@@ -44,7 +44,7 @@ class Loop:
     plant: FRF
     controller: Controller
     integrators: int | None = 0
-    unstable_poles: int = 0
+    unstable_poles: int | None = None
     model: TransferFunction | None = None
     beyond: FRF | None = None
     raw: FRF | None = None

@@ -97,7 +97,7 @@ def judge(name: str, every: Sequence[Found], controller: Controller) -> Judged:
     """Margins, with intervals, of one controller at all of an arm's equilibria."""
     frfs = [f.frf for f in every]
     verdict = check(frfs, controller, wished(controller.loop), [f.fit for f in every])
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1) for frf in frfs)
+    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, name, loops, verdict)
 
 
@@ -105,7 +105,7 @@ def judge_identical(every: Sequence[Found], controller: Controller) -> Judged:
     """The same with each FRF scaled to the printed kappa: the identical mass line that the source reports."""
     frfs = [scaled(f.frf, value("figure_4_12.kappa") / f.value("kappa")) for f in every]
     verdict = check(frfs, controller, replace(wished(controller.loop), integrators=1, unstable_poles=0))
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1) for frf in frfs)
+    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, "source, kappa alike", loops, verdict)
 
 
@@ -127,7 +127,7 @@ def pressure_loop(study: Study, arm: Arm, controller: Controller) -> Judged:
     run, recordings = recorded(own, arm)
     frfs = [estimate_frf(recording, run.loop("p_ab")) for recording in recordings]
     verdict = check(frfs, controller, replace(wished("p_ab"), integrators=1))
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1) for frf in frfs)
+    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(arm, "table 5.2", loops, verdict)
 
 
@@ -162,7 +162,7 @@ def exact_loop(plant: TransferFunction, controller: Controller, grid: Mapping[st
     nothing = 1e-12 * np.abs(P) ** 2 + 0j
     frf = FRF(f, P, nothing, np.ones(f.size, dtype=bool), ("z_theta2_v",), ("theta2_rad",), "formula", recording=name,
               loop="theta2", rate_hz=controller.rate_hz)  # fmt: skip
-    return Loop(frf, controller, 1)
+    return Loop(frf, controller, 1, unstable_poles=0)
 
 
 def on_printed_plants(grid: Mapping[str, Any], delay_s: float) -> list[tuple[str, str, float, Loop, Margins]]:

@@ -126,7 +126,7 @@ def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
         ("1",), f"det(I + L) - 1 of {plant.method}", plant.recording, "+".join(loops.names), plant.rate_hz,
         line_overlap=plant.line_overlap, variance_freedom=plant.variance_freedom,
     )  # fmt: skip
-    return Loop(made, Controller("det", (Block("gain", {"gain": 1.0}),), rate_hz), None)
+    return Loop(made, Controller("det", (Block("gain", {"gain": 1.0}),), rate_hz), None, 0)
 
 
 def _sampling(loops: LoopMatrix, as_one: Loop) -> Sampling:

@@ -81,7 +81,7 @@ def sampling(loop: Loop) -> Sampling:
 def _rough(loop: Loop) -> Obstacle | None:
     """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1."""
     f, lines = loop.frequency_hz, measured(loop)
-    rough = roughness(f, lines.siso, *_spread(lines), unstable=loop.unstable_poles > 1)
+    rough = roughness(f, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
     if not rough.any():
         return None
     g, C = np.abs(1.0 + loop.L), np.abs(loop.C)
@@ -93,6 +93,11 @@ def _rough(loop: Loop) -> Obstacle | None:
         f"neither noise nor one resonance explains the lines between {low:.4g} and {high:.4g} Hz: measure finer there"
     )
     return Obstacle(reason, (low, high))
+
+
+def may_be_oscillatory(loop: Loop) -> bool:
+    """Whether a pair of the plant's poles may lie in the right half plane."""
+    return loop.unstable_poles is None or loop.unstable_poles > 1
 
 
 def measured(loop: Loop) -> FRF:
@@ -107,7 +112,7 @@ def _spread(lines: FRF) -> tuple[Array, float]:
 
 def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
     lines = measured(loop)
-    return hidden_poles(lines.frequency_hz, lines.siso, *_spread(lines), unstable=loop.unstable_poles > 1)
+    return hidden_poles(lines.frequency_hz, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
 
 
 def unseen_resonance(loop: Loop) -> tuple[float, float]:
@@ -117,7 +122,7 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     half a gap the lines meet its peak. Not said of the first and the last gap; nan for fewer than ten lines.
     """
     f, lines = loop.frequency_hz, measured(loop)
-    residue = visible_residue(f, lines.siso, *_spread(lines), unstable=loop.unstable_poles > 1)
+    residue = visible_residue(f, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
     if not np.isfinite(residue).any():
         return float("nan"), float("nan")
     g, C, middle = np.abs(1.0 + loop.L), np.abs(loop.C), 0.5 * (f[1:] + f[:-1])

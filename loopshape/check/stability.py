@@ -19,6 +19,10 @@ from loopshape.units import ComplexArray, deg
 
 #: without a model L must start this close to the phase of its integrators, in deg
 FIT_DEG = 75.0
+UNKNOWN_POLES = (
+    "the number of unstable poles of the plant is not known: declare unstable_poles in the requirements' [[loop]], name"
+    " the controller of the recorded loop in the map, or fit a model that leaves nothing but noise"
+)
 #: where the first line does not show how L starts, measure down to this share of it
 LOWER = 0.1
 
@@ -43,7 +47,8 @@ class Stability:
 def closed_loop_stability(loop: Loop) -> Stability:
     """Nyquist's count for a loop (Nyquist 1932): unstable poles = open-loop ones - encirclements of -1.
 
-    Integrators and unstable poles of the plant are the loop's word; a wrong word gives a wrong answer. The
+    Integrators and unstable poles of the plant are the loop's word; a wrong word gives a wrong answer, and where it is
+    missing nothing is decided. The
     contour passes integrators on the right. Below the lowest line the loop's model carries it; without one
     L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain.
     Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
@@ -57,6 +62,8 @@ def closed_loop_stability(loop: Loop) -> Stability:
             "the number of integrators of the plant is not known: declare integrators in the requirements' [[loop]],"
             " or fit a model that follows the lines"
         )
+    if loop.unstable_poles is None:
+        return _undecided(UNKNOWN_POLES)
     if judged_lines(loop) is None:
         reason = (
             f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
@@ -82,6 +89,8 @@ def unstable_count(loop: Loop) -> int | Obstacle:
 
     Negative where the loop's unstable poles are fewer than those that its encirclements would need.
     """
+    if loop.unstable_poles is None:
+        return Obstacle(UNKNOWN_POLES)
     integrators = (loop.integrators or 0) + loop.controller.integrators()
     between = sampling(loop)
     below = loop.controller.response(loop.below_hz) * loop.P_below
@@ -97,7 +106,8 @@ def uncountable(loop: Loop) -> str:
     """Why the lines cannot carry a count of encirclements, empty where they can."""
     integrators = (loop.integrators or 0) + loop.controller.integrators()
     below = loop.controller.response(loop.below_hz) * loop.P_below
-    before = 1.0 + _before_first(loop.L, integrators, loop.unstable_poles % 2 == 1, below)
+    odd = loop.unstable_poles is not None and loop.unstable_poles % 2 == 1
+    before = 1.0 + _before_first(loop.L, integrators, odd, below)
     found = obstacle(loop, sampling(loop), before)
     return "" if found is None else found.reason
 

@@ -33,8 +33,9 @@ def loops_of(
     """Loops on the lines that a check looks at, smoothed, and what it had to assume.
 
     Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
-    and slope of the lowest lines; unstable poles from the requirements, else from the loop that was recorded and
-    stood, else from the fit. What had to be assumed is noted.
+    and slope of the lowest lines; unstable poles from the requirements, else from the count of the loop that was
+    recorded under its own controller, else there are none where the recording was made in open loop, else from a fit
+    that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted.
     """
     found, notes = [], []
     for measured in frfs:
@@ -103,7 +104,7 @@ def _beyond(frf: FRF, lines: FRF) -> FRF | None:
 
 
 def _witness(fit: Fit, frf: FRF) -> bool:
-    """Whether a fit may speak for the plant outside the measured band.
+    """Whether a fit may speak for the plant below the measured band.
 
     It was made for this FRF, ended well and follows the lines; if it has unstable poles it leaves nothing but
     noise too, because a fit that misses something likes to put it into such poles.
@@ -114,8 +115,8 @@ def _witness(fit: Fit, frf: FRF) -> bool:
 
 def _open_loop_poles(
     frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None
-) -> tuple[int | None, int, str]:
-    """Integrators (None: not known) and unstable poles of the plant, and a note where they were assumed."""
+) -> tuple[int | None, int | None, str]:
+    """Integrators and unstable poles of the plant (None: not known), and a note where they were assumed."""
     integrators, note = _integrators(frf, requirements, fit)
     if requirements.unstable_poles is not None:
         return integrators, requirements.unstable_poles, note
@@ -125,11 +126,15 @@ def _open_loop_poles(
             f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
             " integrators"
         )
-        return None, 0, note
+        return None, None, note
     if held is not None:
         unstable, witness = held, "because the loop that was recorded was stable"
+    elif frf.open_loop:
+        unstable, witness = 0, "because it was recorded in open loop"
+    elif fit is not None and fit.sufficient:
+        unstable, witness = fit.model.unstable_poles(), "from its fit"
     else:
-        unstable, witness = (fit.model.unstable_poles() if fit is not None else 0), "from its fit"
+        return integrators, None, note
     if unstable:
         word = "pole" if unstable == 1 else "poles"
         note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable {word}, {witness}"

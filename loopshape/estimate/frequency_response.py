@@ -139,6 +139,7 @@ def _loop_frf(
         averages=a.averages,
         parameters=dict(info.parameters),
         held_by=loop.controller if info.closed_loop else None,
+        open_loop=not any(r.info.closed_loop for r in recordings),
         notes=tuple(dict.fromkeys(notes)),
     )
 

@@ -39,6 +39,7 @@ _WORDS = (
     "averages",
     "parameters",
     "notes",
+    "open_loop",
 )
 
 
@@ -60,6 +61,12 @@ def _held_by(header: Mapping[str, Any], where: str) -> Controller | None:
         return None
     table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
     return read_controller(Words(table, where), float(held["rate_hz"]))
+
+
+def _flag(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(f"open_loop is true or false, not {value!r}")
+    return value
 
 
 def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
@@ -93,4 +100,5 @@ def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
         "averages": float(header.get("averages", "nan")),
         "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
         "notes": tuple(map(str, header["notes"])),
+        "open_loop": _flag(header.get("open_loop", False)),
     }

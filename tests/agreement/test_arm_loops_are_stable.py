@@ -24,7 +24,7 @@ def nyquist(lin, controllers):
     out = []
     for k, controller in enumerate(controllers):
         frf = FRF(F, P[:, k : k + 1, k : k + 1], np.zeros((F.size, 1, 1)), F > 0.0, ("z",), ("y",), "linearisation")
-        out.append(margins(Loop(frf, controller, integrators=1)).stable)
+        out.append(margins(Loop(frf, controller, integrators=1, unstable_poles=0)).stable)
     return out
 
 

@@ -23,7 +23,7 @@ F = np.geomspace(0.01, 100.0, 6000)
 def loop_of(response, controller):
     covariance = np.zeros((F.size, 1, 1))
     frf = FRF(F, response[:, None, None], covariance, F > 0.0, ("z_theta2_v",), ("theta2_rad",), "formula")
-    return Loop(frf, controller, integrators=1)
+    return Loop(frf, controller, integrators=1, unstable_poles=0)
 
 
 def test_flow_coefficients_of_table_3_3(arm_constants):

@@ -117,7 +117,7 @@ def fits() -> list[Fit]:
 
 def loops() -> list[Loop]:
     one = controller()
-    return [Loop(plant, one, integrators=1) for plant in frfs()]
+    return [Loop(plant, one, integrators=1, unstable_poles=0) for plant in frfs()]
 
 
 def margins(k: int = 0, stable: str = "stable") -> Margins:

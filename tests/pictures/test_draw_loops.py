@@ -78,13 +78,14 @@ def test_the_worst_point_is_thick_named_and_alone_has_a_band() -> None:
 def test_without_a_variance_there_is_no_band() -> None:
     plant = nouns.frf(0.0, 1.0)
     plant = replace(plant, covariance=np.zeros_like(plant.covariance))
-    figure = pictures.loop_page([Loop(plant, nouns.controller(), 1)], None)
+    figure = pictures.loop_page([Loop(plant, nouns.controller(), 1, unstable_poles=0)], None)
     assert not any(bands(ax) for ax in figure.axes)
 
 
 def test_controllers_that_differ_are_drawn_each() -> None:
     loops = [
-        Loop(nouns.frf(*point), nouns.controller(gain)) for point, gain in zip(nouns.POINTS, (9.0, 11.0), strict=False)
+        Loop(nouns.frf(*point), nouns.controller(gain), unstable_poles=0)
+        for point, gain in zip(nouns.POINTS, (9.0, 11.0), strict=False)
     ]
     c = pictures.loop_page(loops, None).axes[2]
     assert len(c.lines) == 2

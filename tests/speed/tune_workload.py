@@ -45,6 +45,7 @@ def requirements(control_peak_db: float = 26.0) -> Requirements:
             "gain_margin_db": 5.0,
             "control_peak_db": control_peak_db,
             "integrators": 1,
+            "unstable_poles": 0,
             "structure": [
                 {"kind": "gain", "gain": {"min": 0.05, "max": 200.0}},
                 {"kind": "lead_lag", "f1_hz": {"min": 0.2, "max": 30.0}, "f2_hz": {"min": 1.0, "max": 100.0}},

@@ -47,7 +47,7 @@ def controller(gain=55.0, notch_hz=6.1, rate_hz=RATE):
 
 
 def wish(**words):
-    return Requirements("theta2", **{"integrators": 1} | words)
+    return Requirements("theta2", **{"integrators": 1, "unstable_poles": 0} | words)
 
 
 POINTS = [arm("calm"), arm("stiff", f_hz=6.6), arm("strong", kappa=1500.0)]
@@ -61,7 +61,7 @@ def line_of(verdict, quantity):
 def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency():
     verdict = check(POINTS, controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0))
     gain, phase = (line_of(verdict, q) for q in ("gain_margin_db", "phase_margin_deg"))
-    alone = {x.recording: margins(Loop(x, controller(), 1)) for x in POINTS}
+    alone = {x.recording: margins(Loop(x, controller(), 1, unstable_poles=0)) for x in POINTS}
     worst = min(alone, key=lambda name: alone[name].gain_margin_db)
     assert not verdict.passed
     assert (gain.passed, gain.recording) == (False, worst) == (False, "strong")
@@ -80,7 +80,7 @@ def test_without_the_point_that_misses_it_passes():
 
 @pytest.mark.parametrize("quantity", ["sensitivity_peak_db", "complementary_peak_db", "control_peak_db"])
 def test_a_peak_is_at_most_what_is_wished(quantity):
-    found = margins(Loop(POINTS[0], controller(), 1))
+    found = margins(Loop(POINTS[0], controller(), 1, unstable_poles=0))
     value = getattr(found, quantity)
     over, under = (check(POINTS[:1], controller(), wish(**{quantity: value + s})) for s in (-0.01, 0.01))
     assert (over.passed, under.passed) == (False, True)
@@ -90,7 +90,7 @@ def test_a_peak_is_at_most_what_is_wished(quantity):
 
 @pytest.mark.parametrize("quantity", ["gain_margin_db", "phase_margin_deg", "modulus_margin", "delay_margin_s"])
 def test_a_margin_is_at_least_what_is_wished(quantity):
-    value = getattr(margins(Loop(POINTS[0], controller(), 1)), quantity)
+    value = getattr(margins(Loop(POINTS[0], controller(), 1, unstable_poles=0)), quantity)
     over, under = (check(POINTS[:1], controller(), wish(**{quantity: value * s})) for s in (1.01, 0.99))
     assert (over.passed, under.passed) == (False, True)
 
@@ -102,7 +102,7 @@ def test_a_margin_that_does_not_exist_is_infinite_and_passes():
 
 
 def test_bandwidth_met_and_missed():
-    crossover = margins(Loop(POINTS[0], controller(), 1)).bandwidth_hz
+    crossover = margins(Loop(POINTS[0], controller(), 1, unstable_poles=0)).bandwidth_hz
     assert crossover == pytest.approx(2.7, abs=0.05)
     met, missed = (check(POINTS[:1], controller(), wish(bandwidth_hz=f)) for f in (2.5, 3.0))
     assert met.passed
@@ -139,7 +139,7 @@ def test_control_at_high_frequency_counts_the_controller_above_the_last_line():
     # |CS| is asked for from 50 Hz, the lines end at 30 Hz: above, |L| stays below its last value l, |CS| below
     # |C|/(1 - l)
     short = arm("short", f=F[F < 30.0])
-    last = np.abs(Loop(short, controller(), 1).L[-1])
+    last = np.abs(Loop(short, controller(), 1, unstable_poles=0).L[-1])
     C = np.abs(controller().response(np.geomspace(50.0, 450.0, 2000))) / (1.0 - last)
     verdict = check([short], controller(), wish(control_high_frequency_db=0.0, control_high_frequency_from_hz=50.0))
     line = line_of(verdict, "control_high_frequency_db")
@@ -149,8 +149,8 @@ def test_control_at_high_frequency_counts_the_controller_above_the_last_line():
 
 def test_gain_margin_is_bounded_by_the_last_line():
     short = arm("short", f=F[F < 5.0])  # the phase crosses -180 deg above 5 Hz
-    found = margins(Loop(short, controller(), 1))
-    L = Loop(short, controller(), 1).L
+    found = margins(Loop(short, controller(), 1, unstable_poles=0))
+    L = Loop(short, controller(), 1, unstable_poles=0).L
     assert found.gain_margin_db == pytest.approx(-float(db(L[-1])))
     verdict = check([short], controller(), wish(gain_margin_db=found.gain_margin_db + 0.1))
     assert not verdict.passed
@@ -178,7 +178,7 @@ def test_a_band_that_ends_too_early_does_not_hide_a_peak():
         check(POINTS[:1], controller(), wish(sensitivity_peak_db=6.0, band_hz=b)) for b in (None, (0.5, 3.5))
     )
     lines = POINTS[0].between(0.5, 3.5)
-    last = np.abs(Loop(lines, controller(), 1).L[-1])
+    last = np.abs(Loop(lines, controller(), 1, unstable_poles=0).L[-1])
     found = line_of(narrow, "sensitivity_peak_db")
     assert found.found == pytest.approx(-float(db(1.0 - last)))
     assert found.at_hz == lines.frequency_hz[-1]
@@ -252,22 +252,22 @@ def test_unstable_poles_come_from_the_requirements_then_a_fit_that_leaves_nothin
         recording="seen", frf_digest=frf.digest, model=UNSTABLE, p_value=0.5, runs_p_value=0.5,
     )  # fmt: skip
     insufficient = replace(fitted, p_value=0.001)
-    plain = wish(integrators=0)
+    plain = wish(integrators=0, unstable_poles=None)
     (loop,), notes = loops_of([frf], controller(), plain, (fitted,))
     assert (loop.unstable_poles, loop.model) == (1, UNSTABLE)
     (note,) = notes
     assert "plant taken to have 1 unstable pole, from" in note
     assert "fit" in note
     (loop,), notes = loops_of([frf], controller(), plain, (insufficient,))
-    assert (loop.unstable_poles, loop.model, notes) == (0, None, ())
+    assert (loop.unstable_poles, loop.model, notes) == (None, None, ())
     (loop,), notes = loops_of([frf], controller(), wish(integrators=0, unstable_poles=0), (fitted,))
     assert (loop.unstable_poles, notes) == (0, ())
     (loop,), notes = loops_of([frf], controller(), wish(integrators=0, unstable_poles=1))
     assert (loop.unstable_poles, notes) == (1, ())
     # a misfit in a model without unstable poles does not make it a liar below the lines
     misses = replace(insufficient, recording="calm", frf_digest=POINTS[0].digest, model=STABLE)
-    (loop,), _ = loops_of(POINTS[:1], controller(), wish(), (misses,))
-    assert loop.model is STABLE
+    (loop,), _ = loops_of(POINTS[:1], controller(), wish(unstable_poles=None), (misses,))
+    assert (loop.unstable_poles, loop.model) == (None, STABLE)
 
 
 STABLE = TransferFunction([4.0], [1.0, 0.0])
@@ -278,7 +278,14 @@ def test_declared_unstable_poles_count():
     gain = Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
     said, unsaid = (check([frf], gain, wish(integrators=0, unstable_poles=k, phase_margin_deg=1.0)) for k in (1, None))
     assert said.passed
-    assert not unsaid.passed
+    assert (unsaid.outcome, unsaid.margins["seen"].stable) == ("undecided", "undecided")
+    assert "the number of unstable poles of the plant is not known" in unsaid.margins["seen"].stability_reason
+
+
+def test_a_record_without_feedback_that_stayed_bounded_has_no_unstable_pole():
+    frf = replace(POINTS[0], open_loop=True)
+    (loop,), _ = loops_of([frf], controller(), wish(unstable_poles=None))
+    assert loop.unstable_poles == 0
 
 
 def test_a_plant_without_integrators_is_not_taken_for_a_double_one():

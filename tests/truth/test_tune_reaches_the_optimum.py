@@ -39,7 +39,12 @@ def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz:
 
 
 def wished(**limits: object) -> Requirements:
-    table = {"name": "one", "integrators": 1, "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}]}
+    table = {
+        "name": "one",
+        "integrators": 1,
+        "unstable_poles": 0,
+        "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}],
+    }
     return Requirements.from_table(table | limits)
 
 
@@ -148,7 +153,9 @@ def test_no_small_change_of_the_result_is_better(tuned) -> None:
 def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     """At least 1.3 times the lowest bandwidth of the source's controller, with at most twice its peak |CS|."""
     plants, _, _ = tuned
-    bare = Requirements("theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, integrators=1)
+    bare = Requirements(
+        "theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, integrators=1, unstable_poles=0
+    )
 
     def source(gain: float) -> Controller:
         return angle_controller(gain, notch_hz=4.5)
@@ -196,6 +203,7 @@ def test_an_integral_controller_is_tuned_stably() -> None:
         {
             "name": "one",
             "integrators": 0,
+            "unstable_poles": 0,
             "sensitivity_peak_db": 4.0,
             "phase_margin_deg": 50.0,
             "structure": [

@@ -58,7 +58,9 @@ def servos(std=0.0, lines=400):
 
 def wished(*structure, **limits):
     """Requirements of the loop "one", whose plant has one integrator; a gain where no structure is given."""
-    return Requirements.from_table({"name": "one", "integrators": 1, "structure": list(structure) or [GAIN]} | limits)
+    return Requirements.from_table(
+        {"name": "one", "integrators": 1, "unstable_poles": 0, "structure": list(structure) or [GAIN]} | limits
+    )
 
 
 def problem_of(frfs, requirements, **runs):

@@ -271,12 +271,13 @@ def certificate(one: CheckedLoop) -> Markup:
 
 def _poles(one: CheckedLoop) -> str:
     """The open-loop poles that the count was made with."""
-    pairs: dict[tuple[int | None, int], list[str]] = {}
+    pairs: dict[tuple[int | None, int | None], list[str]] = {}
     for loop in one.loops:
         pairs.setdefault((loop.integrators, loop.unstable_poles), []).append(loop.plant.recording)
     parts = []
     for (integrators, unstable), names in pairs.items():
         known = "an unknown number of integrators" if integrators is None else count(integrators, "integrator")
+        growing = "an unknown number of unstable poles" if unstable is None else count(unstable, "unstable pole")
         where = f" at {_few(names)}" if len(pairs) > 1 else ""
-        parts.append(f"plant with {known} and {count(unstable, 'unstable pole')}{where}")
+        parts.append(f"plant with {known} and {growing}{where}")
     return f"Counted for: {'; '.join(parts)}; controller with {count(one.controller.integrators(), 'integrator')}."
