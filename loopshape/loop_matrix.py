@@ -24,8 +24,8 @@ class LoopMatrix:
     """A square plant FRF under one controller a loop, the k-th from output k to input k; responses (nf, n, n).
 
     `names` are the loops in that order. `integrators` is the number of poles of the whole plant at s = 0, as a minimal
-    realisation has them (two axes that integrate have two; None: not known), `unstable_poles` in the right half plane,
-    counted alike. `beyond` holds lines above those that are judged, less sure: they may still show that L comes up
+    realisation has them (two axes that integrate have two), `unstable_poles` in the right half plane, counted alike
+    (None: not known). `beyond` holds lines above those that are judged, less sure: they may still show that L comes up
     again. `held` are the controllers, in the same order, under which all loops were closed and stood when the plant was
     recorded; empty where that is not known.
     Refuses another number of controllers than loops, several rates, and lines at or above half the rate.
@@ -35,7 +35,7 @@ class LoopMatrix:
     controllers: tuple[Controller, ...]
     names: tuple[str, ...]
     integrators: int | None = None
-    unstable_poles: int = 0
+    unstable_poles: int | None = None
     beyond: FRF | None = None
     held: tuple[Controller, ...] = ()
 

@@ -26,6 +26,10 @@ from loopshape.loop_matrix import LoopMatrix, responses
 from loopshape.several import Certificate
 from loopshape.units import Array, ComplexArray, deg, rad
 
+UNKNOWN_POLES = (
+    "the number of unstable poles of the whole plant is not known: declare unstable_poles in the requirements'"
+    " [several], or name the controllers of the recorded loops in the map"
+)
 #: phase and slope that the ratio of det(I + L) to that of the recorded loops may have at the first line
 HELD_DEG, HELD_SLOPE = 60.0, 0.5
 _SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
@@ -74,6 +78,8 @@ def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
 
     Negative where the plant's unstable poles are fewer than those that the encirclements would need.
     """
+    if loops.unstable_poles is None:
+        return Obstacle(UNKNOWN_POLES)
     loci = characteristic_loci(loops.L_i)
     low = low_end(loops.frequency_hz, loci)
     ends = low_doubt(loops, loci, low) or _high_doubt(loops, loci)

@@ -125,8 +125,8 @@ def _loop_matrix(
     lines = frf.between(*several.band_hz) if several.band_hz else frf.trusted_lines()
     known = {one.loop: one for one in held}
     stood = tuple(known[name] for name in names) if set(names) <= set(known) else ()
-    unstable = several.unstable_poles or 0
-    made = LoopMatrix(lines, controllers, names, several.integrators, unstable, _beyond(frf, lines), stood)
+    poles = several.integrators, several.unstable_poles
+    made = LoopMatrix(lines, controllers, names, *poles, _beyond(frf, lines), stood)
     notes: list[str] = []
     declared = several.integrators is not None and several.unstable_poles is not None
     if made.held and not declared and isinstance(count_from_held(made), int):
@@ -136,23 +136,24 @@ def _loop_matrix(
         made, notes = replace(made, integrators=integrators), [note]
     if several.unstable_poles is not None or made.integrators is None:
         return made, notes
-    poles, note = _held_poles(made)
-    return (replace(made, integrators=None) if poles is None else replace(made, unstable_poles=poles)), [*notes, note]
+    unstable, told = _held_poles(made)
+    return replace(made, unstable_poles=unstable), [*notes, *told]
 
 
-def _held_poles(loops: LoopMatrix) -> tuple[int | None, str]:
-    """Unstable poles of the plant by the loops that were recorded, which stood; None where no plant fits the count."""
-    assumed = "plant taken to have no unstable poles: declare unstable_poles if it has"
+def _held_poles(loops: LoopMatrix) -> tuple[int | None, tuple[str, ...]]:
+    """Unstable poles of the plant by the loops that were recorded, which stood; None where they do not tell."""
+    if loops.plant.open_loop:
+        return 0, ()
     if not loops.held:
-        return 0, assumed
-    count = encirclement_count(replace(loops, controllers=loops.held, held=()))
+        return None, ()
+    count = encirclement_count(replace(loops, controllers=loops.held, held=(), unstable_poles=0))
     if not isinstance(count, int):
-        return 0, assumed
+        return None, ()
     if count > 0:
         note = "the loops that were recorded would be unstable by this FRF: check signs, injection and integrators"
-        return None, note
+        return None, (note,)
     word = {0: "no unstable poles", -1: "1 unstable pole"}.get(count, f"{-count} unstable poles")
-    return -count, f"plant taken to have {word}, because the loops that were recorded were stable"
+    return -count, (f"plant taken to have {word}, because the loops that were recorded were stable",)
 
 
 def _beyond(frf: FRF, lines: FRF) -> FRF | None:

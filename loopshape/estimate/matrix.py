@@ -268,6 +268,7 @@ def _frf(
         variance_freedom=min(p.freedom for p in parts),
         variance_pooled=parts[0].pooled,
         notes=notes,
+        open_loop=not any(r.info.closed_loop for r in recordings),
     )
 
 

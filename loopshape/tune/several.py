@@ -167,11 +167,12 @@ class _State:
         part = self._part(frf, closed)
         if len(closed) == 1:
             wish = self.wishes.get(closed[0], Requirements(closed[0]))
+            wish = replace(wish, unstable_poles=wish.unstable_poles or 0)
             (loop,), _ = loops_of([replace(part, held_by=None)], self.controllers[closed[0]], wish)
             found = None if loop.integrators is None else unstable_count(loop)
         else:
             own = [self.controllers[name] for name in closed]
-            matrices, _ = loop_matrices([part], own, SeveralRequirements(), loops=closed)
+            matrices, _ = loop_matrices([part], own, SeveralRequirements(unstable_poles=0), loops=closed)
             found = encirclement_count(next(iter(matrices.values())))
         if isinstance(found, int):
             return max(found, 0)
