@@ -56,6 +56,9 @@ class Margins:
     `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
     those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
     `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
+    `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
+    the number found is the worst that may be, and `bounds` holds the best. `last_hz` is that frequency, `last_gain`
+    |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
     """
 
     gain_margin_db: float
@@ -82,6 +85,10 @@ class Margins:
     stability_band_hz: tuple[float, float] | None = None
     crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
     phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    bounds: Mapping[str, float] = field(default_factory=dict)
+    last_hz: float = float("nan")
+    last_gain: float = float("nan")
+    last_slope: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -256,10 +263,10 @@ class Requirements:
                     f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
                     f"{value!r}",
                 )
-        for name in ("integrators", "unstable_poles"):
+        for name, least in (("integrators", -2), ("unstable_poles", 0)):
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
-                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from 0", f"{value!r}")
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Requirements:
@@ -299,6 +306,8 @@ class Line:
     `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
     `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
+    A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
+    to which frequency to measure, as |L| falls on over the highest lines (None: not known).
     """
 
     quantity: str
@@ -311,6 +320,8 @@ class Line:
     at_hz: float | None
     interval: tuple[float, float] | None = None
     longer: float | None = None
+    bound: float | None = None
+    measure_to_hz: float | None = None
 
     @property
     def passed(self) -> bool:

@@ -13,7 +13,7 @@ from loopshape.units import TWO_PI, Array, ComplexArray, hz
 _CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
 _ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
 #: places between two lines where a curve is followed, as shares of the logarithm of frequency
-_SHARES = np.linspace(0.0, 1.0, 5)
+_SHARES = np.linspace(0.0, 1.0, 9)
 #: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
 BULGE = 0.5
 #: the path past a pole is followed over this many lines more on either side, where its tails bend
@@ -112,9 +112,17 @@ def curved(L: ComplexArray) -> ComplexArray:
     return np.asarray(path)
 
 
-def turns_of_curves(L: ComplexArray) -> np.ndarray:
-    """Whole turns (nf - 1,) of 1 + L along such curves that the chords between its lines leave out."""
-    return np.rint((turn(1.0 + curved(L)) - turn(1.0 + np.stack([L[:-1], L[1:]], axis=1))) / TWO_PI).astype(int)
+def curves_of(controller: Controller, f: Array, P: ComplexArray) -> ComplexArray:
+    """C P between lines f (nf,): P (nf,) along such curves, the controller as it is: (nf - 1, places)."""
+    at = f[:-1, None] * (f[1:] / f[:-1])[:, None] ** _SHARES
+    C = controller.response(at.ravel()).reshape(at.shape)
+    C[:, 0], C[:, -1] = (own := controller.response(f))[:-1], own[1:]
+    return np.asarray(C * curved(P))
+
+
+def turns_of_curves(curves: ComplexArray) -> np.ndarray:
+    """Whole turns (nf - 1,) of 1 + L along curves (nf - 1, places) that the chords between their ends leave out."""
+    return np.rint((turn(1.0 + curves) - turn(1.0 + curves[:, [0, -1]])) / TWO_PI).astype(int)
 
 
 def bulges(f: Array, L: ComplexArray) -> Array:

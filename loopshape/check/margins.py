@@ -8,7 +8,9 @@ import numpy as np
 
 from loopshape.check.controller_bandwidth import controller_bandwidth_hz
 from loopshape.check.crossings import axis_crossings, unit_crossings
-from loopshape.check.low_end import judged_lines
+from loopshape.check.low_end import Model, judged_lines, low_models
+from loopshape.check.low_frequency import LowModel
+from loopshape.check.obstacles import slope_at_end
 from loopshape.check.stability import closed_loop_stability
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
@@ -35,6 +37,13 @@ _LOGARITHMS = {
     "delay_margin_s": kernel.LN_DELAY_S,
     "disk_margin": kernel.LN_DISK,
     "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
+    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
+    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+}
+#: where L is read below its first line, as shares of its frequency
+_DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+#: bandwidths that lie above the last line where nothing was met up to it
+_BANDWIDTHS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
@@ -68,7 +77,10 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     - delay margin: least delay that does so;
     - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
     - above the last line |L| is taken to stay below its last value l: there |S| may reach 1/(1 - l), |T|
-      l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that;
+      l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that; where it decides a number, that number is a
+      bound, and `bounds` says how good it may be;
+    - a loop without integrators whose gain at 0 Hz is negative crosses the negative real axis there: small models of
+      the lowest lines lead to it (`loopshape.check.low_frequency`), and what they disagree about widens the interval;
     - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
       complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
     - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
@@ -85,8 +97,13 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     """
     j = _judged(loop)
     from_hz = np.inf if high_frequency_from_hz is None else high_frequency_from_hz
-    found, at = _read(loop, j, j.L[None], from_hz)
-    value, low, high = _with_intervals(loop, j, found[0], from_hz)
+    first, *others = _readings_from_zero(loop, j)
+    found, at = _read(loop, first, first.L[None], from_hz)
+    value, low, high = _with_intervals(loop, first, found[0], from_hz)
+    for other in others:  # what the models disagree about is as unknown as what noise hides
+        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], from_hz)[0][0], from_hz)
+        low, high = np.minimum(low, lower), np.maximum(high, higher)
+    bounds = _bounds(loop, first, found[0], from_hz)
     stability = closed_loop_stability(loop)
     crossings, crossing_intervals = _crossings(j, unit=True)
     phase_crossings, phase_intervals = _crossings(j, unit=False)
@@ -97,11 +114,15 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
-        at_hz=_places(at[0]),
+        at_hz=_places(at[0], float(j.f[0])),
         stable=stability.outcome,
         stability_reason=stability.reason,
         stability_band_hz=getattr(stability, "band_hz", None),
         intervals=intervals,
+        bounds=bounds,
+        last_hz=float(j.f[-1]),
+        last_gain=float(abs(j.L[-1])),
+        last_slope=slope_at_end(j.f, j.L),
         crossing_intervals_hz=crossing_intervals,
         phase_crossing_intervals_hz=phase_intervals,
     )
@@ -120,17 +141,69 @@ def _judged(loop: Loop) -> _Judged:
     return _Judged(f, L, C, reference, deviations)
 
 
-def _read(loop: Loop, j: _Judged, L: ComplexArray, from_hz: float) -> tuple[Array, Array]:
+def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
+    """The lines with those before them down to 0 Hz, as a model tells them, where L starts on the negative real axis.
+
+    There the axis is crossed at 0 Hz, from the mirrored side; elsewhere the lines stay as they are.
+    """
+    f = j.f[0] * _DOWN
+    C = loop.controller.response(f)
+    L = C * model.response(f)
+    if L[0].real >= 0.0:
+        return j
+    start = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0))
+    L = np.concatenate([[start], L[1:]])
+    reference = deviations = None
+    if j.deviations is not None and j.reference is not None:
+        if isinstance(model, LowModel) and loop.scatter is not None:
+            moved = C * model.deviations(f, loop.scatter.deviations)
+        else:
+            moved = L * (j.deviations[:, :1] / j.L[0])
+        moved[:, 0] = moved[:, 0].real
+        reference = np.concatenate([L, j.reference])
+        deviations = np.concatenate([moved, j.deviations], axis=1)
+    return _Judged(np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C]), reference, deviations)
+
+
+def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
+    """The lines with what lies below them, once for each model that tells it; as they are where 0 Hz says nothing.
+
+    Only a loop without integrators reaches the real axis at 0 Hz.
+    """
+    if (loop.integrators or 0) + loop.controller.integrators() or loop.integrators is None:
+        return [j]
+    return [_from_zero(loop, j, model) for model in low_models(loop)] or [j]
+
+
+def _read(loop: Loop, j: _Judged, L: ComplexArray, from_hz: float, *, bounded: bool = True) -> tuple[Array, Array]:
     above = loop.above_hz
-    return kernel.read_margins(j.f, L, j.C, above, loop.controller.response(above), from_hz)
+    return kernel.read_margins(j.f, L, j.C, above, loop.controller.response(above), from_hz, bounded)
 
 
-def _with_intervals(loop: Loop, j: _Judged, found: Array, from_hz: float) -> tuple[Array, Array, Array]:
+def _bounds(loop: Loop, j: _Judged, found: Array, from_hz: float) -> dict[str, float]:
+    """How good the quantities may be that what lies above the last line bounds: the good end of what lines alone tell.
+
+    A bandwidth that the lines do not reach is at least their last frequency.
+    """
+    best, _ = _read(loop, j, j.L[None], from_hz, bounded=False)
+    ends = {name: float("inf") for name, k in _BANDWIDTHS.items() if found[k] == np.log(j.f[-1])}
+    bounded = found != best[0]
+    if not bounded.any():
+        return ends
+    _, low, high = _with_intervals(loop, j, best[0], from_hz, bounded=False)
+    better = np.where(best[0] > found, np.maximum(low, high), np.minimum(low, high))
+    good = _fields(np.where(bounded, better, np.nan))
+    return ends | {name: value for name, value in good.items() if not np.isnan(value)}
+
+
+def _with_intervals(
+    loop: Loop, j: _Judged, found: Array, from_hz: float, *, bounded: bool = True
+) -> tuple[Array, Array, Array]:
     """Each column freed of its bias, with the ends of its interval."""
     if j.deviations is None or j.reference is None:
         return found, found, found
-    drawn, _ = _read(loop, j, j.reference + j.deviations, from_hz)
-    reference, _ = _read(loop, j, j.reference[None], from_hz)
+    drawn, _ = _read(loop, j, j.reference + j.deviations, from_hz, bounded=bounded)
+    reference, _ = _read(loop, j, j.reference[None], from_hz, bounded=bounded)
     if _drowned(j):
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
     ordered = np.sort(drawn, axis=0)
@@ -181,9 +254,10 @@ def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, fl
     return [(name, low[name], high[name]) for name in low]
 
 
-def _places(at: Array) -> dict[str, float]:
+def _places(at: Array, first_hz: float) -> dict[str, float]:
+    """Frequencies in Hz by quantity; 0 where the crossing lies there."""
     columns = _PLAIN | _LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
-    return {name: float(at[k]) for name, k in columns.items() if np.isfinite(at[k])}
+    return {n: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for n, k in columns.items() if np.isfinite(at[k])}
 
 
 def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Interval, ...]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.check.between import bulges, curved, turns_of_controller, turns_of_curves, turns_past
+from loopshape.check.between import bulges, curves_of, turns_of_controller, turns_of_curves, turns_past
 from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.doubt import chance_of_error, reach_of
 from loopshape.check.holes import hole
@@ -57,7 +57,8 @@ def sampling(loop: Loop) -> Sampling:
     f, P, L = loop.frequency_hz, measured(loop).siso, loop.L
     if f.size < 2:
         return Sampling(0, np.zeros(0, dtype=bool), None)
-    turns, followed, unclear = turns_of_curves(L), np.zeros(f.size - 1, dtype=bool), None
+    curves = curves_of(loop.controller, f, loop.plant.siso)
+    turns, followed, unclear = turns_of_curves(curves), np.zeros(f.size - 1, dtype=bool), None
 
     def follow(first: int, last: int, left_out: int) -> None:
         turns[first:last] *= followed[first:last]  # a path takes the place of the curves, not of another path
@@ -142,7 +143,7 @@ def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obsta
     L, f = loop.L, loop.frequency_hz
     yield _too_short(loop, L, f)
     yield comes_up_again(loop)
-    gaps = list(_gaps(f, L, between.followed))
+    gaps = list(_gaps(loop, between.followed))
     yield gaps[0]
     yield _noise(loop, 1.0 + L, before)
     yield from gaps[1:]
@@ -154,11 +155,17 @@ def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obsta
 def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Obstacle | None:
     if abs(L[-1]) < 1.0:
         return None
-    tail = slice(int(np.searchsorted(f, 0.6 * f[-1])), None)
-    slope = -np.polyfit(np.log(f[tail]), np.log(np.abs(L[tail])), 1)[0] if f[tail].size > 2 else 1.0
-    top = min(f[-1] * (2.0 * abs(L[-1])) ** (1.0 / max(float(slope), 1.0)), 0.5 * loop.controller.rate_hz)
+    top = min(f[-1] * (2.0 * abs(L[-1])) ** (1.0 / max(slope_at_end(f, L), 1.0)), 0.5 * loop.controller.rate_hz)
     reason = f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
     return Obstacle(reason, (float(f[-1]), max(float(top), float(f[-1]))))
+
+
+def slope_at_end(f: Array, L: ComplexArray) -> float:
+    """How steeply |L| falls over the highest lines, 1 for 20 dB a decade; taken as 1 where fewer than three tell."""
+    tail = slice(int(np.searchsorted(f, 0.6 * f[-1])), None)
+    if f[tail].size < 3:
+        return 1.0
+    return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])
 
 
 def comes_up_again(loop: Loop) -> Obstacle | None:
@@ -175,22 +182,25 @@ def comes_up_again(loop: Loop) -> Obstacle | None:
     return Obstacle(reason, _around(f, np.flatnonzero(size >= 1.0)))
 
 
-def _gaps(f: Array, L: ComplexArray, followed: np.ndarray) -> tuple[Obstacle | None, Obstacle | None]:
+def _gaps(loop: Loop, followed: np.ndarray) -> tuple[Obstacle | None, Obstacle | None]:
     """Gaps where L passes -1 too near, and where it turns or bends too much; not where a path was followed."""
+    f, L = loop.frequency_hz, loop.L
     if f.size < 2:
         return None, None
     chord, share = chords_to_minus_one(L)
-    curve = chords_to_minus_one(curved(L))[0].min(axis=1)
+    curves = curves_of(loop.controller, f, loop.plant.siso)
+    curve = chords_to_minus_one(curves)[0].min(axis=1)
     near = np.where(followed, np.inf, np.minimum(chord, curve))
     k = int(np.argmin(near))
     at = f[k] + share[k] * (f[k + 1] - f[k])
     on_it = Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _gap(f, k)) if near[k] < ON_IT else None
-    return on_it, _unsure_gap(f, L, np.where(followed, np.inf, curve))
+    largest = np.abs(loop.controller.response(f))
+    bulge = bulges(f, loop.plant.siso) * np.maximum(largest[1:], largest[:-1])  # the controller is known in between
+    return on_it, _unsure_gap(f, L, np.where(followed, np.inf, curve), bulge)
 
 
-def _unsure_gap(f: Array, L: ComplexArray, curve: Array) -> Obstacle | None:
-    """The gap where L, `curve` (nf - 1,) off -1, turns or bends too much to tell on which side it passes."""
-    bulge = bulges(f, L)
+def _unsure_gap(f: Array, L: ComplexArray, curve: Array, bulge: Array) -> Obstacle | None:
+    """The gap where L, `curve` (nf - 1,) off -1, turns or bends by `bulge` too much to tell on which side it passes."""
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.nan_to_num(np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1])))))
     coarse = np.flatnonzero((steps > COARSE_DEG) & (curve < 2.0 * bulge))

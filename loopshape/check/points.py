@@ -49,6 +49,9 @@ def point_outcome(margins: Margins, quantity: str, wished: float) -> str:
         return "undecided"
     low, high = margins.intervals.get(quantity, (value, value))
     at_least = limit_of(quantity).sense == "at_least"
+    if quantity in margins.bounds:
+        best = margins.bounds[quantity]
+        low, high = (low, max(high, best)) if at_least else (min(low, best), high)
     surely, perhaps = (low >= wished, high >= wished) if at_least else (high <= wished, low <= wished)
     return "passed" if surely else "undecided" if perhaps else "failed"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.check.low_end import crossover_below, judged_lines
+from loopshape.check.low_end import crossover_below, judged_lines, low_hz, low_models
 from loopshape.check.obstacles import Obstacle, obstacle, sampling, unseen_resonance
 from loopshape.loop import Loop
 from loopshape.units import ComplexArray, deg
@@ -99,7 +99,18 @@ def unstable_count(loop: Loop) -> int | Obstacle:
     if found is not None:
         return found
     poles = count_unstable(loop.L, integrators, loop.unstable_poles, below)
+    if poles is None:
+        poles = _count_by_low_models(loop, integrators)
     return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
+
+
+def _count_by_low_models(loop: Loop, integrators: int) -> int | None:
+    """The count with each of the small models that follow the lowest lines; None where there is none or two differ."""
+    f = low_hz(loop)
+    C, unstable = loop.controller.response(f), loop.unstable_poles or 0
+    models = () if loop.model is not None else low_models(loop)
+    counts = {count_unstable(loop.L, integrators, unstable, C * model.response(f)) for model in models}
+    return counts.pop() if len(counts) == 1 else None
 
 
 def uncountable(loop: Loop) -> str:
@@ -126,6 +137,8 @@ def _before_first(L: ComplexArray, integrators: int, negative: bool, below: Comp
     """Where L (nf,) comes from to the first line: the model's last value, or along the phase of its integrators."""
     if below.size:
         return complex(below[-1])
+    if integrators < 0:
+        return 0j
     if not integrators:
         return -abs(L[0].real) if negative else abs(L[0].real)
     return 1e3 * (1.0 + abs(complex(L[0]))) * (-1j) ** integrators * (-1.0 if negative else 1.0)
@@ -143,16 +156,16 @@ def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below
     if start is None:
         return None
     turn = start + float(np.sum(np.angle(path[1:] / path[:-1]))) - float(np.angle(path[-1]))
-    return round(unstable_poles + 0.5 * integrators - turn / np.pi)
+    return round(unstable_poles + 0.5 * max(integrators, 0) - turn / np.pi)
 
 
 def _turn_to_first(first: complex, integrators: int, negative: bool, either_sign: bool) -> float | None:
     """Angle in rad that 1 + L turns from s = j0+ to L = `first`, None where the phase there fits badly.
 
-    With k integrators L starts infinite at -90 k deg, swings to the phase of `first` and shrinks along it as
-    f^-k; without any it starts on the real axis. A stable plant is taken to have a positive gain there, one
-    with an odd number of unstable poles a `negative` one (as k/(s - a) has); close to zero frequency, where
-    a model leads, the sign is read off.
+    With k integrators L starts infinite at -90 k deg, swings to the phase of `first` and shrinks along it as f^-k;
+    without any it starts on the real axis, and with zeros at s = 0 (k below 0) at 0. A stable plant is taken to have a
+    positive gain there, one with an odd number of unstable poles a `negative` one (as k/(s - a) has); close to zero
+    frequency, where a model leads, the sign is read off.
     """
     ahead = first * 1j**integrators
     if either_sign:
@@ -160,6 +173,8 @@ def _turn_to_first(first: complex, integrators: int, negative: bool, either_sign
     swing = float(np.angle(-ahead if negative else ahead))
     if abs(deg(swing)) > FIT_DEG:
         return None
+    if integrators < 0:  # from L = 0 straight to the first
+        return float(np.angle(1.0 + first))
     if integrators:
         return swing + float(np.angle((1.0 + first) / first))
     if negative and not either_sign and first.real > -1.0:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loopshape.algebra.sampling import HELD
+from loopshape.check.low_frequency import low_frequency_models
 from loopshape.check.margins import margins
 from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.stability import count_unstable, uncountable
@@ -148,7 +149,7 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
         return fit.model.integrators() if declared is None else declared, ""
     by_phase, by_slope = _low_frequency_order(frf)
     if declared is not None:
-        if abs(by_slope - declared) < CONTRADICTED:
+        if abs(by_slope - declared) < CONTRADICTED or low_frequency_models(frf, declared):
             return declared, ""
         return None, (
             f"{declared} integrators are declared, and |P| falls as with {by_slope:.1f} over the lowest lines:"
@@ -233,7 +234,7 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
     interval = margin.intervals.get(limit.name)
     low, high = (value, value) if interval is None else interval
     sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-    outcome = point_outcome(margin, limit.name, wished)
+    outcome, bounded = point_outcome(margin, limit.name, wished), limit.name in margin.bounds
     return Line(
         quantity=limit.name,
         unit=limit.unit,
@@ -244,8 +245,29 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
         recording=recording,
         at_hz=margin.at_hz.get(limit.name),
         interval=interval,
-        longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" else None,
+        longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
+        bound=margin.bounds.get(limit.name),
+        measure_to_hz=_decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
     )
+
+
+def _decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None:
+    """Up to where to measure until |L|, falling on as over the highest lines, is small enough for the wished limit."""
+    size = from_db(wished) if quantity.endswith("_db") else wished
+    small = {
+        "gain_margin_db": 1.0 / size,
+        "modulus_margin": 1.0 - size,
+        "sensitivity_peak_db": 1.0 - 1.0 / size,
+        "disk_margin": (2.0 - size) / (2.0 + size),
+        "complementary_peak_db": size / (1.0 + size),
+        "sensitivity_bandwidth_hz": None,
+        "complementary_bandwidth_hz": None,
+    }.get(quantity, 0.1)
+    if small is None:  # a bandwidth: up to the limit itself
+        return wished
+    if small <= 0.0 or not margin.last_slope > 0.0:
+        return None
+    return float(margin.last_hz * max((margin.last_gain / small) ** (1.0 / max(margin.last_slope, 0.5)), 1.05))
 
 
 def _longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:

@@ -30,8 +30,20 @@ def interval_text(interval: tuple[float, float] | None) -> str:
     return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
+def reach_text(line: Line) -> str:
+    """The 95 % interval of a line; of a bound from its end on the bad side to the best that may be."""
+    if line.bound is None:
+        return interval_text(line.interval)
+    low, high = line.interval or (line.found, line.found)
+    ends = (low, line.bound) if line.bound > line.found else (line.bound, high)
+    return f"{interval_text(ends)} (bound)"
+
+
 def longer_text(line: Line) -> str:
-    """How much more measuring would decide an undecided line."""
+    """How much more measuring would decide an undecided line, or up to which frequency."""
+    if line.outcome == "undecided" and line.bound is not None:
+        to_hz = "higher" if line.measure_to_hz is None else f"up to {line.measure_to_hz:.3g} Hz"
+        return f": bounded by what lies above the last frequency; measure {to_hz}"
     if line.longer is None:
         return ""
     return f": {line.longer:.2g} times the data would decide" if line.longer < 100.0 else ": on the limit"
@@ -50,7 +62,14 @@ def found_text(line: Line) -> str:
     """What was found, with its interval, at which frequency and operating point."""
     interval = "" if line.interval is None else f" (95 %: {interval_text(line.interval)}{_unit(line.unit)})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
-    return f"{number(line.found)}{_unit(line.unit)}{interval}{at} in {line.recording}"
+    return f"{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"
+
+
+def bounded_number(line: Line) -> str:
+    """The number found, as a bound where it is one: "at least 10.8" or "at most 7.9"."""
+    if line.bound is None:
+        return number(line.found)
+    return f"{'at least' if line.bound > line.found else 'at most'} {number(line.found)}"
 
 
 def line_text(line: Line) -> str:

@@ -13,6 +13,7 @@ from loopshape.check.words import (
     interval_text,
     line_change_words,
     longer_text,
+    reach_text,
     unstable_text,
 )
 from loopshape.cli.output import Output
@@ -39,7 +40,7 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
                 line.unit,
                 line.wished,
                 line.found,
-                interval_text(line.interval),
+                reach_text(line),
                 line.spare,
                 line.recording,
                 line.at_hz,

@@ -103,6 +103,16 @@ def _above(
 
 
 @compiled
+def _above_at_best(last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array) -> None:
+    """|CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last)."""
+    for i in range(f_above.size):
+        size = c2_above[i] / (1.0 + last) ** 2
+        _note(found, at, CONTROL_DB, size, f_above[i], True)
+        if f_above[i] >= from_hz:
+            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
+
+
+@compiled
 def _finish(found: Array) -> None:
     """From squared magnitudes to dB and logarithms."""
     for column in (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB):
@@ -113,12 +123,19 @@ def _finish(found: Array) -> None:
 
 @compiled
 def read_margins(
-    f: Array, L: ComplexArray, C: ComplexArray, f_above: Array, C_above: ComplexArray, from_hz: float
+    f: Array,
+    L: ComplexArray,
+    C: ComplexArray,
+    f_above: Array,
+    C_above: ComplexArray,
+    from_hz: float,
+    bounded: bool = True,
 ) -> tuple[Array, Array]:
     """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
 
-    `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. +-inf where the loop
-    never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
+    `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
+    below its last value, counts where `bounded` is true; without it the answer is the best that may be. +-inf where the
+    loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
     """
     loops, lines = L.shape
     found, at = np.empty((loops, COLUMNS)), np.full((loops, COLUMNS), np.nan)
@@ -162,6 +179,9 @@ def read_margins(
         size = np.sqrt(before_size)
         if size >= 1.0:
             found[b, PHASE_DEG], found[b, LN_DELAY_S] = 0.0, -np.inf
-        _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])
+        if bounded:
+            _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])
+        else:
+            _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found[b], at[b])
         _finish(found[b])
     return found, at

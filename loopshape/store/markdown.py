@@ -15,6 +15,7 @@ from loopshape.check.words import (
     longer_text,
     number,
     outcome_of,
+    reach_text,
     stability_text,
     unstable_text,
     wished_text,
@@ -71,7 +72,7 @@ def _requirements(verdict: Verdict) -> list[str]:
 
 
 def _row(line: Line) -> list[str]:
-    numbers = [number(line.found), interval_text(line.interval), number(line.spare), line.unit, line.recording]
+    numbers = [number(line.found), reach_text(line), number(line.spare), line.unit, line.recording]
     at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
     return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
 

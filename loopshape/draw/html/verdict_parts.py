@@ -16,6 +16,7 @@ from loopshape.draw.html.words import (
     badge,
     band,
     count,
+    found_text,
     interval,
     longer,
     named,
@@ -26,7 +27,6 @@ from loopshape.draw.html.words import (
     spare,
     wished,
     with_reach,
-    with_unit,
 )
 from loopshape.requirements import LIMITS, Limit, Line, Margins, Verdict
 from loopshape.run_report import CheckedLoop, RunReport
@@ -102,7 +102,7 @@ def _in_words(line: Line) -> str:
     reach, more = f" ({with_reach(line)})" if line.interval else "", longer(line)
     at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
     return (
-        f"{limit.label}: wished {wished(line)}, found {with_unit(line.found, limit)}{reach} at {line.recording}{at}"
+        f"{limit.label}: wished {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
         f"{f'; {more}' if more else ''}"
     )
 
@@ -132,7 +132,7 @@ def _requirement(line: Line) -> list[Cell | Content]:
         limit.label,
         verdict,
         Cell(wished(line), kind="whole-line"),
-        Cell(with_unit(line.found, limit), kind="whole-line"),
+        Cell(found_text(line), kind="whole-line"),
         Cell(with_reach(line) or DASH, kind="whole-line"),
         Cell(spare(line), kind="whole-line"),
         Cell(gauge(line, limit), kind="gauge-cell"),
@@ -156,7 +156,7 @@ def gauge(line: Line, limit: Limit) -> Markup:
     middle, tick = GAUGE_HEIGHT // 2, at[0]
     least = limit.sense == "at_least"
     bad = f"M{0 if least else tick} 3H{tick if least else GAUGE_WIDTH}V{GAUGE_HEIGHT - 3}H{0 if least else tick}Z"
-    words = f"wished {wished(line)}, found {with_unit(line.found, limit)}, {WORDS[line.outcome]}"
+    words = f"wished {wished(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
     return tag(
         "svg",
         tag("title", words),

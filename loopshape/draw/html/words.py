@@ -56,6 +56,12 @@ def with_reach(line: Line) -> str:
     return "" if line.interval is None else f"{interval(line.interval, factor)} {unit}".rstrip()
 
 
+def found_text(line: Line) -> str:
+    """The number found, with >= or <= where it is a bound."""
+    sign = "" if line.bound is None else "≥ " if line.bound > line.found else "≤ "
+    return sign + with_unit(line.found, LIMIT_OF[line.quantity])
+
+
 def spare(line: Line) -> str:
     """Room left, `≈ 0` where it is within rounding of what is wished."""
     if abs(line.spare) < 1e-4 * abs(line.wished):
@@ -73,6 +79,9 @@ def longer(line: Line) -> str:
     """How much more measuring would decide a line, empty for one that is decided."""
     if line.outcome != "undecided":
         return ""
+    if line.bound is not None:
+        to_hz = "higher" if line.measure_to_hz is None else f"up to {number(line.measure_to_hz, 3)} Hz"
+        return f"bounded by what lies above the last frequency: measure {to_hz}"
     if line.longer is None or not isfinite(line.longer) or line.longer >= 100.0:
         return "on the limit: more data would not decide it"
     return f"{line.longer:.2g} times the data would decide it, if the estimate stays"
