@@ -25,7 +25,7 @@ CLOSENESS = (
 NEAREST = "nearest to -1"
 #: what counts as worse first
 SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
-_STABLE = {"unstable": 0, "undecided": 1, "stable": 2}
+STABLE_RANK = {"unstable": 0, "undecided": 1, "stable": 2}
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def worst_of(loops: Sequence[Loop], verdict: Verdict | None = None) -> Worst:
     Without a verdict the least |1 + L| over the lines.
     """
     found = [margins_of(loop, k, verdict) for k, loop in enumerate(loops)]
-    ranks = [2 if m is None else _STABLE[m.stable] for m in found]
+    ranks = [2 if m is None else STABLE_RANK[m.stable] for m in found]
     shaky = [k for k, rank in enumerate(ranks) if rank == min(ranks)]
     k = min(shaky, key=lambda k: _least_distance(loops[k], found[k]))
     at_hz = _nearest_hz(loops[k], found[k])

@@ -34,7 +34,8 @@ def fits_of(run: Path) -> tuple[Fit, ...]:
 def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
     """Requirement lines, and the margins of each operating point."""
     for verdict in verdicts:
-        rows = [
+        rows = [_stability_row(verdict)] if verdict.margins else []
+        rows += [
             [
                 line.quantity,
                 line.unit,
@@ -53,6 +54,16 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         if margins:
             _margins(verdict, output)
         output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+
+
+def _stability_row(verdict: Verdict) -> list[object]:
+    """The closed loop at its worst operating point, as a row of its own: a table that passes has it pass too."""
+    from loopshape.check.points import STABLE_RANK
+
+    name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
+    stable = verdict.margins[name].stable
+    word = {"stable": "passed", "unstable": "failed"}.get(stable, "undecided")
+    return ["closed loop", "-", "stable", stable, "-", "-", name, "-", WORDS[word]]
 
 
 def _margins(verdict: Verdict, output: Output) -> None:

@@ -158,13 +158,14 @@ def _together(
 
 
 def _refuse_unknown(loops: Sequence[Loop]) -> None:
-    unknown = [loop.plant.recording for loop in loops if loop.integrators is None]
-    if unknown:
-        raise WrongUseError(
-            "a bound needs the number of integrators of the plant",
-            f"not known at {', '.join(unknown)}",
-            "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
-        )
+    for name, what in (("integrators", "integrators"), ("unstable_poles", "unstable poles")):
+        unknown = [loop.plant.recording for loop in loops if getattr(loop, name) is None]
+        if unknown:
+            raise WrongUseError(
+                f"a bound needs the number of {what} of the plant",
+                f"not known at {', '.join(unknown)}",
+                f"declare {name} in the requirements' [[loop]], or fit a model that follows the lines",
+            )
 
 
 def excluded(loop: Loop, together: Sequence[Loop], limits: Requirements) -> Excluded:

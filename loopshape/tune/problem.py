@@ -201,7 +201,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         line=line,
         integrators=np.array([loop.integrators or 0 for loop in loops])
         + sum(t.kind == "pi" for t in requirements.structure),
-        unstable=np.array([loop.unstable_poles or 0 for loop in loops]),
+        unstable=np.array([loop.unstable_poles for loop in loops]),
         P_below=np.concatenate([loop.P_below for loop in loops]) * outside,
         s_below=unit.s_at(below_hz),
         f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),

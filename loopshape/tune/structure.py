@@ -32,7 +32,7 @@ class Variable:
 
 
 def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
-    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, integrators unknown."""
+    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, unknown poles."""
     if not requirements.structure:
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} name no structure to tune",
@@ -53,6 +53,14 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
             f"the number of integrators of the plant in loop {requirements.loop!r} is not known",
             f"lowest lines that fit no whole number at {', '.join(unknown)}",
             "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
+        )
+    unknown = [loop.plant.recording for loop in loops if loop.unstable_poles is None]
+    if unknown:
+        raise WrongUseError(
+            f"the number of unstable poles of the plant in loop {requirements.loop!r} is not known",
+            f"not declared, nor told by the recorded loop or a fit at {', '.join(unknown)}",
+            "declare unstable_poles in the requirements' [[loop]], name the recorded loop's controller in the map, or"
+            " fit a model that leaves nothing but noise",
         )
     below = requirements.objective.disturbance_below_hz
     blind = [loop.plant.recording for loop in loops if below is not None and loop.frequency_hz[0] > below]

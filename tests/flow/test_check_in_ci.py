@@ -88,7 +88,7 @@ def with_gain(folder: Path, factor: float) -> Path:
 def requirement(folder: Path, name: str, **limits: float) -> Path:
     """A requirements file of the loop."""
     lines = [f"{key} = {value!r}" for key, value in limits.items()]
-    head = ['format = "loopshape-requirements/1"', "[[loop]]", 'name = "motor"']
+    head = ['format = "loopshape-requirements/1"', "[[loop]]", 'name = "motor"', "unstable_poles = 0"]
     path = folder / f"{name}.toml"
     path.write_text("\n".join([*head, *lines]) + "\n")
     return path

@@ -23,6 +23,7 @@ name = "axis"
 phase_margin_deg = 40.0
 sensitivity_peak_db = 6.0
 integrators = 1
+unstable_poles = 0
 structure = [{ kind = "gain", gain = { min = 0.001, max = 1.0 } }]
 """
 

@@ -27,6 +27,7 @@ name = "axis"
 phase_margin_deg = 40.0
 sensitivity_peak_db = 6.0
 integrators = 1
+unstable_poles = 0
 {more}
 structure = [
   {{ kind = "gain", gain = {{ min = 0.001, max = 1.0 }} }},
@@ -125,7 +126,7 @@ def test_loops_of_a_matrix_are_tuned_in_turn(tmp_path):
     limits = "phase_margin_deg = 40.0\nsensitivity_peak_db = 6.0\ncontrol_peak_db = 60.0\nintegrators = 1\n"
     loops = "".join(f'[[loop]]\nname = "{name}"\n{limits}{blocks}\n' for name in "ab")
     path, out = tmp_path / "require.toml", tmp_path / "made.toml"
-    path.write_text(f'format = "loopshape-requirements/1"\n{loops}')
+    path.write_text(f'format = "loopshape-requirements/1"\n{loops}[several]\nunstable_poles = 0\n')
     words = ("tune", tmp_path / "run", "--require", path, "--out", out, "--matrix", "--starts", 4)
     told = json.loads(loopshape(*words, "--json"))
     assert told["converged"]
