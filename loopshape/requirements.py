@@ -13,6 +13,7 @@ import numpy as np
 
 from loopshape.block import refuse_too_large
 from loopshape.controller import BLOCK_KINDS, Block, block_kind
+from loopshape.detuning import SEARCHED_PERCENT, Detuning
 from loopshape.errors import WrongUseError
 
 
@@ -42,6 +43,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
     Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
     Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
+    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)"),
 )
 
 
@@ -56,6 +58,8 @@ class Margins:
     `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
     those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
     `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
+    `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
+    it was not looked for.
     """
 
     gain_margin_db: float
@@ -82,6 +86,8 @@ class Margins:
     stability_band_hz: tuple[float, float] | None = None
     crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
     phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    detuning_percent: float = float("nan")
+    detuning: Detuning | None = None
 
 
 @dataclass(frozen=True)
@@ -212,6 +218,7 @@ class Requirements:
     sensitivity_bandwidth_hz: float | None = None
     complementary_bandwidth_hz: float | None = None
     controller_bandwidth_hz: float | None = None
+    detuning_percent: float | None = None
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
@@ -237,6 +244,7 @@ class Requirements:
             "sensitivity_bandwidth_hz",
             "complementary_bandwidth_hz",
             "controller_bandwidth_hz",
+            "detuning_percent",
         ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
@@ -256,6 +264,12 @@ class Requirements:
                     f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
                     f"{value!r}",
                 )
+        if self.detuning_percent is not None and self.detuning_percent > SEARCHED_PERCENT:
+            raise WrongUseError(
+                f"detuning_percent of loop {self.loop!r} must not exceed {SEARCHED_PERCENT:g}",
+                f"{self.detuning_percent!r}",
+                "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states",
+            )
         for name in ("integrators", "unstable_poles"):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 0):

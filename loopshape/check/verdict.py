@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from loopshape.algebra.sampling import HELD
+from loopshape.check.detuning import with_detuning
 from loopshape.check.margins import margins
 from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.stability import count_unstable, uncountable
+from loopshape.check.words import detuning_warnings
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.estimate.smoothing import smoothed
@@ -185,11 +187,21 @@ def _low_frequency_order(frf: FRF) -> tuple[float, float]:
     return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
 
 
-def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()) -> Verdict:
+def check(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    detuned: bool = True,
+) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
     Every line says wished, found with its 95 % interval, spare, and where it is worst. A requirement is passed, failed,
     or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
+
+    A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
+    required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
@@ -200,14 +212,17 @@ def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirement
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
     loops, notes = loops_of(frfs, controller, requirements, fits)
+    from_hz = requirements.control_high_frequency_from_hz
     found = {
-        name: margins(loop, high_frequency_from_hz=requirements.control_high_frequency_from_hz)
-        for name, loop in zip(_names(frfs), loops, strict=True)
+        name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in zip(_names(frfs), loops, strict=True)
     }
+    if detuned or requirements.detuning_percent is not None:
+        pairs = zip(found.items(), loops, strict=True)
+        found = {name: with_detuning(loop, one, requirements) for (name, one), loop in pairs}
     lines = [
         _line(limit, wished, found) for limit in LIMITS if (wished := getattr(requirements, limit.name)) is not None
     ]
-    return Verdict(requirements.loop, tuple(lines), found, notes)
+    return Verdict(requirements.loop, tuple(lines), found, (*notes, *detuning_warnings(found, controller)))
 
 
 def _names(frfs: Sequence[FRF]) -> list[str]:
