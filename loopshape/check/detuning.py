@@ -1,8 +1,8 @@
 """Loop, margins and requirements -> detuning margin: how far resonances may move before something breaks.
 
 Shifts are searched outward from zero, and where something breaks by bisection: what lies between 0 and the margin
-holds at every shift that was looked at, not at its ends alone. A reading at a shift is compared with the same reading
-of the unmoved loop, so that at zero it is what `check` says.
+holds at every shift that was looked at, not at its ends alone. Readings at a shift are freed of the bias that noise
+gives those of the unmoved loop.
 """
 
 from __future__ import annotations
@@ -56,12 +56,13 @@ def detuning(loop: Loop, margins: Margins, requirements: Requirements) -> Detuni
     plant = plant_of(loop, seen)
     shifts = _shifts(required, seen, loop)
     dense = plant.dense()
-    whole = _Search(loop, margins, requirements, dense.stretched, shifts)
+    unmoved = read(loop, plant, requirements.control_high_frequency_from_hz or np.inf)
+    whole = _Search(loop, margins, requirements, unmoved, dense.stretched, shifts)
     found = Detuning(*whole.both(), drawn=whole.drawn)
     if required is None:
         lost = whole.lost()
         return found if lost is None else replace(found, lost=_explained(whole, lost, plant, seen))
-    alone = [_Search(loop, margins, requirements, partial(plant.with_moved, one), shifts) for one in seen]
+    alone = [_Search(loop, margins, requirements, unmoved, partial(plant.with_moved, one), shifts) for one in seen]
     moved = [MovedResonance(x.frequency_hz, x.damping, *search.both()) for x, search in zip(seen, alone, strict=True)]
     return replace(found, resonances=tuple(moved))
 
@@ -75,6 +76,17 @@ def with_detuning(loop: Loop, margins: Margins, requirements: Requirements) -> M
     if intervals:
         intervals = {**intervals, "detuning_percent": found.interval_percent}
     return replace(margins, detuning_percent=found.worst.percent, detuning=found, intervals=intervals)
+
+
+def worst_shift(loop: Loop, margins: Margins, requirements: Requirements, within: float) -> float:
+    """The shift in per cent, up to `within` either way, at which the bad end of the least slack is least."""
+    seen = seen_resonances(loop)
+    plant = plant_of(loop, seen)
+    unmoved = read(loop, plant, requirements.control_high_frequency_from_hz or np.inf)
+    shifts = _shifts(within, seen, loop)
+    whole = _Search(loop, margins, requirements, unmoved, plant.dense().stretched, shifts)
+    every = [way * x for x in shifts[shifts <= within].tolist() for way in (1.0, -1.0)]
+    return min(every, key=lambda x: (whole.stable(x, -1.0), float(np.min(whole.slacks(x, -1.0), initial=np.inf))))
 
 
 def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> Array:
@@ -105,6 +117,7 @@ class _Search:
         loop: Loop,
         margins: Margins,
         requirements: Requirements,
+        unmoved: Reading,
         moved: Callable[[float], Plant],
         shifts: Array,
     ) -> None:
@@ -119,10 +132,11 @@ class _Search:
         self.reach = np.array([self._known_reach(x) for x in self.limits])
         self.readings: dict[float, Reading] = {}
         self.reaches: dict[float, Array] = {}
-        self.unmoved = self.reading(0.0)
+        self.poles = self.reading(0.0).poles
         now = np.array([_scaled_value(x, getattr(margins, x.name)) for x in self.limits])
         with np.errstate(invalid="ignore"):
-            bias = self.unmoved.values[self.columns] - now
+            bias = unmoved.values[self.columns] - now
+        self.now = self.signs * (now - self.wished)
         self.bias = np.where(np.isfinite(bias), bias, 0.0)
 
     def _known_reach(self, limit: Limit) -> float:
@@ -153,7 +167,7 @@ class _Search:
     def stable(self, percent: float, end: float = 0.0) -> bool:
         """Whether the loop is stable at a shift: by the estimate, surely (-1), or perhaps (1)."""
         x = self.reading(percent)
-        balanced, sure = x.poles is not None and x.poles == self.unmoved.poles, x.clear > REACH_95
+        balanced, sure = x.poles is not None and x.poles == self.poles, x.clear > REACH_95
         return (balanced and sure) if end < 0.0 else (balanced or not sure) if end > 0.0 else balanced
 
     def holds(self, percent: float, end: float = 0.0) -> bool:
@@ -221,7 +235,7 @@ class _Search:
 
     def lost(self) -> Lost | None:
         """The worst miss within +-2 %, where it is more than slight and the unmoved loop holds."""
-        if self.margins.stable != "stable" or not self.holds(0.0):
+        if self.margins.stable != "stable" or bool(np.any(self.now < 0.0)):
             return None
         near = self.shifts[self.shifts <= WARNED_PERCENT + 1e-9].tolist()
         within = [way * x for way in (1.0, -1.0) for x in near]

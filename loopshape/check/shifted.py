@@ -14,6 +14,7 @@ import numpy as np
 from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import count_unstable
 from loopshape.estimate.resonances import Resonance, resonances
+from loopshape.frf import FRF
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
 from loopshape.units import Array, ComplexArray
@@ -21,7 +22,7 @@ from loopshape.units import Array, ComplexArray
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
 DRAWN, REACH = 40, 2.02
 #: a resonance narrower than so many gaps between lines is followed between them, at these places in half widths
-NARROW, PLACES = 2.0, np.tan(np.linspace(-1.4, 1.4, 21))
+NARROW, PLACES = 1.0, np.tan(np.linspace(-1.4, 1.4, 21))
 #: resonances whose peak of |L|, with the controller at the best of these shifts, stays below this matter to nobody
 MATTERS, NEAR = 0.1, np.array([-0.05, -0.02, 0.0, 0.02, 0.05])
 
@@ -104,6 +105,33 @@ class Plant:
 
 def _between(values: np.ndarray, k: np.ndarray, share: Array) -> np.ndarray:
     return np.asarray(values[..., k] * (1.0 - share) + values[..., k + 1] * share)
+
+
+def stretched(loop: Loop, percent: float, name: str) -> Loop:
+    """The loop with its plant's whole frequency axis stretched, as a plant of its own, of recording `name`.
+
+    Lines that come to lie at half the rate or above are left out.
+    """
+    shift, half_hz = 0.01 * percent, 0.499 * loop.controller.rate_hz
+
+    def moved(frf: FRF) -> FRF:
+        kept = frf.select(frf.frequency_hz * (1.0 + shift) < half_hz)
+        return replace(kept, frequency_hz=kept.frequency_hz * (1.0 + shift), recording=name)
+
+    lines = loop.frequency_hz * (1.0 + shift) < half_hz
+    scatter, beyond = loop.scatter, loop.beyond
+    if scatter is not None:
+        scatter = replace(scatter, reference=scatter.reference[lines], deviations=scatter.deviations[:, lines])
+    if beyond is not None:
+        beyond = moved(beyond) if beyond.frequency_hz[0] * (1.0 + shift) < half_hz else None
+    return replace(
+        loop,
+        plant=moved(loop.plant),
+        model=None if loop.model is None else loop.model.stretched(shift),
+        beyond=beyond,
+        raw=None if loop.raw is None else moved(loop.raw),
+        scatter=scatter,
+    )
 
 
 def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -212,17 +213,21 @@ def check(
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
     loops, notes = loops_of(frfs, controller, requirements, fits)
+    named = dict(zip(_names(frfs), loops, strict=True))
+    found = verdict_on(named, requirements, detuned=detuned)
+    return replace(found, warnings=(*notes, *detuning_warnings(found.margins, controller)))
+
+
+def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True) -> Verdict:
+    """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`."""
     from_hz = requirements.control_high_frequency_from_hz
-    found = {
-        name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in zip(_names(frfs), loops, strict=True)
-    }
+    found = {name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in loops.items()}
     if detuned or requirements.detuning_percent is not None:
-        pairs = zip(found.items(), loops, strict=True)
-        found = {name: with_detuning(loop, one, requirements) for (name, one), loop in pairs}
+        found = {name: with_detuning(loop, found[name], requirements) for name, loop in loops.items()}
     lines = [
         _line(limit, wished, found) for limit in LIMITS if (wished := getattr(requirements, limit.name)) is not None
     ]
-    return Verdict(requirements.loop, tuple(lines), found, (*notes, *detuning_warnings(found, controller)))
+    return Verdict(requirements.loop, tuple(lines), found)
 
 
 def _names(frfs: Sequence[FRF]) -> list[str]:

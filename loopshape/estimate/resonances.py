@@ -75,10 +75,10 @@ class Resonance:
     def response(self, frequency_hz: Array, shift: float = 0.0) -> ComplexArray:
         """The pole pair's part of P at `frequency_hz` (n,), moved by a relative `shift`: r/(j (f - z)) and its mirror.
 
-        A moved pair is the same on a frequency axis stretched by 1 + shift, so its static gain and its peak are kept.
+        What a pair R/(s² + 2 zeta w s + w²) does whose stiffness changes: mode shape and mass, so R, and the damping
+        ratio are kept.
         """
-        f = np.asarray(frequency_hz, dtype=float) / (1.0 + shift)
-        z, r = self.pole_hz, self.residue
+        f, z, r = np.asarray(frequency_hz, dtype=float), self.pole_hz * (1.0 + shift), self.residue / (1.0 + shift)
         return np.asarray(r / (1j * (f - z)) + np.conj(r) / (1j * (f + np.conj(z))))
 
 
