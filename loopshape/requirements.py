@@ -313,6 +313,7 @@ class Line:
     `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
     `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
+    `beyond` tells that `found` is a bound, the largest that was searched.
     """
 
     quantity: str
@@ -325,6 +326,7 @@ class Line:
     at_hz: float | None
     interval: tuple[float, float] | None = None
     longer: float | None = None
+    beyond: bool = False
 
     @property
     def passed(self) -> bool:

@@ -260,6 +260,7 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
         at_hz=margin.at_hz.get(limit.name),
         interval=interval,
         longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" else None,
+        beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )
 
 

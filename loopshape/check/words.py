@@ -53,7 +53,8 @@ def found_text(line: Line) -> str:
     """What was found, with its interval, at which frequency and operating point."""
     interval = "" if line.interval is None else f" (95 %: {interval_text(line.interval)}{_unit(line.unit)})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
-    return f"{number(line.found)}{_unit(line.unit)}{interval}{at} in {line.recording}"
+    more = "more than " if line.beyond else ""
+    return f"{more}{number(line.found)}{_unit(line.unit)}{interval}{at} in {line.recording}"
 
 
 def line_text(line: Line) -> str:

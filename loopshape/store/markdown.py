@@ -71,7 +71,8 @@ def _requirements(verdict: Verdict) -> list[str]:
 
 
 def _row(line: Line) -> list[str]:
-    numbers = [number(line.found), interval_text(line.interval), number(line.spare), line.unit, line.recording]
+    found = f"> {number(line.found)}" if line.beyond else number(line.found)
+    numbers = [found, interval_text(line.interval), number(line.spare), line.unit, line.recording]
     at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
     return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
 

@@ -50,6 +50,11 @@ def with_unit(value: float | None, limit: Limit) -> str:
     return f"{number(None if value is None else factor * value)} {unit}".rstrip()
 
 
+def found_with_unit(line: Line) -> str:
+    """What was found, with its unit, and where it is a bound that it is more."""
+    return f"{'> ' if line.beyond else ''}{with_unit(line.found, LIMIT_OF[line.quantity])}"
+
+
 def with_reach(line: Line) -> str:
     """A line's 95 % interval with its unit, empty without one."""
     unit, factor = shown_unit(LIMIT_OF[line.quantity])
