@@ -14,10 +14,12 @@ from loopshape.store.verdicts import read_verdicts, write_verdicts
 DETUNING = Detuning(
     up=Reach(1.5, False, "gain_margin_db", (1.2, 1.7)),
     down=Reach(20.0, True, "", (19.0, 20.0)),
-    resonances=(MovedResonance(58.8, 0.004, Reach(1.0, False, "stability", (0.9, 1.1)), Reach(20.0, True, "", (20.0,) * 2)),),
+    resonances=(
+        MovedResonance(58.8, 0.004, Reach(1.0, False, "stability", (0.9, 1.1)), Reach(9.0, True, "", (9.0, 9.0))),
+    ),
     drawn=True,
     lost=Lost(2.0, "gain_margin_db", "dB", 7.9, 0.5, 5.0, 58.8, 58.84, 3, "notch"),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("percent", [-1.0, 0.0, float("nan"), float("inf"), 20.5])
