@@ -36,6 +36,11 @@ class TransferFunction:
         s = 1j * angular(frequency_hz)
         return np.asarray(np.polyval(self.num, s) / np.polyval(self.den, s) * np.exp(-s * self.delay_s))
 
+    def stretched(self, shift: float) -> TransferFunction:
+        """The same on a frequency axis stretched by 1 + shift: G(s/(1 + shift))."""
+        num, den = (p * (1.0 + shift) ** -np.arange(p.size - 1.0, -1.0, -1.0) for p in (self.num, self.den))
+        return TransferFunction(num, den, self.delay_s / (1.0 + shift))
+
     def poles(self) -> ComplexArray:
         """Poles in rad/s."""
         return np.asarray(np.roots(self.den), dtype=complex)

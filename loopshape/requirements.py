@@ -13,6 +13,7 @@ import numpy as np
 
 from loopshape.block import refuse_too_large
 from loopshape.controller import BLOCK_KINDS, Block, block_kind
+from loopshape.detuning import SEARCHED_PERCENT, Detuning
 from loopshape.errors import WrongUseError
 
 
@@ -42,6 +43,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
     Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
     Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
+    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)"),
 )
 
 
@@ -59,6 +61,8 @@ class Margins:
     `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
     the number found is the worst that may be, and `bounds` holds the best. `last_hz` is that frequency, `last_gain`
     |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
+    `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
+    it was not looked for.
     """
 
     gain_margin_db: float
@@ -89,6 +93,8 @@ class Margins:
     last_hz: float = float("nan")
     last_gain: float = float("nan")
     last_slope: float = float("nan")
+    detuning_percent: float = float("nan")
+    detuning: Detuning | None = None
 
 
 @dataclass(frozen=True)
@@ -219,6 +225,7 @@ class Requirements:
     sensitivity_bandwidth_hz: float | None = None
     complementary_bandwidth_hz: float | None = None
     controller_bandwidth_hz: float | None = None
+    detuning_percent: float | None = None
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
@@ -244,6 +251,7 @@ class Requirements:
             "sensitivity_bandwidth_hz",
             "complementary_bandwidth_hz",
             "controller_bandwidth_hz",
+            "detuning_percent",
         ):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
@@ -263,6 +271,12 @@ class Requirements:
                     f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
                     f"{value!r}",
                 )
+        if self.detuning_percent is not None and self.detuning_percent > SEARCHED_PERCENT:
+            raise WrongUseError(
+                f"detuning_percent of loop {self.loop!r} must not exceed {SEARCHED_PERCENT:g}",
+                f"{self.detuning_percent!r}",
+                "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states",
+            )
         for name, least in (("integrators", -2), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
@@ -308,6 +322,7 @@ class Line:
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
     A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
     to which frequency to measure, as |L| falls on over the highest lines (None: not known).
+    `beyond` tells that `found` is a bound, the largest that was searched.
     """
 
     quantity: str
@@ -322,6 +337,7 @@ class Line:
     longer: float | None = None
     bound: float | None = None
     measure_to_hz: float | None = None
+    beyond: bool = False
 
     @property
     def passed(self) -> bool:

@@ -23,7 +23,7 @@ REACH = 1.04 * 1.972
 Interval = tuple[float, float]
 
 #: fields of `Margins` read as they are, and those read as logarithms
-_PLAIN = {
+PLAIN = {
     "gain_margin_db": kernel.GAIN_DB,
     "gain_reduction_margin_db": kernel.REDUCTION_DB,
     "phase_margin_deg": kernel.PHASE_DEG,
@@ -32,7 +32,7 @@ _PLAIN = {
     "control_high_frequency_db": kernel.CONTROL_HIGH_DB,
     "process_peak_db": kernel.PROCESS_DB,
 }
-_LOGARITHMS = {
+LOGARITHMS = {
     "modulus_margin": kernel.LN_MODULUS,
     "delay_margin_s": kernel.LN_DELAY_S,
     "disk_margin": kernel.LN_DISK,
@@ -125,6 +125,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
         last_slope=slope_at_end(j.f, j.L),
         crossing_intervals_hz=crossing_intervals,
         phase_crossing_intervals_hz=phase_intervals,
+        detuning=None,
     )
 
 
@@ -240,8 +241,8 @@ def _drowned(j: _Judged) -> bool:
 
 def _fields(columns: Array) -> dict[str, float]:
     """Fields of `Margins` from the kernel's columns."""
-    out = {name: float(columns[k]) for name, k in _PLAIN.items()}
-    out |= {name: float(np.exp(columns[k])) for name, k in _LOGARITHMS.items()}
+    out = {name: float(columns[k]) for name, k in PLAIN.items()}
+    out |= {name: float(np.exp(columns[k])) for name, k in LOGARITHMS.items()}
     with np.errstate(over="ignore"):
         out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
     for name, most in _MOST.items():  # a bias taken off may lead out of what can be
@@ -256,7 +257,7 @@ def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, fl
 
 def _places(at: Array, first_hz: float) -> dict[str, float]:
     """Frequencies in Hz by quantity; 0 where the crossing lies there."""
-    columns = _PLAIN | _LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
+    columns = PLAIN | LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
     return {n: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for n, k in columns.items() if np.isfinite(at[k])}
 
 

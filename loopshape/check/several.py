@@ -176,7 +176,7 @@ def _one(
         replace(equivalent_plant(m.plant, m.names, name, controllers).closed, recording=recording, held_by=None)
         for recording, m in matrices.items()
     ]
-    found = check(met, controllers[name], wished)
+    found = check(met, controllers[name], wished, detuned=False)
     together = {
         recording: replace(
             found.margins[recording],

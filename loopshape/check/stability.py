@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.check.low_end import crossover_below, judged_lines, low_hz, low_models
-from loopshape.check.obstacles import Obstacle, obstacle, sampling, unseen_resonance
+from loopshape.check.obstacles import Obstacle, measured, obstacle, sampling, unseen_resonance
+from loopshape.estimate.resonances import Phase, resonances
 from loopshape.loop import Loop
 from loopshape.units import ComplexArray, deg
 
@@ -63,7 +64,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
             " or fit a model that follows the lines"
         )
     if loop.unstable_poles is None:
-        return _undecided(UNKNOWN_POLES)
+        return _undecided(UNKNOWN_POLES + _sign_of_one(loop))
     if judged_lines(loop) is None:
         reason = (
             f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
@@ -78,6 +79,15 @@ def closed_loop_stability(loop: Loop) -> Stability:
     if poles:
         return Stability("unstable", poles, f"{poles} closed-loop poles in the right half plane", None, *unseen)
     return Stability("stable", 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
+
+
+def _sign_of_one(loop: Loop) -> str:
+    """The resonances that look like unstable pole pairs, in words; empty where there is none."""
+    rising = [x.frequency_hz for x in resonances(measured(loop)) if x.phase is Phase.RISING]
+    if not rising:
+        return ""
+    at = ", ".join(f"{f:.3g}" for f in rising)
+    return f"; the phase rises by 180 deg through the resonance at {at} Hz, as through an unstable pair of poles"
 
 
 def _undecided(reason: str, band_hz: tuple[float, float] | None = None) -> Stability:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from loopshape.algebra.sampling import HELD
+from loopshape.check.detuning import with_detuning
 from loopshape.check.low_frequency import low_frequency_models
 from loopshape.check.margins import margins
 from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.stability import count_unstable, uncountable
+from loopshape.check.words import detuning_warnings
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
 from loopshape.estimate.smoothing import smoothed
@@ -191,11 +194,21 @@ def _low_frequency_order(frf: FRF) -> tuple[float, float]:
     return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
 
 
-def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()) -> Verdict:
+def check(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    detuned: bool = True,
+) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
     Every line says wished, found with its 95 % interval, spare, and where it is worst. A requirement is passed, failed,
     or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
+
+    A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
+    required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
@@ -206,14 +219,21 @@ def check(frfs: Sequence[FRF], controller: Controller, requirements: Requirement
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
     loops, notes = loops_of(frfs, controller, requirements, fits)
-    found = {
-        name: margins(loop, high_frequency_from_hz=requirements.control_high_frequency_from_hz)
-        for name, loop in zip(_names(frfs), loops, strict=True)
-    }
+    named = dict(zip(_names(frfs), loops, strict=True))
+    found = verdict_on(named, requirements, detuned=detuned)
+    return replace(found, warnings=(*notes, *detuning_warnings(found.margins, controller)))
+
+
+def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True) -> Verdict:
+    """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`."""
+    from_hz = requirements.control_high_frequency_from_hz
+    found = {name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in loops.items()}
+    if detuned or requirements.detuning_percent is not None:
+        found = {name: with_detuning(loop, found[name], requirements) for name, loop in loops.items()}
     lines = [
         _line(limit, wished, found) for limit in LIMITS if (wished := getattr(requirements, limit.name)) is not None
     ]
-    return Verdict(requirements.loop, tuple(lines), found, notes)
+    return Verdict(requirements.loop, tuple(lines), found)
 
 
 def _names(frfs: Sequence[FRF]) -> list[str]:
@@ -248,6 +268,7 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
         longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
         bound=margin.bounds.get(limit.name),
         measure_to_hz=_decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
+        beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )
 
 

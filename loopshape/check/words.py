@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from loopshape.detuning import STABILITY, Lost, Reach
 
 if TYPE_CHECKING:
     from loopshape.baseline import Comparison, LineChange, MarginChange
+    from loopshape.controller import Controller
     from loopshape.requirements import Line, Margins, Verdict
 
 #: how an outcome is printed
@@ -30,7 +33,7 @@ def interval_text(interval: tuple[float, float] | None) -> str:
     return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
-def reach_text(line: Line) -> str:
+def interval_or_bound_text(line: Line) -> str:
     """The 95 % interval of a line; of a bound from its end on the bad side to the best that may be."""
     if line.bound is None:
         return interval_text(line.interval)
@@ -62,7 +65,8 @@ def found_text(line: Line) -> str:
     """What was found, with its interval, at which frequency and operating point."""
     interval = "" if line.interval is None else f" (95 %: {interval_text(line.interval)}{_unit(line.unit)})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
-    return f"{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"
+    more = "more than " if line.beyond else ""
+    return f"{more}{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"
 
 
 def bounded_number(line: Line) -> str:
@@ -100,6 +104,40 @@ def unstable_text(verdict: Verdict, name: str) -> str:
     """An operating point whose loop is not known to be stable, in one sentence."""
     margins = verdict.margins[name]
     return f"loop {verdict.loop} is {margins.stable} at {name}{_why(margins)}"
+
+
+def detuning_warnings(found: Mapping[str, Margins], controller: Controller) -> tuple[str, ...]:
+    """The worst of what operating points lose where their resonances move by up to 2 %, in one sentence; else none."""
+    lost = {name: m.detuning.lost for name, m in found.items() if m.detuning is not None and m.detuning.lost}
+    if not lost:
+        return ()
+    worst = min(lost, key=lambda name: found[name].detuning_percent)
+    others = f", and at {len(lost) - 1} other operating points" if len(lost) > 1 else ""
+    return (f"{lost_text(lost[worst], controller)}, in {worst}{others}: require detuning_percent, and tune for it",)
+
+
+def lost_text(lost: Lost, controller: Controller) -> str:
+    """What a shift of the plant's frequencies costs, by which resonance and which block of the controller."""
+    if lost.resonance_hz is None:
+        head = f"with the plant's frequencies {lost.shift_percent:+.3g} % off"
+    else:
+        block = controller.blocks[lost.block - 1]
+        numbers = ", ".join(f"{name} {value:.4g}" for name, value in block.parameters.items())
+        head = (
+            f"the loop depends on where the resonance at {lost.resonance_hz:.4g} Hz lies, by block {lost.block}"
+            f" ({lost.block_kind}: {numbers}): with the plant's frequencies {lost.shift_percent:+.3g} % off"
+        )
+    if lost.quantity == STABILITY:
+        return f"{head} it is unstable"
+    unit = _unit(lost.unit)
+    return (
+        f"{head} {lost.quantity} goes from {lost.nominal:.4g} to {lost.left:.4g}{unit} ({lost.wished:.4g}{unit} asked)"
+    )
+
+
+def reach_text(reach: Reach) -> str:
+    """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
+    return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({reach.breaks})"
 
 
 def verdict_text(verdict: Verdict) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from loopshape.check.words import (
     WORDS,
     comparison_counts,
+    interval_or_bound_text,
     interval_text,
     line_change_words,
     longer_text,
@@ -40,8 +41,8 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
                 line.quantity,
                 line.unit,
                 line.wished,
-                line.found,
-                reach_text(line),
+                f"> {line.found:g}" if line.beyond else line.found,
+                interval_or_bound_text(line),
                 line.spare,
                 line.recording,
                 line.at_hz,
@@ -53,6 +54,7 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
         if margins:
             _margins(verdict, output)
+            _detunings(verdict, output)
         output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
 
 
@@ -76,6 +78,7 @@ def _margins(verdict: Verdict, output: Output) -> None:
             m.phase_margin_deg,
             m.modulus_margin,
             1e3 * m.delay_margin_s,
+            "-" if m.detuning is None else f"{'> ' * m.detuning.worst.beyond}{m.detuning_percent:.3g}",
             m.sensitivity_peak_db,
             m.complementary_peak_db,
             m.control_peak_db,
@@ -83,9 +86,35 @@ def _margins(verdict: Verdict, output: Output) -> None:
         ]
         for name, m in verdict.margins.items()
     ]
-    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]"]
+    columns = [
+        "recording",
+        "closed loop",
+        "bandwidth [Hz]",
+        "GM [dB]",
+        "PM [deg]",
+        "modulus",
+        "delay [ms]",
+        "detuning [%]",
+    ]
     columns += ["|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
+
+
+def _detunings(verdict: Verdict, output: Output) -> None:
+    """How far the plant's frequencies may move at each operating point, as a whole and one resonance alone."""
+    if not any(line.quantity == "detuning_percent" for line in verdict.lines):
+        return
+    rows = []
+    for name, m in verdict.margins.items():
+        if m.detuning is None:
+            continue
+        whole = ("all frequencies", m.detuning.up, m.detuning.down)
+        single = [(f"{x.frequency_hz:.4g} Hz, damping {x.damping:.2g}", x.up, x.down) for x in m.detuning.resonances]
+        for what, up, down in (whole, *single):
+            ends = [interval_text(reach.interval_percent) for reach in (up, down)]
+            rows.append([name, what, reach_text(up), ends[0], reach_text(down), ends[1]])
+    columns = ["recording", "what moves", "up (what breaks)", "95 % interval", "down (what breaks)", "95 % interval"]
+    output.table(f"Detuning margins of loop {verdict.loop}", columns, rows)
 
 
 def report_comparisons(comparisons: Mapping[str, Comparison], output: Output) -> None:

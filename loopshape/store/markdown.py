@@ -10,12 +10,12 @@ from loopshape.baseline import Comparison, MarginChange
 from loopshape.check.words import (
     WORDS,
     comparison_counts,
+    interval_or_bound_text,
     interval_text,
     line_change_words,
     longer_text,
     number,
     outcome_of,
-    reach_text,
     stability_text,
     unstable_text,
     wished_text,
@@ -72,7 +72,8 @@ def _requirements(verdict: Verdict) -> list[str]:
 
 
 def _row(line: Line) -> list[str]:
-    numbers = [number(line.found), reach_text(line), number(line.spare), line.unit, line.recording]
+    found = f"> {number(line.found)}" if line.beyond else number(line.found)
+    numbers = [found, interval_or_bound_text(line), number(line.spare), line.unit, line.recording]
     at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
     return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
 

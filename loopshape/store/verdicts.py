@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from loopshape import __version__
 from loopshape.baseline import RANK, Checked
@@ -94,7 +94,7 @@ def _only(table: Mapping[str, Any], known: set[str]) -> None:
 
 
 def _noun(kind: type, table: Mapping[str, Any]) -> Any:
-    """A flat dataclass from its table, each field as its type says; fields that it may lack keep their defaults."""
+    """A dataclass from its table, each field as its type says; fields that it may lack keep their defaults."""
     _only(table, {f.name for f in fields(kind)})
     hints = get_type_hints(kind)
     return kind(**{name: _typed(hints[name], value) for name, value in table.items()})
@@ -103,6 +103,8 @@ def _noun(kind: type, table: Mapping[str, Any]) -> Any:
 def _typed(hint: Any, value: Any) -> Any:
     """A value from JSON as a type says; refuses one of another kind."""
     origin, args = get_origin(hint), get_args(hint)
+    if is_dataclass(hint):
+        return _noun(cast(type, hint), value)
     if origin in (Union, UnionType):
         (inner,) = (x for x in args if x is not type(None))
         return None if value is None else _typed(inner, value)
@@ -111,6 +113,6 @@ def _typed(hint: Any, value: Any) -> Any:
         return tuple(_typed(inner, one) for inner, one in zip(inners, value, strict=True))
     if origin is not None:  # Mapping[str, inner]
         return {str(name): _typed(args[1], one) for name, one in value.items()}
-    if isinstance(value, bool) or not isinstance(value, (str, int, float) if hint is float else hint):
+    if isinstance(value, bool) != (hint is bool) or not isinstance(value, (str, int, float) if hint is float else hint):
         raise TypeError(f"{value!r} is no {hint.__name__}")
     return hint(value)

@@ -31,6 +31,7 @@ COUNTED = (
 )  # fmt: skip
 LEFT_OUT = (
     "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s", "complementary_bandwidth_hz",
+    "detuning_percent",
 )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,15 +11,20 @@ from loopshape.check.verdict import check, loops_of
 from loopshape.controller import Block, Controller
 from loopshape.errors import WrongUseError
 from loopshape.frf import FRF
+from loopshape.loop import Loop
 from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
 from loopshape.tune.problem import Problem, bounds_reached, problem
 from loopshape.tune.relax import Shortfall, shortfall
-from loopshape.tune.search import Found, begin
+from loopshape.tune.search import LARGEST, Found, begin, search
 from loopshape.tune.settle import UNSURE, Judge, Settled, settle
+from loopshape.tune.shifts import Copy, copies_for, judged, more_copies, shifted_loops
 from loopshape.tune.starts import race, random_starts
 from loopshape.tune.warm import warm_start
 from loopshape.units import Array, db
+
+#: rounds of adding the worst shift between those that were tuned for, and steps of the search in each
+SHIFTED, MORE = 4, 100
 
 
 @dataclass(frozen=True)
@@ -86,17 +91,17 @@ def tune(
     at starts - 1 others: `starts=1` is a local improvement alone. A `start` that meets the requirements is never made
     worse. Where the requirements cannot be met `explain` finds out what to relax, which takes longer than the tuning.
 
+    A `detuning_percent` is met by tuning to each plant as it is and with its frequencies shifted both ways to that
+    end, and where the check finds a worse shift between to that as well.
+
     Local searches: a better optimum elsewhere is possible.
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to tune for", "", "measure or import one")
     unit = _unit(frfs, requirements, start)
     loops, _ = loops_of(frfs, unit, requirements, fits)
-    p = problem(loops, requirements, unit.rate_hz, "double" if start is None else start.precision)
-
-    def judge_of(asked: Requirements) -> Judge:
-        return lambda controller: check(frfs, controller, asked, fits)
-
+    copies = copies_for(requirements, len(loops))
+    p, judge_of = _problem(loops, requirements, unit, copies, start)
     judge = judge_of(requirements)
     candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
     ends, steps = race(p, candidates, np.random.default_rng([seed, 1]))
@@ -109,7 +114,34 @@ def tune(
         settled, why = shortfall(p, settled, ends, judge_of)
     if start is not None:
         settled = _no_worse(p, settled, candidates[0].x, judge)
-    return _tuning(p, settled, why, len(candidates), steps, moved)
+    verdict = check(frfs, p.controller(settled.found.x), requirements, fits)
+    for _ in range(SHIFTED):
+        if not settled.verdict.passed or verdict.passed or requirements.detuning_percent is None:
+            break
+        copies = more_copies(copies, loops, p.controller(settled.found.x), requirements, verdict)
+        p, judge_of = _problem(loops, requirements, unit, copies, start)
+        again = settle(p, search(p, begin(p, settled.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(requirements))
+        steps, settled = steps + again.found.steps, again
+        verdict = check(frfs, p.controller(settled.found.x), requirements, fits)
+    return _tuning(p, settled, verdict, why, len(candidates), steps, moved)
+
+
+def _problem(
+    loops: Sequence[Loop],
+    requirements: Requirements,
+    unit: Controller,
+    copies: Sequence[Copy],
+    start: Controller | None,
+) -> tuple[Problem, Callable[[Requirements], Judge]]:
+    """The tuning problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
+    shifted = shifted_loops(loops, copies)
+    precision = "double" if start is None else start.precision
+    p = problem(list(shifted.values()), requirements, unit.rate_hz, precision)
+
+    def judge_of(asked: Requirements) -> Judge:
+        return lambda controller: judged(shifted, controller, asked)
+
+    return p, judge_of
 
 
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:
@@ -142,15 +174,21 @@ def _no_worse(p: Problem, settled: Settled, x: Array, judge: Judge) -> Settled:
 
 
 def _tuning(
-    p: Problem, settled: Settled, why: Shortfall | None, starts: int, steps: int, moved: tuple[str, ...]
+    p: Problem,
+    settled: Settled,
+    verdict: Verdict,
+    why: Shortfall | None,
+    starts: int,
+    steps: int,
+    moved: tuple[str, ...],
 ) -> Tuning:
     m, wish = settled.found.measures, p.requirements.objective
     return Tuning(
         controller=p.controller(settled.found.x),
-        verdict=settled.verdict,
-        bandwidth_hz=float(min(m.bandwidth_hz for m in settled.verdict.margins.values())),
+        verdict=verdict,
+        bandwidth_hz=float(min(m.bandwidth_hz for m in verdict.margins.values())),
         binding=_binding(p, settled.found),
-        feasible=settled.verdict.passed,
+        feasible=verdict.passed,
         starts=starts,
         steps=steps,
         converged=settled.found.converged,

@@ -1,5 +1,7 @@
 """Verdicts that an examiner found wrong with confidence, each with a truth from the exact transfer function."""
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -69,6 +71,8 @@ def test_a_growing_mode_that_nobody_declared_does_not_pass():
     margins = check([frf], LOW_PASS, wish).margins["one"]
     assert margins.stable == "undecided"
     assert "unstable poles of the plant is not known" in margins.stability_reason
+    (at_hz,) = re.findall(r"the phase rises by 180 deg through the resonance at (\S+) Hz", margins.stability_reason)
+    assert float(at_hz) == pytest.approx(5.0, abs=0.05)
     declared = check([frf], LOW_PASS, Requirements("x", phase_margin_deg=45.0, integrators=0, unstable_poles=2))
     assert declared.margins["one"].stable == "unstable"
 

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from loopshape.check.words import reach_text
+from loopshape.detuning import Reach
 from loopshape.draw.html.markup import Content, Markup, joined, tag
 from loopshape.draw.html.tables import Cell, figure, table
 from loopshape.draw.html.words import (
@@ -33,7 +35,7 @@ from loopshape.run_report import CheckedLoop, RunReport
 
 MARGINS = (
     "bandwidth_hz", "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s",
-    "modulus_margin", "disk_margin",
+    "modulus_margin", "disk_margin", "detuning_percent",
 )  # fmt: skip
 PEAKS = (
     "sensitivity_peak_db", "complementary_peak_db", "control_peak_db", "control_high_frequency_db", "process_peak_db",
@@ -176,7 +178,31 @@ def margins(one: CheckedLoop) -> Markup:
     found = one.verdict
     points = {f.recording or f"frf {k + 1}": point(f.operating_point, f.parameters) for k, f in enumerate(one.frfs)}
     parts = [("Margins", MARGINS), ("Peaks and bandwidths", PEAKS)]
-    return joined(_margins_table(found, points, what, names) for what, names in parts)
+    return joined([*(_margins_table(found, points, what, names) for what, names in parts), _detunings(found)])
+
+
+def _detunings(found: Verdict) -> Markup | None:
+    """How far frequencies of the plant may move, as a whole and of single resonances; none where nobody looked."""
+    rows: list[list[Cell | Content]] = []
+    for name, m in found.margins.items():
+        if m.detuning is None:
+            continue
+        whole: tuple[str, Reach, Reach] = ("all frequencies", m.detuning.up, m.detuning.down)
+        single = [
+            (f"{number(x.frequency_hz)} Hz, damping {number(x.damping, 2)}", x.up, x.down)
+            for x in m.detuning.resonances
+        ]
+        for what, *reaches in (whole, *single):
+            ends = [text for x in reaches for text in (reach_text(x), interval(x.interval_percent))]
+            rows.append([name, what, *ends])
+    if not rows:
+        return None
+    columns = ["recording", "what moves", "up [%]", "95 % interval", "down [%]", "95 % interval"]
+    caption = (
+        f"Detuning margins of loop {found.loop}: the largest relative shift of the plant's frequencies, up and down, at"
+        " which every requirement holds and the loop is stable, and what breaks there."
+    )
+    return table(caption, columns, rows, sortable=len(rows) > 1)
 
 
 def _margins_table(found: Verdict, points: Mapping[str, str], what: str, names: Sequence[str]) -> Markup:
@@ -237,7 +263,9 @@ def _asked(found: Verdict, limit: Limit) -> Line | None:
 def _margin(m: Margins, limit: Limit, worst: bool, asked: Line | None) -> Cell:
     _, factor = shown_unit(limit)
     value, reach = factor * getattr(m, limit.name), m.intervals.get(limit.name)
-    parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", number(value)]
+    beyond = limit.name == "detuning_percent" and m.detuning is not None and m.detuning.worst.beyond
+    shown = f"> {number(value)}" if beyond else number(value)
+    parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", shown]
     if reach is not None and np.isfinite(reach).any():
         parts.append(tag("span", interval(reach, factor), class_="reach"))
     kind = None if not worst else f"worst {asked.outcome if asked is not None else ''}".strip()
@@ -263,9 +291,14 @@ def certificate(one: CheckedLoop) -> Markup:
     )
     made = table(caption, ["closed loop", "reason", "band to measure", "points", "recordings"], rows, cards=True)
     poles = _poles(one)
-    notes = [tag("li", note) for note in one.verdict.warnings]
+    notes, head = [tag("li", note) for note in one.verdict.warnings], "Assumed, and to be noted:"
     return joined(
-        [made, tag("p", poles), tag("p", "Assumed:") if notes else None, tag("ul", *notes) if notes else None]
+        [
+            made,
+            tag("p", poles),
+            tag("p", head) if notes else None,
+            tag("ul", *notes) if notes else None,
+        ]
     )
 
 

@@ -57,8 +57,8 @@ def with_reach(line: Line) -> str:
 
 
 def found_text(line: Line) -> str:
-    """The number found, with >= or <= where it is a bound."""
-    sign = "" if line.bound is None else "≥ " if line.bound > line.found else "≤ "
+    """The number found, with its sign where it is a bound."""
+    sign = "> " if line.beyond else "" if line.bound is None else "≥ " if line.bound > line.found else "≤ "
     return sign + with_unit(line.found, LIMIT_OF[line.quantity])
 
 

@@ -1,0 +1,79 @@
+"""Plants with their frequencies shifted, as operating points of a tuning: a controller that holds there stands it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopshape.check.detuning import worst_shift
+from loopshape.check.shifted import stretched
+from loopshape.check.verdict import verdict_on
+from loopshape.controller import Controller
+from loopshape.loop import Loop
+from loopshape.requirements import Requirements, Verdict
+
+#: plants are shifted by so many times what is required, to leave the check's own reading of intervals some room
+ROOM = 1.03
+#: copies nearer to each other than this share of what is required are one; an end moves by so much of what is missing
+BESIDE, FARTHER = 0.1, 1.2
+
+
+@dataclass(frozen=True, order=True)
+class Copy:
+    """Operating point `index` with its frequencies `percent` off."""
+
+    index: int
+    percent: float
+
+
+def copies_for(requirements: Requirements, points: int) -> tuple[Copy, ...]:
+    """Each operating point as it is, and where a detuning margin is required both ends of it."""
+    end = ROOM * (requirements.detuning_percent or 0.0)
+    return tuple(Copy(k, x) for k in range(points) for x in ((0.0, -end, end) if end else (0.0,)))
+
+
+def shifted_loops(loops: Sequence[Loop], copies: Sequence[Copy]) -> dict[str, Loop]:
+    """The loops of some copies by their names; one that is not shifted keeps its own."""
+    out = {}
+    for one in copies:
+        loop = loops[one.index]
+        name = loop.plant.recording or f"frf {one.index + 1}"
+        if one.percent:
+            name = f"{name} at {one.percent:+.3g} %"
+            loop = stretched(loop, one.percent, name)
+        out[name] = loop
+    return out
+
+
+def judged(loops: dict[str, Loop], controller: Controller, asked: Requirements) -> Verdict:
+    """The verdict on a controller at all copies, each held against every limit but the detuning margin."""
+    mine = {name: replace(loop, controller=controller) for name, loop in loops.items()}
+    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False)
+
+
+def more_copies(
+    copies: Sequence[Copy],
+    loops: Sequence[Loop],
+    controller: Controller,
+    requirements: Requirements,
+    verdict: Verdict,
+) -> tuple[Copy, ...]:
+    """The copies, and for each operating point whose detuning margin does not pass its worst shift.
+
+    Where that is at an end already tuned for, which `check` reads closer (between lines), that end goes farther out.
+    """
+    required = requirements.detuning_percent or 0.0
+    out = list(copies)
+    for k, (loop, margins) in enumerate(zip(loops, verdict.margins.values(), strict=True)):
+        found = margins.detuning
+        if found is None or found.interval_percent[0] >= required:
+            continue
+        percent = worst_shift(replace(loop, controller=controller), margins, requirements, required)
+        near = [one for one in out if one.index == k and abs(one.percent - percent) < BESIDE * required]
+        out = [one for one in out if one not in near]
+        missing = required - found.interval_percent[0]
+        far = [abs(one.percent) + FARTHER * missing for one in near if abs(one.percent) >= required]
+        out.append(Copy(k, percent if not far else float(np.copysign(max(far), percent))))
+    return tuple(sorted(out))
