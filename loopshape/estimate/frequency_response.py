@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.estimate.answers import Answers, ordinary_coherence, plant_of
+from loopshape.estimate.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
 from loopshape.estimate.averages import trusted_lines
-from loopshape.estimate.feedback import direct_signals
+from loopshape.estimate.feedback import controller_lines, controller_note, direct_signals
 from loopshape.estimate.periods import by_periods
 from loopshape.estimate.quality import open_loop_note, unfed_notes
 from loopshape.estimate.respond import respond
@@ -19,7 +19,7 @@ from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
 from loopshape.run import Run
-from loopshape.units import Array
+from loopshape.units import Array, ComplexArray
 
 
 def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
@@ -108,10 +108,8 @@ def _loop_frf(
     if settings.estimator == "reference":
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
-    sound = plant.sound(rows)
-    relative = np.where(sound, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), np.inf)
-    trusted = trusted_lines(f, relative, a.excited) & sound
-    notes += drowned_note(f, sound)
+    trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
+    notes += why
     notes += a.notes + band_note(f, trusted)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
@@ -141,6 +139,27 @@ def _loop_frf(
         held_by=loop.controller if info.closed_loop else None,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _valid(
+    plant: PlantEstimate,
+    rows: np.ndarray,
+    a: Answers,
+    G: ComplexArray,
+    variance: Array,
+    recording: Recording,
+    loop: LoopSetup,
+    settings: Settings,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Lines (nf,) of the valid band of an estimate G (nf,) of this variance, and why others are outside."""
+    sound = plant.sound(rows)
+    relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
+    trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
+    notes = drowned_note(a.frequency_hz, sound)
+    if settings.estimator == "direct" and recording.info.closed_loop and loop.controller is not None:
+        inverse = controller_lines(a, G, variance, loop.controller)
+        trusted, notes = trusted & ~inverse, notes + controller_note(a.frequency_hz, inverse)
+    return trusted, notes
 
 
 #: share of the lines from which on it is said that they drown; fewer lie at the excitation's ends
