@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.channel import sum_terms
 from loopshape.estimate.faults import Fault, saturated, spikes, stuck
-from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check
+from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check, repeats
 from loopshape.estimate.input_power import unfed_bands
 from loopshape.estimate.signals import plant_input
 from loopshape.experiment import LoopSetup
@@ -35,7 +35,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
     rows = slice(first, first + MOST_ROWS)
     u, y = plant_input(recording, loop)[rows], recording.output(loop.output)[rows]
     period = round(info.period_s * rate) if info.period_s else None
-    if period is not None and u.size < 4 * period:  # too few periods to tell them from noise
+    if period is not None and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = None
     name = f"the input of loop {loop.name} in {info.file}"
     found = feedback_check(u, y, period=period, false_alarms=false_alarms, name=name)
@@ -47,7 +47,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
 def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     """A warning where a recording said to be in open loop shows feedback; nothing for others, or a short record.
 
-    Where only the few samples next to each other show it, the sentence says that an anti-aliasing filter would too.
+    An input that repeats exactly is none. Where only neighbouring samples show it, as behind a filter, that is added.
     """
     u = recording.column(loop.control)[:MOST_ROWS]
     if recording.info.closed_loop or u.size < 200:
@@ -58,7 +58,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     if recording.info.period_s is None:
         y = recording.output(loop.output)[:MOST_ROWS]
         if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
-            return (f"{found.sentence}; unless the input was measured through an anti-aliasing filter, not commanded",)
+            return (f"{found.sentence}; only neighbouring samples show it, as behind an anti-aliasing filter",)
     return (found.sentence,)
 
 
