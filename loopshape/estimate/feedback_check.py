@@ -67,8 +67,8 @@ def feedback_check(
 
     Sees only feedback that noise goes round: without noise there is nothing to see, and no bias. Under an excitation
     that is noise itself, far above the noise that is fed back, or where the controller is far slower than 64 samples,
-    feedback is missed. An input that repeats exactly is never called feedback. Taken for feedback: what moves input and output both (hum on both wires), and a nonlinear plant
-    under a sweep, or under a multisine whose `period` is not said. Refuses a record of fewer than 160 rows.
+    feedback is missed. An input that repeats exactly is never called feedback. Taken for feedback: what moves input and
+    output both (hum on both wires), and a nonlinear plant under a sweep. Refuses a record of fewer than 160 rows.
     """
     if not 0.0 < false_alarms < 0.5:
         raise WrongUseError("a rate of false alarms lies between 0 and 0.5", f"{false_alarms!r}")
@@ -99,8 +99,8 @@ def feedback_check(
 def repeats(u: Array, period: int | None = None) -> bool:
     """Whether an input u (n,) repeats over a whole period at least, to `REPEATED` of its rms: noise never does.
 
-    Without a stated `period` (samples) one of half the record at most is looked for, and inputs of few values (a relay's
-    limit cycle repeats too, and is feedback) are left to the test.
+    Without a stated `period` (samples) one of half the record at most is looked for, and inputs of few values (a
+    relay's limit cycle repeats too, and is feedback) are left to the test.
     """
     x = _scaled(u)
     if period is None:
