@@ -11,7 +11,7 @@ from loopshape.estimate.answers import Answers, PlantEstimate, ordinary_coherenc
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.feedback import controller_lines, controller_note, direct_signals
 from loopshape.estimate.periods import by_periods
-from loopshape.estimate.quality import open_loop_note, unfed_notes
+from loopshape.estimate.quality import inverse_note, open_loop_note, unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
@@ -110,6 +110,7 @@ def _loop_frf(
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
     trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
     notes += why
+    notes += inverse_note(recording, loop, f[trusted], G[trusted, 0, 0])
     notes += a.notes + band_note(f, trusted)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
