@@ -10,7 +10,7 @@ from loopshape.errors import WrongUseError
 SPECTRAL = ("h1", "h2", "hv")
 #: by what output and plant input answer to the external excitation; the joint input-output estimator is its other name
 BY_INSTRUMENT = ("reference", "joint")
-ESTIMATORS = (*BY_INSTRUMENT, "direct", *SPECTRAL)
+ESTIMATORS = ("reference", "direct", "joint", *SPECTRAL)
 METHODS = ("auto", "welch", "local")
 WINDOWS = ("hann", "hamming", "blackman", "blackmanharris", "bartlett", "flattop", "boxcar")
 DETRENDS = ("mean", "linear", "none")
