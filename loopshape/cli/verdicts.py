@@ -54,6 +54,13 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
 
 
+def report_margins(verdicts: Sequence[Verdict], output: Output) -> None:
+    """The margins of each operating point where nothing was required."""
+    for verdict in verdicts:
+        _margins(verdict, output)
+        output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+
+
 def _margins(verdict: Verdict, output: Output) -> None:
     rows = [
         [
