@@ -68,13 +68,23 @@ class Baseline:
         return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
 
 
-def check_files(run: Path, controller: Path, require: Path) -> tuple[LoopCheck, ...]:
-    """Check each loop of a requirements file on a run's FRFs.
+def check_files(run: Path, controller: Path, require: Path | None) -> tuple[LoopCheck, ...]:
+    """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
 
     Refuses files that cannot be read, a loop without a controller, and one without FRFs.
     """
-    controllers, requirements = read_controllers(controller), read_requirements(require)
-    frfs, fits = read_frfs(run), fits_of(run)
+    controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
+    measured = {one.loop for one in frfs}
+    if require is not None:
+        requirements = read_requirements(require)
+    else:
+        requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
+    if not requirements:
+        raise WrongUseError(
+            "no loop has both a controller and an FRF",
+            f"controllers of {', '.join(c.loop for c in controllers)}; FRFs of {', '.join(sorted(measured))}",
+            "give a controller file of this run's loops",
+        )
     return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in requirements)
 
 

@@ -30,7 +30,7 @@ def main() -> None:
         if path.exists():
             continue
         start = time.monotonic()
-        diagnose_run(folder, Output(), json=path, report=FIGURES / f"{folder.name}.png")
+        diagnose_run(folder, Output(), save_answer=path, report=FIGURES / f"{folder.name}.png")
         print(f"{folder.name}: {time.monotonic() - start:.0f} s")
     table(sorted(answers.glob("*.json")))
 

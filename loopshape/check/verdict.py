@@ -165,7 +165,10 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
             f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
         )
     word = "integrator" if integrators == 1 else "integrators"
-    return integrators, f"plant taken to have {integrators} {word}, from its lowest lines"
+    return integrators, (
+        f"plant taken to have {integrators} {word}, from its lowest lines: {by_phase:.1f} by phase,"
+        f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
+    )
 
 
 def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None) -> int | None:

@@ -11,8 +11,13 @@ import typer
 
 from loopshape.check.words import WORDS, outcome_of
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.tune import RequireFile
-from loopshape.cli.verdicts import comparison_json, report_comparisons, report_verdicts, verdict_json
+from loopshape.cli.verdicts import (
+    comparison_json,
+    report_comparisons,
+    report_margins,
+    report_verdicts,
+    verdict_json,
+)
 
 if TYPE_CHECKING:
     from loopshape.check_files import Baseline, LoopCheck
@@ -32,7 +37,9 @@ class Reports:
 def check(
     run: RunFolder,
     controller: Annotated[Path, typer.Argument(help="A controller file (TOML).", show_default=False)],
-    require: RequireFile,
+    require: Annotated[
+        Path | None, typer.Option("--require", help="Requirements (TOML); without them margins, and no verdict.")
+    ] = None,
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown summary too.")] = None,
     save_verdict: Annotated[Path | None, typer.Option(help="Keep the verdict (JSON), a baseline for later.")] = None,
@@ -47,7 +54,7 @@ def check(
     """Check margins, peaks and stability at every operating point.
 
     Exit code 1 where a requirement is missed or not decided by these data, or where something is worse than the
-    baseline.
+    baseline. Without requirements margins and stability are reported, without verdict.
     """
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
     passed, _ = check_run(run, controller, require, Output(as_json, quiet), reports=reports, figures=figures)
@@ -56,12 +63,20 @@ def check(
 
 
 def check_run(
-    run: Path, controller: Path, require: Path, output: Output, *, reports: Reports | None = None, figures: bool = True
+    run: Path,
+    controller: Path,
+    require: Path | None,
+    output: Output,
+    *,
+    reports: Reports | None = None,
+    figures: bool = True,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
     from loopshape.check_files import against, check_files
 
     reports = reports or Reports()
+    if require is None:
+        return _margins(run, controller, output, reports, figures)
     if reports.allow_worse and reports.baseline is None:
         from loopshape.errors import WrongUseError
 
@@ -90,6 +105,24 @@ def check_run(
         }
     )
     return passed, drawn
+
+
+def _margins(run: Path, controller: Path, output: Output, reports: Reports, figures: bool) -> tuple[bool, list[str]]:
+    """Margins and stability of each loop with nothing required; refuses reports of a verdict."""
+    from loopshape.check_files import check_files
+    from loopshape.errors import WrongUseError
+
+    if reports != Reports():
+        raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
+    loops = check_files(run, controller, None)
+    verdicts = [loop.verdict for loop in loops]
+    report_margins(verdicts, output)
+    drawn = _draw(run / "figures", loops) if figures else []
+    output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
+    output.say("no requirement given; reported without verdict")
+    made = [verdict_json(v) | {"passed": None, "outcome": None} for v in verdicts]
+    output.json({"passed": None, "outcome": None, "loops": made, "baseline": None, "figures": drawn})
+    return True, drawn
 
 
 def _write(reports: Reports, loops: Sequence[LoopCheck], compared: Baseline | None) -> None:

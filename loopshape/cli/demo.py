@@ -81,7 +81,7 @@ def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     figure = run / "figures" / "gap.png"
     tables = Output(quiet=output.as_json or output.quiet)
     record(study, run, output)
-    found = diagnose_run(run, tables, json=run / "gap.json", report=figure, quick=True)
+    found = diagnose_run(run, tables, save_answer=run / "gap.json", report=figure, quick=True)
     return found.verdict == "+".join(sorted(read_study(study).effects)), [str(figure)]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from loopshape.cli.output import Output, Quiet
+from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,13 +58,14 @@ def exam(
     library_forms: Annotated[
         bool, typer.Option("--library-forms", help="Arms by the library's own model and forms: single and healthy.")
     ] = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Sit an exam on arms whose effects are sealed, then open the seals and score the answers."""
     from loopshape.store.files import make_folder
     from loopshape.store.run_folder import alone
 
-    output = Output(False, quiet)
+    output = Output(as_json, quiet)
     plan = {"single": single, "healthy": healthy}
     plan |= {} if library_forms else {"unknown": unknown, "pair": pairs}
     make_folder(out)
@@ -358,6 +359,7 @@ def show(scores: Scores, output: Output) -> None:
         f"perfect answers would show a calibration error of {c.null_mean:.3f}, 95 % of them below {c.null_95:.3f}"
     )
     output.say(f"{scores.cases} arms, the longest {longest:.0f} s, {scores.failed} broken off")
+    output.json(as_json(scores))
 
 
 def interval(ends: Sequence[float | None] | None) -> str | None:

@@ -10,7 +10,12 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.model import Fit
+    from loopshape.model import Estimate, Fit
+
+#: phase in rad at the highest line that a delay must turn to be one
+NO_DELAY_RAD = 1e-6
+#: times the highest line from which on a real root is not told from one at infinity
+FAR = 10.0
 
 
 def fit(
@@ -89,7 +94,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
         rows = [
             [f.recording, f.loop, point(f.operating_point, f.rig_parameters)]
-            + [f"{p.value:.5g} ± {1.96 * p.std:.2g}" for p in f.parameters if p.name in shown]
+            + [_parameter(f, p) for p in f.parameters if p.name in shown]
             + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
             for f in mine
         ]
@@ -139,7 +144,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
 
 
 def _report_modes(fits: list[Fit], output: Output) -> None:
-    """Zeros and poles of rational fits."""
+    """Zeros and poles of rational fits: pairs by frequency and damping, real ones by time constant."""
     from loopshape.fit.fit import modes
 
     rows = []
@@ -147,6 +152,33 @@ def _report_modes(fits: list[Fit], output: Output) -> None:
         found = modes(f)
         for frequency, damping in zip(found[::2], found[1::2], strict=True):
             kind = frequency.name.removesuffix("_f_hz")
-            cells = [f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)]
-            rows.append([f.recording, f.loop, kind, *cells])
-    output.table("Zeros and poles (± 95 %)", ["recording", "loop", "root", "f [Hz]", "damping"], rows)
+            rows.append([f.recording, f.loop, kind, *root_cells(frequency, damping, f.band_hz[1])])
+    columns = ["recording", "loop", "root", "f [Hz]", "damping", "time constant [s]"]
+    output.table("Zeros and poles (± 95 %)", columns, rows)
+
+
+def _parameter(f: Fit, p: Estimate) -> str:
+    """A parameter with its interval; a delay that turns no line's phase is none."""
+    from loopshape.units import TWO_PI
+
+    if p.name == "delay_s" and abs(p.value) * TWO_PI * f.band_hz[1] < NO_DELAY_RAD:
+        return "none"
+    return f"{p.value:.5g} ± {1.96 * p.std:.2g}"
+
+
+def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> list[str | None]:
+    """Frequency, damping and time constant of a root as cells; of a real one the time constant alone.
+
+    A real root that the lines up to `highest_hz` do not tell from one at infinity has a bound in place of a value.
+    """
+    from loopshape.units import TWO_PI
+
+    if abs(damping.value) < 1.0 - 1e-9:
+        return [*(f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)), None]
+    side = "" if damping.value > 0.0 else ", right half plane"
+    constant = 1.0 / (TWO_PI * frequency.value)
+    if frequency.value > FAR * highest_hz:
+        return [None, None, f"below {1.0 / (TWO_PI * highest_hz):.2g}, beyond the lines{side}"]
+    if not 1.96 * frequency.std < frequency.value:
+        return [None, None, f"about {constant:.2g}, not known{side}"]
+    return [None, None, f"{constant:.4g} ± {1.96 * constant * frequency.std / frequency.value:.2g}{side}"]

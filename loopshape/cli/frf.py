@@ -20,10 +20,21 @@ if TYPE_CHECKING:
 
 def frf(
     run: RunFolder,
-    estimator: Annotated[str, typer.Option(help="reference, or direct (biased under feedback).")] = "reference",
+    estimator: Annotated[
+        str,
+        typer.Option(help="reference (or joint), direct (biased under feedback); in open loop h1, h2 or hv too."),
+    ] = "reference",
     method: Annotated[str, typer.Option(help="auto, welch, or local; for records without a period.")] = "auto",
     resolution_hz: Annotated[float | None, typer.Option(help="Distance between lines; default by the record.")] = None,
     overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
+    window: Annotated[
+        str, typer.Option(help="Welch: hann, hamming, blackman, blackmanharris, bartlett, flattop or boxcar.")
+    ] = "hann",
+    symmetric: Annotated[bool, typer.Option("--symmetric", help="The window's symmetric form, not periodic.")] = False,
+    detrend: Annotated[str, typer.Option(help="Taken off each of Welch's segments: mean, linear, or none.")] = "mean",
+    segment_samples: Annotated[
+        int | None, typer.Option(help="Length of Welch's segments; in place of --resolution-hz.")
+    ] = None,
     realisations: Annotated[
         bool, typer.Option("--realisations", help="Take multisines alike but for their phases together.")
     ] = False,
@@ -35,7 +46,16 @@ def frf(
 ) -> None:
     """Estimate the FRFs of a run with variance, coherence and trusted band, and draw them."""
     output = Output(as_json, quiet)
-    settings = {"estimator": estimator, "method": method, "resolution_hz": resolution_hz, "overlap": overlap}
+    settings = {
+        "estimator": estimator,
+        "method": method,
+        "resolution_hz": resolution_hz,
+        "overlap": overlap,
+        "window": window,
+        "symmetric": symmetric,
+        "detrend": detrend,
+        "segment_samples": segment_samples,
+    }
     estimate_and_report(
         run, output, settings=settings, figures=figures, csv=csv, realisations=realisations, matrix=matrix
     )

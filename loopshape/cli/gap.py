@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import Output, Quiet, RunFolder, point
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
     from loopshape.gap_report import GapReport, Proposal, Ranked
@@ -23,30 +23,31 @@ def gap(
     sim: Annotated[
         Path | None, typer.Argument(help="A second run, simulated or real: then without a model, no cause.")
     ] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the answer to this JSON file.")] = None,
+    save_answer: Annotated[Path | None, typer.Option(help="Write the answer to this JSON file.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png).")] = None,
     next_study: Annotated[
         Path | None, typer.Option("--next", help="Write the experiment that would part the leading two (TOML).")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Leave the closed-loop gap table out.")] = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Diagnose the gap between a run and the nominal model of its plant, or between two runs."""
-    output = Output(False, quiet)
-    check_files(json, report, next_study)
+    output = Output(as_json, quiet)
+    check_files(save_answer, report, next_study)
     if sim is not None:
         from loopshape.cli.gap_two_runs import two_runs
 
-        two_runs(run, sim, json, report, output)
+        two_runs(run, sim, save_answer, report, output)
         return
-    diagnose_run(run, output, json=json, report=report, next_study=next_study, quick=quick)
+    diagnose_run(run, output, save_answer=save_answer, report=report, next_study=next_study, quick=quick)
 
 
 def diagnose_run(
     folder: Path,
     output: Output,
     *,
-    json: Path | None = None,
+    save_answer: Path | None = None,
     report: Path | None = None,
     next_study: Path | None = None,
     quick: bool = False,
@@ -60,7 +61,7 @@ def diagnose_run(
     from loopshape.registry import diagnosable
     from loopshape.store.run_folder import read_run
 
-    check_files(json, report, next_study)
+    check_files(save_answer, report, next_study)
     run = read_run(folder)
     if run.plant is None:
         raise WrongUseError(
@@ -71,12 +72,12 @@ def diagnose_run(
     with output.progress("gap", 9) as step:
         found = diagnose(diagnosable(run.plant), run, folder.name, table=not quick, say=step)
     show(found, output)
-    if json is not None:
+    if save_answer is not None:
         from loopshape.store.files import make_folder, write_json
 
-        make_folder(json.parent)
-        write_json(json, answer(found))
-        output.say(f"answer written to {json}")
+        make_folder(save_answer.parent)
+        write_json(save_answer, answer(found))
+        output.say(f"answer written to {save_answer}")
     if report is not None:
         from loopshape.cli.pictures import save
         from loopshape.draw.gap_report import gap_figure
@@ -87,16 +88,17 @@ def diagnose_run(
     if found.proposal is not None:
         output.say(f"next: {found.proposal.sentence}")
     output.say(found.sentence)
+    output.json(answer(found))
     return found
 
 
-def check_files(json: Path | None, report: Path | None, study: Path | None = None) -> None:
+def check_files(save_answer: Path | None, report: Path | None, study: Path | None = None) -> None:
     """Refuse, before anything is computed, a picture of another kind than PNG and a folder in a file's place."""
     from loopshape.errors import WrongUseError
 
     if report is not None and report.suffix.lower() != ".png":
         raise WrongUseError("a report is a picture as PNG", str(report), "name a file that ends in .png")
-    for path in (json, report, study):
+    for path in (save_answer, report, study):
         if path is not None and path.is_dir():
             raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
 

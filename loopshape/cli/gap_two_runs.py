@@ -23,7 +23,7 @@ TIME_COLUMNS = ("recording", "signal", "what", "from [s]", "to [s]", "difference
 def two_runs(
     real: Path,
     sim: Path,
-    json: Path | None = None,
+    save_answer: Path | None = None,
     report: Path | None = None,
     output: Output | None = None,
     bands: str = "third_decade",
@@ -31,8 +31,8 @@ def two_runs(
 ) -> GapTable:
     """Compare two run folders, print the table and its conclusion, write JSON and figure; gives the table.
 
-    `json` and `report` (.png) are files. Without `every` the time rows printed are those that stand clear of their
-    floor. Nothing is written where anything is refused.
+    `save_answer` and `report` (.png) are files. Without `every` the time rows printed are those that stand clear of
+    their floor. Nothing is written where anything is refused.
     """
     from loopshape.cli.gap import check_files
     from loopshape.gap.table import compare
@@ -40,7 +40,7 @@ def two_runs(
     from loopshape.store.run_folder import read_run
 
     output = output or Output()
-    check_files(json, report)
+    check_files(save_answer, report)
     table = compare(read_run(real), read_run(sim), bands=bands, real_name=real.name, sim_name=sim.name)
     output.table(f"{real.name} (real) against {sim.name} (sim)", COLUMNS, [gap_cells(table, row) for row in table.rows])
     if table.nu_gaps:
@@ -54,9 +54,9 @@ def two_runs(
     figure = _draw(table, report)
     if report is not None and figure is None:
         output.warn([f"{report} is not written: the runs share no response to draw"])
-    if json is not None:
-        make_folder(json.parent)
-        write_json(json, content)
+    if save_answer is not None:
+        make_folder(save_answer.parent)
+        write_json(save_answer, content)
     output.json(content | ({"figures": [str(figure)]} if figure else {}))
     return table
 

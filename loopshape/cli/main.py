@@ -71,16 +71,21 @@ app.command()(emulator)
 app.command()(verify)
 
 
-@app.callback()
-def version(
-    show: bool = typer.Option(False, "--version", help="Print the version and stop.", is_eager=True),
-) -> None:
-    """Options of the program itself."""
-    if show:
+def _print_version(asked: bool) -> None:
+    if asked:
         from loopshape import __version__
 
         print(__version__)
         raise typer.Exit
+
+
+@app.callback()
+def program(
+    version: bool = typer.Option(
+        False, "--version", help="Print the version and stop.", is_eager=True, callback=_print_version
+    ),
+) -> None:
+    """Options of the program itself."""
 
 
 def run() -> None:

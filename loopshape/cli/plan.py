@@ -44,7 +44,10 @@ def plan(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a multisine that reaches a wanted accuracy at the crossover; exit code 1 where it is out of reach."""
+    """Plan a multisine that reaches a wanted accuracy at the crossover; exit code 1 where it is out of reach.
+
+    Where the first recording has that accuracy already nothing is proposed.
+    """
     from loopshape.cli.pictures import save
     from loopshape.draw.plan import plan_page
     from loopshape.estimate.plan import plan as planned
@@ -71,6 +74,10 @@ def plan(
         first = first_record(chosen, loop)
         step(chosen.info.name)
         found = planned(first, wish, _controller(controller, loop.name))
+    if found.met:
+        output.say(found.sentence)
+        output.json(answer(found) | {"run": str(run), "study": None, "complete": False, "figure": None})
+        return
     study, written, why = _write(held, chosen, found, out or run / f"plan_{loop.name}.toml")
     figure = save(plan_page(found), run / "figures" / f"plan_{loop.name}.png")
     _show(found, output)
@@ -241,6 +248,7 @@ def answer(plan: Plan) -> dict[str, Any]:
         "loop": plan.loop,
         "recording": plan.recording,
         "injection": plan.injection,
+        "met": plan.met,
         "reached": plan.reached,
         "crossover_hz": plan.crossover_hz,
         "wished_std": plan.wish.std,

@@ -68,6 +68,13 @@ def _stability_row(verdict: Verdict) -> list[object]:
     return ["closed loop", "-", "stable", stable, "-", "-", name, "-", WORDS[word]]
 
 
+def report_margins(verdicts: Sequence[Verdict], output: Output) -> None:
+    """The margins of each operating point where nothing was required."""
+    for verdict in verdicts:
+        _margins(verdict, output)
+        output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+
+
 def _margins(verdict: Verdict, output: Output) -> None:
     rows = [
         [

@@ -1,18 +1,26 @@
-"""The direct estimator's signals, and what the injected signal says of feedback around them."""
+"""The direct estimator's signals, what the injected signal says of feedback around them, and where only -1/C is seen.
+
+Under feedback z = C (r - y) the plant input u and w = u + C y, the part of it that the loop did not make, tell by their
+coherence which share rho of u is noise that goes round the loop; the direct estimate Phi_yu/Phi_uu is then
+P - rho (P + 1/C) (van den Hof and Schrama 1993; Pintelon and Schoukens 2012, 2.6).
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from loopshape.estimate.averages import against_instrument
+from loopshape.controller import Controller
+from loopshape.estimate.answers import Answers
+from loopshape.estimate.averages import KNOWN, against_instrument
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, has_instrument, loop_signals
 from loopshape.estimate.transforms import transform
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
-from loopshape.units import db
+from loopshape.units import Array, ComplexArray, db
 
 
 def direct_signals(recording: Recording, loop: LoopSetup, settings: Settings) -> tuple[LoopSignals, tuple[str, ...]]:
@@ -40,3 +48,38 @@ def _feedback_note(recording: Recording, loop: LoopSetup, s: LoopSignals, settin
     change = db(against_instrument(t)[rows, 0] / alone)
     worst = int(np.argmax(np.abs(change)))
     return (f"{BIASED}; feedback changes what reaches the plant by {change[worst]:+.1f} dB at {f[worst]:.3g} Hz",)
+
+
+#: squared distance, in variances, up to which an estimate counts as equal: F(0.95) with many degrees of freedom
+EQUAL = 3.0
+
+
+def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: Controller) -> np.ndarray:
+    """Lines (nf,) whose direct estimate G (nf,) is -1/C within its uncertainty, or nearer to it than 10 % allows.
+
+    `a` holds the cross-powers of output and plant input. The bias rho (P + 1/C) is rho/(1 - rho) (G + 1/C); medians of
+    nine lines decide. Overrated, which is on the safe side, where the logged control is not what C made of the error
+    (saturation, coarse converters, another C).
+    """
+    C = controller.response(a.frequency_hz)
+    yy, uu, yu = a.power[:, 0, 0].real, a.power[:, 1, 1].real, a.power[:, 0, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.abs(G + 1.0 / C)
+        ww, wu = uu + np.abs(C) ** 2 * yy + 2.0 * np.real(C * yu), np.abs(uu + C * yu) ** 2
+        noise = np.maximum(ww * uu / wu - 1.0, 0.0) / (a.averages if a.power_per == "line" else 1.0)
+        equal = np.minimum(apart**2 / (EQUAL * variance), apart / (KNOWN * np.abs(G)))
+        bias = noise * apart / (KNOWN * np.abs(G))
+    equal, bias = (median_filter(np.nan_to_num(x, nan=0.0, posinf=1e9), 9, mode="nearest") for x in (equal, bias))
+    return np.asarray((equal <= 1.0) | (bias > 1.0))
+
+
+def controller_note(frequency_hz: Array, lines: np.ndarray) -> tuple[str, ...]:
+    """Why lines of a direct estimate are outside the valid band; nothing where none are."""
+    if not lines.any():
+        return ()
+    f = frequency_hz[lines]
+    return (
+        f"on {f.size} of {frequency_hz.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, the direct estimate is -1/C of the"
+        " loop's own controller within its uncertainty, or biased towards it by more than 10 %: these lines are outside"
+        " the valid band; use the reference estimator, or excite more",
+    )

@@ -26,6 +26,12 @@ NEAR, PAST, FUTURE = 32, 512, 64
 #: share of an input's power that its past does not foretell: below the first it is rounding, below the second the
 #: input is a sweep, a multisine or the like, which a nonlinear plant answers as if it were fed back
 ROUNDING, FORETOLD = 1e-14, 1e-2
+#: difference between periods, of the input's rms, up to which it repeats; noise that is fed back moves it by more
+REPEATED = 1e-6
+#: mean square, of the input's, by which it must have changed before it can repeat
+MOVED = 0.1
+#: an input of no more values than this, in its first rows, is switched: it may repeat under feedback too
+FEW_VALUES, MOST_UNIQUE = 20, 20_000
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,13 @@ def feedback_check(
 
     Sees only feedback that noise goes round: without noise there is nothing to see, and no bias. Under an excitation
     that is noise itself, far above the noise that is fed back, or where the controller is far slower than 64 samples,
-    feedback is missed. Taken for feedback: what moves input and output both (hum on both wires), and a nonlinear plant
-    under a sweep, or under a multisine whose `period` is not said. Refuses a record of fewer than 160 rows.
+    feedback is missed. An input that repeats exactly is never called feedback. Taken for feedback: what moves input and
+    output both (hum on both wires), and a nonlinear plant under a sweep. Refuses a record of fewer than 160 rows.
     """
     if not 0.0 < false_alarms < 0.5:
         raise WrongUseError("a rate of false alarms lies between 0 and 0.5", f"{false_alarms!r}")
+    if repeats(u, period):
+        return _nothing_new(false_alarms, u.size, name, True, True)
     rows = _Rows.of(u.size + min(answers_after, 0), period or 0)
     x, z = (_scaled(s) for s in (u, y))
     past = np.stack([*_lagged(z, rows, -1, -1), *_lagged(x, rows, -answers_after, -1)], axis=1)
@@ -84,8 +92,34 @@ def feedback_check(
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
     found = probability < false_alarms
-    words = _sentence(found, probability, explained, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
+    words = _sentence(found, probability, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
     return FeedbackCheck(found, probability, explained, lags, false_alarms, True, e.size, words)
+
+
+def repeats(u: Array, period: int | None = None) -> bool:
+    """Whether an input u (n,) repeats over a whole period at least, to `REPEATED` of its rms: noise never does.
+
+    Without a stated `period` (samples) one of half the record at most is looked for, and inputs of few values (a
+    relay's limit cycle repeats too, and is feedback) are left to the test.
+    """
+    x = _scaled(u)
+    if period is None:
+        if x.size < 2 or np.unique(u[:MOST_UNIQUE]).size <= FEW_VALUES:
+            return False
+        period = _best_lag(x)
+    return 0 < period <= x.size // 2 and bool(np.abs(x[period:] - x[:-period]).max() <= REPEATED)
+
+
+def _best_lag(x: Array) -> int:
+    """The first lag of half a signal (n,) at most with which it differs least from itself; 0 where none stands out."""
+    n, half = x.size, x.size // 2
+    power = np.concatenate([[0.0], np.cumsum(x**2)])
+    with_itself = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2, 2 * n)[1 : half + 1]
+    lags = np.arange(1, half + 1)
+    left = (power[n - lags] + power[n] - power[lags] - 2.0 * with_itself) / (n - lags)
+    moved = np.flatnonzero(left > MOVED)  # a slow signal is like itself a sample later, and does not repeat for it
+    close = np.flatnonzero((left < 1e-9) & (lags > (moved[0] + 1 if moved.size else half)))
+    return int(lags[close[np.argmin(left[close])]]) if close.size else 0
 
 
 @dataclass(frozen=True)
@@ -185,16 +219,15 @@ def _nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, f
     return FeedbackCheck(False, 1.0, 0.0, (0, 0), false_alarms, told, samples, words)
 
 
-def _sentence(
-    found: bool, probability: float, explained: float, lags: tuple[int, int], name: str, foretold: bool
-) -> str:
+def _sentence(found: bool, probability: float, lags: tuple[int, int], name: str, foretold: bool) -> str:
     who = name or "the input"
     if not found:
         return f"no sign that {who} answers noise of its output (p = {probability:.2g})"
     when = f"{lags[0]} to {lags[1]}" if lags[1] > lags[0] else f"{lags[0]}"
-    other = ", or a plant that is not linear, which such an input cannot tell apart" if foretold else ""
+    other = ", which such an input cannot tell from feedback" if foretold else ""
     return (
-        f"{who} answers noise of its output (p = {probability:.1e}; it follows what the past of both leaves"
-        f" unexplained, {when} samples later): there is feedback{other}, and the direct estimate is biased towards"
-        " -1/C; say closed_loop = true and name the signal that only you moved"
+        f"{who} seems to answer noise of its output (p = {probability:.1e}; it follows what the past of both leaves"
+        f" unexplained, {when} samples later): feedback, or a plant that is not linear{other}, or an input that was"
+        " measured through a filter (anti-aliasing) and not commanded; with feedback the direct estimate is biased"
+        " towards -1/C: then set closed_loop = true and name the external excitation"
     )

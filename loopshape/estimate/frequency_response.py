@@ -7,19 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.estimate.answers import Answers, ordinary_coherence, plant_of
+from loopshape.estimate.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
 from loopshape.estimate.averages import trusted_lines
-from loopshape.estimate.feedback import direct_signals
+from loopshape.estimate.feedback import controller_lines, controller_note, direct_signals
 from loopshape.estimate.periods import by_periods
-from loopshape.estimate.quality import open_loop_note, unfed_notes
+from loopshape.estimate.quality import inverse_note, open_loop_note, unfed_notes
 from loopshape.estimate.respond import respond
-from loopshape.estimate.settings import Settings
+from loopshape.estimate.settings import BY_INSTRUMENT, SPECTRAL, Settings
 from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
+from loopshape.estimate.welch import by_welch
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
 from loopshape.run import Run
-from loopshape.units import Array
+from loopshape.units import Array, ComplexArray
 
 
 def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
@@ -64,7 +65,11 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
         s, notes = direct_signals(recording, loop, settings)
     else:
         s, notes = loop_signals(recording, loop), ()
-    answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
+    if settings.estimator in SPECTRAL:
+        _refuse_spectral(recording, settings)
+        answers = by_welch(recording, [s.y, s.u], [s.u], settings)
+    else:
+        answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
     notes += open_loop_note(recording, loop) + unfed_notes(recording, [loop])
     return _loop_frf([recording], loop, s, answers, settings, notes)
 
@@ -94,7 +99,7 @@ def _loop_frf(
 ) -> FRF:
     """The noun of one loop's answers."""
     recording, info = recordings[0], recordings[0].info
-    plant = plant_of([answers], 1)
+    plant = _by_spectra(plant_of([answers], 1), answers, settings.estimator)
     finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
     rows = _kept(answers.excited) & finite
     if not rows.any():
@@ -105,13 +110,12 @@ def _loop_frf(
         )
     a, f = answers.select(rows), answers.frequency_hz[rows]
     G, covariance = plant.response[rows], plant.covariance[rows]
-    if settings.estimator == "reference":
+    if settings.estimator in BY_INSTRUMENT:
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
-    sound = plant.sound(rows)
-    relative = np.where(sound, np.sqrt(covariance[:, 0, 0].real) / np.abs(G[:, 0, 0]), np.inf)
-    trusted = trusted_lines(f, relative, a.excited) & sound
-    notes += drowned_note(f, sound)
+    trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
+    notes += why
+    notes += inverse_note(recording, loop, f[trusted], G[trusted, 0, 0])
     notes += a.notes + band_note(f, trusted)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
@@ -142,6 +146,57 @@ def _loop_frf(
         open_loop=not any(r.info.closed_loop for r in recordings),
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _refuse_spectral(recording: Recording, settings: Settings) -> None:
+    """Refuse spectral estimators where feedback biases all of them, and where whole periods are at hand."""
+    name, info = settings.estimator.capitalize(), recording.info
+    if info.closed_loop:
+        raise WrongUseError(
+            f"{name} is for records in open loop: under feedback it is biased towards -1/C ({info.file})",
+            "closed_loop = true",
+            "use the reference estimator, or direct, which says where it is biased",
+        )
+    if info.period_s is not None:
+        raise WrongUseError(
+            f"{name} averages segments, and {info.file} repeats: whole periods tell noise from signal better",
+            f"period_s = {info.period_s:g}",
+            "use the reference estimator, or take period_s out of run.toml",
+        )
+
+
+def _by_spectra(plant: PlantEstimate, a: Answers, estimator: str) -> PlantEstimate:
+    """H1 as it is; H2 = H1/coherence and Hv = H1/sqrt(coherence) = sqrt(H1 H2) (Rocklin, Crowley, Vold, IMAC 1985).
+
+    To first order all three scatter alike, relative to themselves; Hv takes noise to signal as equal at both ends.
+    """
+    power = {"h2": 1.0, "hv": 0.5}.get(estimator)
+    if power is None:
+        return plant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = (1.0 / ordinary_coherence(a.power, 0, 1) ** power)[:, None, None]
+        return PlantEstimate(plant.response * factor, plant.covariance * factor**2, plant.noise, plant.drowned)
+
+
+def _valid(
+    plant: PlantEstimate,
+    rows: np.ndarray,
+    a: Answers,
+    G: ComplexArray,
+    variance: Array,
+    recording: Recording,
+    loop: LoopSetup,
+    settings: Settings,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Lines (nf,) of the valid band of an estimate G (nf,) of this variance, and why others are outside."""
+    sound = plant.sound(rows)
+    relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
+    trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
+    notes = drowned_note(a.frequency_hz, sound)
+    if settings.estimator == "direct" and recording.info.closed_loop and loop.controller is not None:
+        inverse = controller_lines(a, G, variance, loop.controller)
+        trusted, notes = trusted & ~inverse, notes + controller_note(a.frequency_hz, inverse)
+    return trusted, notes
 
 
 #: share of the lines from which on it is said that they drown; fewer lie at the excitation's ends

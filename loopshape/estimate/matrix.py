@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
-from itertools import zip_longest
+from itertools import product, zip_longest
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from loopshape.estimate.frequency_response import band_note, drowned_note
 from loopshape.estimate.periods import by_periods
 from loopshape.estimate.quality import unfed_notes
 from loopshape.estimate.respond import respond
-from loopshape.estimate.settings import Settings
-from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input, wiring_notes
+from loopshape.estimate.settings import BY_INSTRUMENT, Settings
+from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input, refuse_alike, wiring_notes
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF, joined
 from loopshape.recording import Recording
@@ -40,7 +40,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
     Refuses recordings at different operating points or settings, sets that leave a column open, and different lines.
     """
     settings = settings or Settings()
-    if settings.estimator != "reference":
+    if settings.estimator not in BY_INSTRUMENT:
         raise WrongUseError("a plant's matrix is estimated by the reference", f"{settings.estimator!r}")
     _check_alike(recordings)
     loops = _excited_loops(run, recordings)
@@ -81,6 +81,8 @@ def _parts(
 ) -> list[Answers]:
     """Answers whose columns are the loops, in their order."""
     names = [loop.name for loop in loops]
+    for loop, recording in product(loops, recordings):
+        refuse_alike(recording, loop)
     if all(r.info.period_s is not None for r in recordings):
         made = [
             (r, _signals(r, loops, outputs, alone=False), _instruments(r, loops), names.index(str(r.info.excites)))

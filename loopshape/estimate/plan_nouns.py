@@ -99,6 +99,11 @@ class Plan:
         return self.realisations * self.excitation.duration_s
 
     @property
+    def met(self) -> bool:
+        """Whether the first record already has what is wanted, so that nothing is to be measured."""
+        return self.before <= self.wish.std
+
+    @property
     def sentence(self) -> str:
         """The plan for people."""
         return plan_words.sentence(self)

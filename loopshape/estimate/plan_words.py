@@ -35,10 +35,12 @@ def sentence(p: Plan) -> str:
         f" {p.unit}"
     )
     there = f"at {p.crossover_hz:.3g} Hz"
+    if p.met:
+        return (
+            f"{p.recording} already has a std of {accuracy(p.before)} {there}, within the required"
+            f" {accuracy(p.wish.std)}: no further experiment is proposed"
+        )
     if p.reached:
-        if p.before <= p.wish.std:
-            had = f"the first record already has {accuracy(p.before)} {there}, better than the wish"
-            return f"{had}; {does} would bring {accuracy(p.at_crossover)} over these lines"
         why = "no shorter record is sensible" if p.binds == "shortest" else f"{_BINDS[p.binds]} sets the length"
         return f"{does}: std {there} from {accuracy(p.before)} to {accuracy(p.at_crossover)}; {why}"
     short = f"out of reach: {does} brings the std {there} to {accuracy(p.at_crossover)}"

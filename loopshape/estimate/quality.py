@@ -8,13 +8,13 @@ import numpy as np
 
 from loopshape.channel import sum_terms
 from loopshape.estimate.faults import Fault, saturated, spikes, stuck
-from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check
+from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check, repeats
 from loopshape.estimate.input_power import unfed_bands
 from loopshape.estimate.signals import plant_input
 from loopshape.experiment import LoopSetup
 from loopshape.kernels.spectra import cross_spectra
 from loopshape.recording import Recording
-from loopshape.units import Array
+from loopshape.units import Array, ComplexArray, deg
 
 #: rows of a record that are looked at for feedback; more tell no more and take longer
 MOST_ROWS = 200_000
@@ -35,7 +35,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
     rows = slice(first, first + MOST_ROWS)
     u, y = plant_input(recording, loop)[rows], recording.output(loop.output)[rows]
     period = round(info.period_s * rate) if info.period_s else None
-    if period is not None and u.size < 4 * period:  # too few periods to tell them from noise
+    if period is not None and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = None
     name = f"the input of loop {loop.name} in {info.file}"
     found = feedback_check(u, y, period=period, false_alarms=false_alarms, name=name)
@@ -47,7 +47,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
 def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     """A warning where a recording said to be in open loop shows feedback; nothing for others, or a short record.
 
-    Where only the few samples next to each other show it, the sentence says that an anti-aliasing filter would too.
+    An input that repeats exactly is none. Where only neighbouring samples show it, as behind a filter, that is added.
     """
     u = recording.column(loop.control)[:MOST_ROWS]
     if recording.info.closed_loop or u.size < 200:
@@ -55,11 +55,68 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     found = loop_feedback(recording, loop, false_alarms=1e-4)
     if not found.found:
         return ()
+    if found.explained > BEFORE_ITS_CAUSE:
+        return (
+            f"{found.sentence}; so much comes before its cause that {loop.control} and {loop.output} may be swapped",
+        )
     if recording.info.period_s is None:
         y = recording.output(loop.output)[:MOST_ROWS]
         if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
-            return (f"{found.sentence}; unless the input was measured through an anti-aliasing filter, not commanded",)
+            return (f"{found.sentence}; only neighbouring samples show it, as behind an anti-aliasing filter",)
     return (found.sentence,)
+
+
+#: over a band's upper half: slope of ln|G| over ln f, lead of the phase in rad; at its end, |G| over the band's largest
+#: and smallest, from which on together an estimate looks inverse
+RISES, LEADS, AT_ITS_LARGEST, ABOVE = 0.3, 0.1, 0.85, 3.0
+#: share of an output's unexplained power that its input's future explains, from which on the input may be the output
+BEFORE_ITS_CAUSE = 0.5
+#: part of an output that is no multiple of its input, squared, up to which it counts as an exact one
+EXACT = 1e-18
+
+
+def inverse_note(recording: Recording, loop: LoopSetup, frequency_hz: Array, G: ComplexArray) -> tuple[str, ...]:
+    """A warning where G (nf,), on lines of the valid band, is what swapped columns of control and output would give.
+
+    A plant's magnitude does not rise to the end of a band while its phase leads more and more: that is a negative
+    delay, an output before its cause. Nothing is said where a known controller tells the columns apart
+    (`wiring_notes`), of bands below an octave, or of a plant whose inverse falls (an acceleration). Wrong for a true
+    differentiator without delay (voltage of an inductor).
+    """
+    if recording.info.closed_loop and loop.controller is not None:
+        return ()
+    if _exact_multiple(plant_input(recording, loop), recording.output(loop.output)):
+        return (
+            f"{loop.output} is an exact multiple of {loop.control} in {recording.info.file}: one column mapped twice?"
+            " No measured plant answers without noise and delay",
+        )
+    if frequency_hz.size < 12 or frequency_hz[-1] < 2.0 * frequency_hz[0]:
+        return ()
+    upper = frequency_hz >= np.sqrt(frequency_hz[0] * frequency_hz[-1])
+    f, size, phase = frequency_hz[upper], np.abs(G), np.unwrap(np.angle(G))[upper]
+    rises = _slope(np.log(f), np.log(size[upper]), 1.0 / f)
+    leads, end = _slope(f, phase, np.ones(f.size)) * float(np.ptp(f)), float(size[-3:].mean())
+    if rises < RISES or leads < LEADS or end < max(AT_ITS_LARGEST * size.max(), ABOVE * size.min()):
+        return ()
+    return (
+        f"the response of loop {loop.name} in {recording.info.file} looks like the inverse of a plant: its magnitude"
+        f" rises up to the end of the valid band ({20.0 * rises:.0f} dB a decade at {f[-1]:.3g} Hz) and its phase leads"
+        f" more and more ({deg(leads):+.0f} deg from {f[0]:.3g} Hz), as if the output came before its cause: are"
+        f" {loop.control} and {loop.output} swapped?",
+    )
+
+
+def _slope(x: Array, y: Array, weight: Array) -> float:
+    """Weighted least-squares slope of y over x (n,)."""
+    x, y = x - np.average(x, weights=weight), y - np.average(y, weights=weight)
+    return float((weight * x * y).sum() / (weight * x * x).sum())
+
+
+def _exact_multiple(u: Array, y: Array) -> bool:
+    """Whether y (n,) is a u + b up to rounding."""
+    u, y = u - u.mean(), y - y.mean()
+    left = y - (u @ y) / (u @ u) * u
+    return bool(left @ left <= EXACT * (y @ y))
 
 
 def faults(recording: Recording, loop: LoopSetup) -> list[Fault]:

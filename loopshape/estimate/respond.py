@@ -32,14 +32,14 @@ def respond(
     method's words say which it was.
     """
     if recording.info.period_s is not None:
-        if settings.method != "auto":
+        if settings.method != "auto" or settings.recipe:
             raise WrongUseError(
-                "a method is for records without a period",
+                "a method, a window and segments are for records without a period",
                 f"{settings.method!r} for {recording.info.file} with period {recording.info.period_s:g} s",
                 "leave it out, or take period_s out of run.toml",
             )
         return by_periods([(recording, signals, instruments, 0)], settings)
-    chosen = recording.info.kind == "sweep" or settings.resolution_hz is not None
+    chosen = recording.info.kind == "sweep" or settings.resolution_hz is not None or settings.recipe
     if settings.method == "welch" or (settings.method == "auto" and chosen):
         return by_welch(recording, signals, instruments, settings)
     if settings.method == "local":

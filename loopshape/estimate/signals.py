@@ -33,9 +33,10 @@ def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals:
     """Signals of a loop in a recording that excites it.
 
     Refuses a closed loop without a signal that only we moved (there the data cannot tell plant from
-    inverse controller), and constant signals.
+    inverse controller), constant signals, and an output that is the same column as another signal.
     """
     info = recording.info
+    refuse_alike(recording, loop)
     u, y = plant_input(recording, loop), recording.output(loop.output)
     source = instrument(recording, loop)
     for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
@@ -46,6 +47,18 @@ def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals:
                 "check the cable, the map, or which loop the recording excites",
             )
     return LoopSignals(u, y, source, info.closed_loop, Channel.from_column(loop.control), output_channel(loop))
+
+
+def refuse_alike(recording: Recording, loop: LoopSetup) -> None:
+    """Refuse an output that holds the same numbers as the control, injected or reference column."""
+    y = recording.output(loop.output)
+    for name in dict.fromkeys((loop.control, loop.injected, loop.reference)):
+        if name in recording.columns and y.any() and np.array_equal(y, recording.column(str(name))):
+            raise BadSignalError(
+                f"{loop.output} and {name} of loop {loop.name} in {recording.info.file} hold the same numbers",
+                f"{y.size} equal rows, the first {y[0]:g}",
+                "map each to a column of its own in the file",
+            )
 
 
 def plant_input(recording: Recording, loop: LoopSetup) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import get_window
 
 from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.estimate.settings import Settings
@@ -203,14 +204,25 @@ def clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndar
     return np.asarray(excited)
 
 
+def window_of(settings: Settings, length: int) -> Array:
+    """The window (length,) that settings ask for."""
+    if settings.window == "hann" and not settings.symmetric:
+        return hann(length)
+    return np.asarray(get_window(settings.window, length, fftbins=not settings.symmetric), dtype=float)
+
+
 def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
     """Length, step and number of segments; refuses a record with fewer than three averages."""
     rate = recording.rate_hz
     wished = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))
+    wished = float(settings.segment_samples or wished)
     length = round(min(wished, 2.0 * n + 4.0))  # longer than the record is too long, however long
     step = max(1, round(length * (1.0 - settings.overlap)))
+    if settings.segment_samples is not None:
+        step = max(1, length - int(length * settings.overlap + 1e-9))
     segments = (n - length) // step + 1 if n >= length else 0
-    averages = segments * independent_share(max(segments, 1), length, step, hann(length)) if length > 3 else 0.0
+    window = window_of(settings, length)
+    averages = segments * independent_share(max(segments, 1), length, step, window) if length > 3 else 0.0
     if averages < 3.0:
         raise BadSignalError(
             f"recording {recording.info.file} is too short for a resolution of {rate / max(length, 1):.3g} Hz",

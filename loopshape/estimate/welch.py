@@ -12,8 +12,8 @@ from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import line_covariance, smoothed
 from loopshape.estimate.input_power import powered
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.transforms import clear_of_edges, segments_of
-from loopshape.kernels.spectra import cross_spectra, hann, independent_share, line_overlap
+from loopshape.estimate.transforms import clear_of_edges, segments_of, window_of
+from loopshape.kernels.spectra import cross_spectra, independent_share, line_overlap
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -21,14 +21,15 @@ from loopshape.units import Array, ComplexArray
 def by_welch(
     recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], settings: Settings
 ) -> Answers:
-    """Answers of signals (n,) to instruments (n,) by Hann segments (Welch 1967).
+    """Answers of signals (n,) to instruments (n,) by windowed segments (Welch 1967).
 
     Noise excites every segment alike, so its scatter is pooled over all; where one sweep passes, each segment's
     residual counts with its own excitation. Refuses a record with fewer than three averages, or than instruments.
     """
     rate, m, nr = recording.rate_hz, len(signals), len(instruments)
     length, step, segments = segments_of(recording, instruments[0].size, settings)
-    share = independent_share(segments, length, step, hann(length))
+    window = window_of(settings, length)
+    share, wide = independent_share(segments, length, step, window), line_overlap(window)
     if segments * share < nr + 1.5:
         raise BadSignalError(
             f"recording {recording.info.file} has too few averages to tell {nr} inputs apart",
@@ -36,7 +37,10 @@ def by_welch(
             "ask for a coarser resolution, or record longer",
         )
     passing = recording.info.kind == "sweep" and nr == 1
-    sums, weighted, squares = cross_spectra([*signals, *instruments], length, step, m if passing else None)
+    plain = settings.window == "hann" and not settings.symmetric
+    sums, weighted, squares = cross_spectra(
+        [*signals, *instruments], length, step, m if passing else None, None if plain else window, settings.detrend
+    )
     total = _hermitian(sums)
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
     excited = powered(total[:, m:, m:])
@@ -48,7 +52,7 @@ def by_welch(
         averages = share * power[0] ** 2 * segments**2 / squares
         scatter = smoothed(_residual(_hermitian(weighted), response), 2)
         covariance, freedom, pooled = line_covariance(
-            scatter, averages, share * (segments * power[0]) ** 2, excited, line_overlap(hann(length))
+            scatter, averages, share * (segments * power[0]) ** 2, excited, wide
         )
     else:
         k = segments * share
@@ -56,8 +60,8 @@ def by_welch(
         covariance = np.einsum("fab,fij->faibj", spread.conj() * segments / k, noise)
         covariance = covariance.reshape(-1, nr * m, nr * m)
         freedom, pooled = 2.0 * (k - nr), 1
-    density = 2.0 / (rate * float(hann(length) @ hann(length)))
-    text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
+    density = 2.0 / (rate * float(window @ window))
+    text = f"Welch, {_words(settings)}, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Answers(
         frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
         response=response,
@@ -66,11 +70,18 @@ def by_welch(
         excited=excited,
         averages=segments * share,
         power_per="Hz",
-        line_overlap=line_overlap(hann(length)),
+        line_overlap=wide,
         freedom=freedom,
         pooled=pooled,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
     )
+
+
+def _words(settings: Settings) -> str:
+    """Window and detrending."""
+    name = "Hann" if settings.window == "hann" else settings.window
+    how = "" if settings.detrend == "mean" else f", {settings.detrend.replace('none', 'nothing')} taken off"
+    return f"{'symmetric ' * settings.symmetric}{name} window{how}"
 
 
 def _hermitian(sums: ComplexArray) -> ComplexArray:

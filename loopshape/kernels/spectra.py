@@ -47,6 +47,17 @@ def period_spectra(signal: Array, length: int) -> ComplexArray:
     return np.asarray(np.fft.rfft(signal[: periods * length].reshape(periods, length), axis=1) / length)
 
 
+def detrended(segments: Array, how: str) -> Array:
+    """Segments (k, n) without their mean, without their least-squares line, or as they are ("none")."""
+    if how == "none":
+        return segments
+    out = segments - segments.mean(axis=1, keepdims=True)
+    if how == "linear":
+        t = np.arange(segments.shape[1]) - 0.5 * (segments.shape[1] - 1)
+        out -= np.outer(out @ t / (t @ t), t)
+    return np.asarray(out)
+
+
 #: bytes of transforms that `cross_spectra` holds at a time
 BLOCK_BYTES = 8_000_000
 #: lines whose products are added at a time
@@ -54,18 +65,25 @@ NEAR = 512
 
 
 def cross_spectra(
-    signals: list[Array], length: int, step: int, weigh: int | None = None
+    signals: list[Array],
+    length: int,
+    step: int,
+    weigh: int | None = None,
+    window: Array | None = None,
+    detrend: str = "mean",
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Sums over Hann segments of x x^H, (s, s, nf), and of w x x^H and w² with w = |x[weigh]|², for signals (n,) each.
+    """Sums over segments of x x^H, (s, s, nf), and of w x x^H and w² with w = |x[weigh]|², for signals (n,) each.
 
     Segments are those of `segment_spectra`, a few at a time, so that memory does not grow with the record. Without
-    `weigh` the weighted sums are zero and one line long.
+    `weigh` the weighted sums are zero and one line long. `window` (length,) is Hann's where none is given; `detrend`
+    takes each segment's "mean", its "linear" least-squares trend, or nothing ("none") off first.
     """
+    hanning = window is None
     count, nf = (signals[0].size - length) // step + 1, length // 2 + 1
     total = np.zeros((len(signals), len(signals), nf), dtype=np.complex128)
     weighted = np.zeros_like(total) if weigh is not None else np.zeros((1, 1, 1), dtype=np.complex128)
     squares = np.zeros(nf if weigh is not None else 1)
-    window = hann(length)
+    window = hann(length) if window is None else window
     few = max(1, BLOCK_BYTES // (16 * nf * len(signals)))
     block = np.empty((len(signals), min(few, count), nf), dtype=np.complex128)
     room, evenly = np.empty((min(few, count), length)), np.full(length, 1.0 / length)
@@ -74,11 +92,15 @@ def cross_spectra(
         for row, signal in enumerate(signals):
             part = signal[first * step : (first + k - 1) * step + length]
             segments = np.lib.stride_tricks.sliding_window_view(part, length)[::step]
-            np.multiply(segments, window, out=room[:k])
-            np.fft.rfft(room[:k], axis=1, out=block[row, :k])
-            means = segments @ evenly  # a mean under a Hann window lies in the lines 0 and 1 alone
-            block[row, :k, 0] -= (0.5 * length) * means
-            block[row, :k, 1] += (0.25 * length) * means
+            if hanning and detrend == "mean":
+                np.multiply(segments, window, out=room[:k])
+                np.fft.rfft(room[:k], axis=1, out=block[row, :k])
+                means = segments @ evenly  # a mean under a Hann window lies in the lines 0 and 1 alone
+                block[row, :k, 0] -= (0.5 * length) * means
+                block[row, :k, 1] += (0.25 * length) * means
+            else:
+                np.multiply(detrended(segments, detrend), window, out=room[:k])
+                np.fft.rfft(room[:k], axis=1, out=block[row, :k])
         add_products(block[:, :k], -1 if weigh is None else weigh, total, weighted, squares)
     return total, weighted, squares
 

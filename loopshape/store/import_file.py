@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.store.import_map import ColumnRule, ImportMap, read_map
 from loopshape.store.sources import Source, open_source
-from loopshape.store.tables import TIME, check_rate
+from loopshape.store.stamps import ON_GRID, Stamps, check_rate, read_stamps
+from loopshape.store.tables import TIME
 from loopshape.store.words import said_in
 from loopshape.units import Array
 
@@ -25,7 +27,7 @@ def import_file(file: Path, map_file: Path) -> Run:
     Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet, NPZ and MDF; the
     keys of the map stand in `import_map`. Refuses whatever the map does not say (`WrongUseError`), damaged files
     (`UnreadableInputError`), and values or stamps that are no recording (`BadSignalError`). Where
-    stamps were resampled, `extra["notes"]` says how many gaps there were and how long.
+    stamps jitter or were resampled, `extra["notes"]` says how, how many gaps there were and how long.
     """
     rules = read_map(map_file, file.name.split(".")[0])
     source = open_source(file, rules.csv)
@@ -40,8 +42,8 @@ def import_file(file: Path, map_file: Path) -> Run:
     if stamps is not None and rules.resample:
         columns, note = _resample(stamps, columns, rules.rate_hz, file.name)
         notes.append(f"{rules.info.name}: {note}")
-    elif stamps is not None:
-        check_rate(stamps, rules.rate_hz, file.name)
+    elif stamps is not None and (note := check_rate(stamps, rules.rate_hz, file.name)):
+        notes.append(f"{rules.info.name}: {note}")
     return _run(rules, columns, notes)
 
 
@@ -93,6 +95,50 @@ def _cut(values: Array, rules: ImportMap, file: Path) -> Array:
 
 
 def _resample(stamps: Array, columns: dict[str, Array], rate_hz: float, file: str) -> tuple[dict[str, Array], str]:
+    """Columns on a grid of `rate_hz`, and a sentence about how they came there.
+
+    Even stamps, rounded or jittering, are no reason to bend a period: rows that keep the rate are taken as they are,
+    others by a smooth spline from the rate of all stamps. Across gaps, and between uneven stamps, by straight lines.
+    """
+    if stamps.size > 3 and 0.0 < (mean := float(np.ptp(stamps)) / (stamps.size - 1)) < np.inf:
+        found = read_stamps(stamps, 1.0 / float(np.median(np.diff(stamps)) or mean))
+        found = read_stamps(stamps, found.rate_hz if np.isfinite(found.rate_hz) else 1.0 / mean)
+        if found.even and (found.rounding_alone or np.diff(stamps).min() > 0.0):
+            return _evenly(stamps, columns, rate_hz, found, file)
+    return _by_straight_lines(stamps, columns, rate_hz, file)
+
+
+def _evenly(
+    stamps: Array, columns: dict[str, Array], rate_hz: float, found: Stamps, file: str
+) -> tuple[dict[str, Array], str]:
+    """Columns of even stamps: as they are where they keep the rate, else by splines through their true times."""
+    scatter = f"{stamps.size} stamps that keep {found.rate_hz:.6g} Hz in all and scatter by {found.jitter_s:.2g} s rms"
+    slack = ON_GRID + found.unsure
+    if abs(found.rate_hz / rate_hz - 1.0) * stamps.size <= slack and found.rounding_alone:
+        return columns, f"not resampled: {scatter}, which is {rate_hz:g} Hz"
+    times = np.arange(stamps.size) / found.rate_hz if found.rounding_alone else stamps - stamps[0]
+    grid = np.arange(_rows(times, rate_hz, file)) / rate_hz
+    made = {
+        name: make_interp_spline(times, values, k=min(5, stamps.size - 1))(grid) for name, values in columns.items()
+    }
+    return made, f"resampled to {rate_hz:g} Hz by splines from {scatter}{_folded(rate_hz, found.rate_hz)}"
+
+
+def _rows(stamps: Array, rate_hz: float, file: str) -> int:
+    """Rows at `rate_hz` between the first stamp and the last; refuses far more than there were, and fewer than two."""
+    n = np.floor((stamps[-1] - stamps[0]) * rate_hz + 1e-9) + 1
+    if not 2 <= n <= _MOST_GROWTH * stamps.size:
+        raise WrongUseError(
+            f"{stamps.size} rows of {file} would become {n:.0f} at {rate_hz:g} Hz",
+            f"stamps over {stamps[-1] - stamps[0]:g} s",
+            "check the unit of time and rate_hz",
+        )
+    return int(n)
+
+
+def _by_straight_lines(
+    stamps: Array, columns: dict[str, Array], rate_hz: float, file: str
+) -> tuple[dict[str, Array], str]:
     """Columns on a grid of `rate_hz` by linear interpolation, and a sentence about the gaps."""
     steps = np.diff(stamps)
     late = np.flatnonzero(steps <= 0.0)
@@ -102,14 +148,7 @@ def _resample(stamps: Array, columns: dict[str, Array], rate_hz: float, file: st
             f"a step of {steps[late[0]]:.6g} s",
             "sort the file, or cut it with from_row and to_row",
         )
-    n = np.floor((stamps[-1] - stamps[0]) * rate_hz + 1e-9) + 1
-    if not 2 <= n <= _MOST_GROWTH * stamps.size:
-        raise WrongUseError(
-            f"{stamps.size} rows of {file} would become {n:.0f} at {rate_hz:g} Hz",
-            f"stamps over {stamps[-1] - stamps[0]:g} s",
-            "check the unit of time and rate_hz",
-        )
-    grid = stamps[0] + np.arange(int(n)) / rate_hz
+    grid = stamps[0] + np.arange(_rows(stamps, rate_hz, file)) / rate_hz
     return {name: np.interp(grid, stamps, values) for name, values in columns.items()}, _gap_note(steps, rate_hz)
 
 
@@ -120,6 +159,10 @@ def _gap_note(steps: Array, rate_hz: float) -> str:
     note = f"resampled to {rate_hz:g} Hz by linear interpolation from {stamps}"
     if gaps.size:
         note += f"; {gaps.size} gaps of over {_GAP:g} steps, the largest {gaps.max():.6g} s, {gaps.sum():.6g} s in all"
-    if rate_hz < 0.9 / median:
-        note += "; the rate is lower than the file's and nothing was filtered, so faster content is folded down"
-    return note
+    return note + _folded(rate_hz, 1.0 / median)
+
+
+def _folded(rate_hz: float, file_rate_hz: float) -> str:
+    if rate_hz >= 0.9 * file_rate_hz:
+        return ""
+    return "; the rate is lower than the file's and nothing was filtered, so faster content is folded down"

@@ -33,6 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,7 @@ def read_map(map_file: Path, default_name: str) -> ImportMap:
     columns = _read_columns(words.inner("columns"))
     outputs = read_outputs(words)
     _refuse_unfed(loops, outputs, {rule.stored for rule in columns}, words.where)
+    _refuse_twice(loops, {rule.stored: rule.place for rule in columns}, words.where)
     recording = words.inner("recording")
     from_row, to_row = _rows(recording)
     return ImportMap(
@@ -211,3 +213,16 @@ def _refuse_unfed(loops: tuple[LoopSetup, ...], outputs: tuple[str, ...], stored
                 ", ".join(missing),
                 f"it makes {', '.join(sorted(stored))}",
             )
+
+
+def _refuse_twice(loops: tuple[LoopSetup, ...], places: Mapping[str, Place], where: str) -> None:
+    """Refuse a loop whose output comes from the place in the file that one of its other signals comes from."""
+    for loop in loops:
+        others = [str(name) for name in (loop.control, loop.injected, loop.reference) if name is not None]
+        for output, other in product(sum_terms(loop.output), others):
+            if places[output] == places[other]:
+                raise WrongUseError(
+                    f"{where}: {output} and {other} of loop {loop.name!r} come from one place in the file",
+                    ", ".join(str(x) for x in (places[other].name, places[other].column) if x is not None),
+                    "map each to a column of its own",
+                )

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
 from loopshape.store.files import json_ready, reading, short, write_whole
 from loopshape.store.growth import check_growth
 from loopshape.store.provenance import file_sha256
+from loopshape.store.stamps import check_rate
 from loopshape.units import Array
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 TIME = "t_s"
-_TOLERANCE = 0.01  # of a sample
 
 
 def check_ending(name: str) -> str:
@@ -162,29 +162,3 @@ def write_table(path: Path, columns: Mapping[str, Array], about: Mapping[str, ob
     if about is not None:
         table = table.replace_schema_metadata({"loopshape": json.dumps(json_ready(about), sort_keys=True)})
     write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
-
-
-def check_rate(t_s: Array, rate_hz: float, what: str = "the recording") -> None:
-    """Refuse stamps (n,) in s off the grid of `rate_hz` by over a hundredth of a sample (`BadSignalError`).
-
-    A gap is named by its row (counted from 0) and its jump, a wrong rate by the rate that the stamps keep.
-    """
-    t = np.asarray(t_s, dtype=float)
-    bad = np.flatnonzero(~np.isfinite(t))
-    if bad.size or not t.size:
-        raise BadSignalError(f"{what} has no time stamp in row {bad[0] if bad.size else 0}", "no finite number")
-    with np.errstate(over="ignore", invalid="ignore"):  # stamps of 1e308 are off the grid, and that is all
-        off = t - t[0] - np.arange(t.size) / rate_hz
-        slack = _TOLERANCE / rate_hz + 4.0 * np.finfo(float).eps * np.abs(t).max()
-        late = np.flatnonzero(~(np.abs(off) <= slack))
-        steps = np.diff(t)
-    if not late.size:
-        return
-    jumps = np.flatnonzero(np.abs(steps - 1.0 / rate_hz) > slack)
-    row = int(jumps[0]) + 1 if jumps.size else int(late[0])
-    raise BadSignalError(
-        f"the time stamps of {what} leave the rate of {rate_hz:g} Hz at row {row}",
-        f"a step of {steps[row - 1]:.6g} s where {1.0 / rate_hz:.6g} s is due, {jumps.size} such steps in all, "
-        f"median rate {1.0 / np.median(steps) if np.median(steps) else np.inf:.6g} Hz",
-        "correct rate_hz, or import the file with resample = true",
-    )

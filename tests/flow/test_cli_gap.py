@@ -28,7 +28,7 @@ def place(tmp_path_factory):
 def done(place, module_output):
     files = [place / "out" / name for name in ("gap.json", "gap.png", "next.toml")]
     with module_output() as printed:
-        code = loopshape("gap", place / "arm", "--json", files[0], "--report", files[1], "--next", files[2])
+        code = loopshape("gap", place / "arm", "--save-answer", files[0], "--report", files[1], "--next", files[2])
     return code, printed[0], files
 
 
@@ -119,7 +119,7 @@ def test_the_next_experiment_can_be_measured_as_written(done, answer):
 
 def test_a_healthy_arm_has_no_gap_and_nothing_to_shrink(place, tmp_path):
     write_run(tmp_path / "healthy", recorded({}))
-    assert loopshape("gap", tmp_path / "healthy", "--json", tmp_path / "gap.json", "--quick", "--quiet") == 0
+    assert loopshape("gap", tmp_path / "healthy", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     found = json.loads((tmp_path / "gap.json").read_text())
     assert found["verdict"] == "none"
     assert found["gap"]["before"] < 1.5
@@ -131,16 +131,22 @@ def test_a_healthy_arm_has_no_gap_and_nothing_to_shrink(place, tmp_path):
 def test_a_report_that_is_no_png_is_refused_before_anything_is_computed(place, tmp_path, capsys):
     for second in ((), (place / "arm",)):
         code = loopshape(
-            "gap", place / "arm", *second, "--json", tmp_path / "gap.json", "--report", tmp_path / "gap.pdf"
+            "gap", place / "arm", *second, "--save-answer", tmp_path / "gap.json", "--report", tmp_path / "gap.pdf"
         )
         assert code == 2
         assert "a report is a picture as PNG" in capsys.readouterr().err
-    assert loopshape("gap", place / "arm", "--json", tmp_path) == 2
+    assert loopshape("gap", place / "arm", "--save-answer", tmp_path) == 2
     assert "a folder stands where a file is to be written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
 def test_two_runs_take_files_too(place, tmp_path):
-    words = ("--report", tmp_path / "new" / "two.png", "--json", tmp_path / "new" / "two.json", "--quiet")
+    words = ("--report", tmp_path / "new" / "two.png", "--save-answer", tmp_path / "new" / "two.json", "--quiet")
     assert loopshape("gap", place / "arm", place / "arm", *words) == 0
     assert json.loads((tmp_path / "new" / "two.json").read_text())["format"] == "loopshape-gap-table/1"
+
+
+def test_json_prints_the_answer_as_in_every_command(place, capsys):
+    capsys.readouterr()
+    assert loopshape("gap", place / "arm", place / "arm", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["format"] == "loopshape-gap-table/1"

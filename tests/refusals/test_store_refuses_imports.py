@@ -52,6 +52,11 @@ def without(line):
     return MAP.replace(line, "")
 
 
+def test_one_place_in_the_file_is_not_output_and_control_at_once(tmp_path):
+    twice = MAP.replace('x_m = { from = "x", unit = "mm" }', 'x_m = { from = "u", unit = "mm" }')
+    refused(tmp_path, "x_m and u_v of loop 'axis' come from one place", "a column of its own", text=twice)
+
+
 def test_maps_that_do_not_fit(tmp_path):
     refused(tmp_path, "no format", text=without('format = "loopshape-map/1"'), error=UnreadableInputError)
     refused(tmp_path, "map.toml", "no rate_hz", text=without("rate_hz = 100.0"))

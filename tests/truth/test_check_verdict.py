@@ -202,7 +202,9 @@ def test_integrators_come_from_the_requirements_then_a_fit_then_the_lowest_lines
     assert (by_fit[0][0].integrators, by_fit[1]) == (1, ())
     assert by_fit[0][0].model is fitted.model
     assert by_lines[0][0].integrators == 1
-    assert by_lines[1] == ("plant taken to have 1 integrator, from its lowest lines",)
+    assert by_lines[1][0].startswith(
+        "plant taken to have 1 integrator, from its lowest lines: 1.0 by phase, 1.0 by slope"
+    )
 
 
 def seen(model, f=F):
@@ -215,7 +217,12 @@ def test_phase_and_slope_of_the_lowest_lines_tell_the_integrators(integrators):
     model = TransferFunction([5.0], np.append([0.01, 1.0], np.zeros(integrators)))
     (loop,), notes = loops_of([seen(model)], controller(), wish(integrators=None))
     assert loop.integrators == integrators
-    assert notes == (f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}, from its lowest lines",)
+    (note,) = notes
+    assert note.startswith(
+        f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}, from its lowest lines"
+    )
+    found = re.search(r"(\S+) by phase, (\S+) by slope at \S+ Hz; declare integrators", note)
+    assert [float(x) for x in found.groups()] == pytest.approx([integrators, integrators], abs=0.15)
 
 
 UNCLEAR = {

@@ -117,3 +117,28 @@ def test_an_injection_that_drowns_is_never_trusted_though_its_residual_is_small(
     assert np.median(np.sqrt(low.variance[:, 0, 0]) / np.abs(low.siso)) < 0.6  # and its variance does not say so
     assert not frf.trusted.any()
     assert "drowns the injected signal" in " ".join(frf.notes)
+
+
+@pytest.mark.parametrize("method", ["welch", "local"])
+@pytest.mark.parametrize("share", [0.0, 0.03, 0.3])
+def test_direct_lines_that_are_minus_the_inverse_controller_are_outside_the_valid_band(method, share):
+    # noise alone drives the loop, or the excitation is far below it: coherence is near 1 and the answer is -1/C
+    rng = np.random.default_rng(11)
+    n, v = share * rng.standard_normal((1, 8000)), 0.3 * rng.standard_normal((1, 8000))
+    if share == 0.0:
+        n = 1e-6 * v  # no excitation of its own
+    frf = estimates("controller_input", "noise", n, v, Settings("direct", method=method))[0]
+    biased = np.abs(frf.siso / plant(frf.frequency_hz) - 1.0) > 0.3
+    assert np.mean(biased) > 0.5
+    assert not (frf.trusted & biased).any()
+    assert "-1/C of the loop's own controller" in " ".join(frf.notes)
+
+
+def test_direct_lines_with_little_noise_stay_in_the_valid_band():
+    n, v = (x[0] for x in signals(60, 1))
+    whole = record("controller_input", "noise", n, *run_loop("controller_input", n, 0.01 * v))
+    frf = estimate_frf(whole, LOOP, Settings("direct", method="welch"))
+    inside = frf.between(1.0, 20.0)
+    assert inside.trusted.all()
+    assert np.median(np.abs(inside.siso / plant(inside.frequency_hz) - 1.0)) < 0.05
+    assert "-1/C of the loop's own controller" not in " ".join(frf.notes)
