@@ -5,8 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from loopshape.units import ComplexArray
+from loopshape.units import Array, ComplexArray
+
+#: deviation of what lies between lines, as a share of how far a spline lies off straight lines there; and its seed
+BETWEEN, SEED = 0.5, 20072
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A smoothed response (n,) on its lines and between them over narrow resonances, with draws as in `Scatter`."""
+
+    frequency_hz: Array
+    response: ComplexArray
+    reference: ComplexArray
+    deviations: ComplexArray
+
+    def at(self, frequency_hz: Array) -> Dense:
+        """The same at other frequencies (m,) within these, by cubic splines; draws go straight from line to line.
+
+        Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all places.
+        """
+        f, at = self.frequency_hz, frequency_hz
+        k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 2)
+        share = (at - f[k]) / (f[k + 1] - f[k])
+        response = CubicSpline(f, self.response)(at)
+        off = response - (self.response[k] * (1.0 - share) + self.response[k + 1] * share)
+        rng = np.random.default_rng(SEED)
+        sides = rng.standard_normal((len(self.deviations), 2)) @ np.array([[1.0], [1j]])
+        deviations = self.deviations[:, k] * (1.0 - share) + self.deviations[:, k + 1] * share
+        deviations += np.sqrt(0.5) * BETWEEN * sides * off
+        return Dense(at, response, CubicSpline(f, self.reference)(at), deviations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,11 +44,13 @@ class Scatter:
     """Draws of the error of a response on its lines, about a reference.
 
     What a nonlinear reading (a margin, a peak) suffers from noise is seen by reading `reference` + each of the
-    `deviations` (draws, nf) against reading `reference` (nf,): its bias and its spread.
+    `deviations` (draws, nf) against reading `reference` (nf,): its bias and its spread. `dense` is
+    the same with places between lines where narrow resonances ask for them, None where none does.
     """
 
     reference: ComplexArray
     deviations: ComplexArray
+    dense: Dense | None = None
 
     def __post_init__(self) -> None:
         for name in ("reference", "deviations"):

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from loopshape.estimate.smoothing import pooled_variance
+from loopshape.estimate.pooling import pooled_variance
 from loopshape.frf import FRF
 from loopshape.units import Array, ComplexArray
 

@@ -15,6 +15,7 @@ from loopshape.check.stability import closed_loop_stability
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
 from loopshape.requirements import Margins
+from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray, db
 
 #: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
@@ -40,6 +41,8 @@ LOGARITHMS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
+#: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
+STEP, SMALL, MOST, FEWEST = 0.05, 0.05, 12, 6
 #: where L is read below its first line, as shares of its frequency
 _DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 #: bandwidths that lie above the last line where nothing was met up to it
@@ -134,12 +137,32 @@ def _judged(loop: Loop) -> _Judged:
     if loop.scatter is None:
         return _Judged(f, L, C, None, None)
     led = f.size - loop.frequency_hz.size  # below the first line a model leads, and errs as the first line does
-    reference, deviations = loop.C * loop.scatter.reference, loop.C * loop.scatter.deviations
+    dense, own = followed(loop)
+    reference, deviations = own * dense.reference, own * dense.deviations
     if led:
         share = loop.scatter.reference[0] / loop.plant.siso[0], loop.scatter.deviations[:, :1] / loop.plant.siso[0]
         reference = np.concatenate([L[:led] * share[0], reference])
         deviations = np.concatenate([L[:led] * share[1], deviations], axis=1)
+    f = np.concatenate([f[:led], dense.frequency_hz])
+    L, C = np.concatenate([L[:led], own * dense.response]), np.concatenate([C[:led], own])
     return _Judged(f, L, C, reference, deviations)
+
+
+def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far."""
+    assert loop.scatter is not None
+    lines = Dense(loop.frequency_hz, loop.plant.siso, loop.scatter.reference, loop.scatter.deviations)
+    dense = loop.scatter.dense or lines
+    f, C = dense.frequency_hz, loop.controller.response(dense.frequency_hz)
+    L = C * dense.response
+    nearest = np.minimum(np.abs(1.0 + L[1:]), np.abs(1.0 + L[:-1]))
+    far = np.flatnonzero((np.abs(np.diff(L)) > STEP * nearest) & (np.maximum(np.abs(L[1:]), np.abs(L[:-1])) > SMALL))
+    if not far.size or f.size < FEWEST:
+        return dense, C
+    steps = np.clip(np.ceil(np.abs(np.diff(L))[far] / (STEP * nearest[far])), 2, MOST).astype(int)
+    between = [f[k] + (f[k + 1] - f[k]) * np.arange(1, n) / n for k, n in zip(far, steps, strict=True)]
+    more = dense.at(np.unique(np.concatenate([f, *between])))
+    return more, loop.controller.response(more.frequency_hz)
 
 
 def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:

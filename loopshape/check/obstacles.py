@@ -12,7 +12,7 @@ from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.doubt import chance_of_error, reach_of
 from loopshape.check.holes import hole
 from loopshape.check.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, visible_residue
-from loopshape.estimate.smoothing import FREEDOM, pooled_variance
+from loopshape.estimate.pooling import FREEDOM, pooled_variance
 from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.units import Array, ComplexArray, deg

@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.check.low_end import judged_lines
+from loopshape.check.margins import followed
 from loopshape.check.stability import count_unstable
 from loopshape.estimate.resonances import Resonance, resonances
 from loopshape.frf import FRF
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
+from loopshape.smoothed import Dense, Scatter
 from loopshape.units import Array, ComplexArray
 
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
@@ -121,7 +123,7 @@ def stretched(loop: Loop, percent: float, name: str) -> Loop:
     lines = loop.frequency_hz * (1.0 + shift) < half_hz
     scatter, beyond = loop.scatter, loop.beyond
     if scatter is not None:
-        scatter = replace(scatter, reference=scatter.reference[lines], deviations=scatter.deviations[:, lines])
+        scatter = Scatter(scatter.reference[lines], scatter.deviations[:, lines], _moved(scatter.dense, shift, half_hz))
     if beyond is not None:
         beyond = moved(beyond) if beyond.frequency_hz[0] * (1.0 + shift) < half_hz else None
     return replace(
@@ -134,20 +136,35 @@ def stretched(loop: Loop, percent: float, name: str) -> Loop:
     )
 
 
+def _moved(dense: Dense | None, shift: float, half_hz: float) -> Dense | None:
+    if dense is None:
+        return None
+    f = dense.frequency_hz * (1.0 + shift)
+    kept = f < half_hz
+    return Dense(f[kept], dense.response[kept], dense.reference[kept], dense.deviations[:, kept])
+
+
 def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
-    """The plant of a loop on the lines that its margins are read from; of those `seen` narrow ones are followed."""
+    """The plant of a loop on the places that its margins are read from.
+
+    Of those `seen` narrow ones are followed, where the loop's smoothing did not do so.
+    """
     judged = judged_lines(loop)
-    f = loop.frequency_hz if judged is None else judged[0]
-    led = f.size - loop.frequency_hz.size
-    std = np.sqrt(loop.plant.variance[:, 0, 0])
-    draws = None if loop.scatter is None else loop.scatter.deviations[:DRAWN]
-    P = loop.plant.siso
-    if led and loop.model is not None:
-        ahead = loop.model.response(f[:led])
-        P, std = np.concatenate([ahead, P]), np.concatenate([std[0] * np.abs(ahead / P[0]), std])
-        draws = None if draws is None else np.concatenate([ahead / loop.plant.siso[0] * draws[:, :1], draws], axis=1)
-    after = np.clip(np.searchsorted(f, [x.frequency_hz for x in seen]), 1, f.size - 1)
-    narrow = [x for x, k in zip(seen, after, strict=True) if abs(x.pole_hz.imag) < NARROW * (f[k] - f[k - 1])]
+    f, P, std, draws = loop.frequency_hz, loop.plant.siso, np.sqrt(loop.plant.variance[:, 0, 0]), None
+    led = 0 if judged is None else judged[0].size - f.size
+    narrow: list[Resonance] = []
+    if loop.scatter is None:
+        after = np.clip(np.searchsorted(f, [x.frequency_hz for x in seen]), 1, f.size - 1)
+        narrow = [x for x, k in zip(seen, after, strict=True) if abs(x.pole_hz.imag) < NARROW * (f[k] - f[k - 1])]
+    else:
+        dense, _ = followed(loop)
+        f, P, draws = dense.frequency_hz, dense.response, dense.deviations[:DRAWN]
+        std = np.interp(f, loop.frequency_hz, std)
+    if judged is not None and led and loop.model is not None:
+        ahead = loop.model.response(judged[0][:led])
+        std = np.concatenate([std[0] * np.abs(ahead / P[0]), std])
+        draws = None if draws is None else np.concatenate([ahead / P[0] * draws[:, :1], draws], axis=1)
+        f, P = np.concatenate([judged[0][:led], f]), np.concatenate([ahead, P])
     return Plant(f, P, std, draws, loop.below_hz, loop.P_below, loop.above_hz, tuple(narrow))
 
 

@@ -3,23 +3,25 @@
 A margin read from noisy lines is biased: the largest of many noisy numbers is too large. A plant's response is smooth
 between its resonances, so at each line a polynomial of fourth degree in ln f is fitted over the widest window in which
 one of second degree leaves nothing but the FRF's own noise. The higher degree keeps the bias of the window's choice
-below its noise (Calonico, Cattaneo and Titiunik, Econometrica 82(6), 2014: robust bias-corrected inference). Where a
-resonance is as narrow as a few lines, the lines stay as they are.
+below its noise (Calonico, Cattaneo and Titiunik, Econometrica 82(6), 2014: robust bias-corrected inference).
+Resonances as narrow as a few lines are fitted, taken out before and put back after, between the lines too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
+from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
-from scipy.special import digamma
 
+from loopshape.estimate.pole_terms import PoleTerm, pole_terms
+from loopshape.estimate.pooling import pooled_variance
 from loopshape.frf import FRF
 from loopshape.kernels.smoothing import accepted_halves, smoothing_weights, within_span
-from loopshape.smoothed import Scatter
+from loopshape.smoothed import Dense, Scatter
 from loopshape.units import Array, ComplexArray
 
 #: half widths of windows that are tried, in lines
@@ -34,8 +36,6 @@ SPAN = 1.6
 AGREED = 11
 #: draws of the scatter, and their seed
 DRAWS, SEED = 200, 20071
-#: a variance with fewer degrees of freedom is pooled with its neighbours' until it has as many
-FREEDOM = 60.0
 
 Band = tuple[float, float] | None
 _DONE: WeakKeyDictionary[FRF, dict[Band, tuple[FRF, Scatter]]] = WeakKeyDictionary()
@@ -59,15 +59,36 @@ def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
     if not v.any():
         return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
     floor = np.maximum(v, 1e-20 * np.abs(y) ** 2 + 1e-300)
-    smoother = smoother_of(frf, y, floor)
-    rng = np.random.default_rng(SEED)
-    deviations = np.asarray((smoother @ drawn_errors(rng, v, frf.line_overlap).T).T)
-    response = np.asarray(smoother @ y)
+    f, terms = frf.frequency_hz, pole_terms(frf, v)
+    poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
+    smoother = smoother_of(frf, y - poles, floor)
+    errors = drawn_errors(np.random.default_rng(SEED), v, frf.line_overlap)
+    moved = sum((term.deviations(f, errors) for term in terms), np.zeros(errors.shape, dtype=complex))
+    rest, strayed = np.asarray(smoother @ (y - poles)), np.asarray((smoother @ (errors - moved).T).T)
+    response, reference, deviations = rest + poles, np.asarray(smoother @ rest) + poles, strayed + moved
     variance = np.mean(np.abs(deviations) ** 2, axis=0)
     made = replace(
         frf, response=response[:, None, None], covariance=variance[:, None, None] + 0j, noise_covariance=None
     )
-    return made, Scatter(np.asarray(smoother @ response), deviations)
+    dense = _dense(f, rest, reference - poles, strayed, terms, errors) if terms else None
+    return made, Scatter(reference, deviations, dense)
+
+
+def _dense(
+    f: Array,
+    rest: ComplexArray,
+    again: ComplexArray,
+    strayed: ComplexArray,
+    terms: Sequence[PoleTerm],
+    errors: ComplexArray,
+) -> Dense:
+    """Lines, and places between them over each narrow resonance: what is smooth by splines, resonances as they are."""
+    places = np.concatenate([term.places_hz for term in terms])
+    at = np.unique(np.concatenate([f, places[(places > f[0]) & (places < f[-1])]]))
+    poles = sum((term.resonance.response(at) for term in terms), np.zeros(at.size, dtype=complex))
+    moved = sum((term.deviations(at, errors) for term in terms), np.zeros((len(errors), at.size), dtype=complex))
+    smooth = Dense(f, rest, again, strayed).at(at)
+    return Dense(at, smooth.response + poles, smooth.reference + poles, smooth.deviations + moved)
 
 
 def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
@@ -81,27 +102,6 @@ def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
     columns = (first[:, None] + np.arange(width))[inside]
     rows = np.repeat(np.arange(lines), 2 * halves + 1)
     return csr_array((weights[inside], (rows, columns)), shape=(lines, lines))
-
-
-def pooled_variance(frf: FRF) -> Array:
-    """Variance E|d|² (nf,) of the lines, pooled over neighbours (41 at most) until it has 60 degrees of freedom.
-
-    Few periods know each line's variance badly; weights made of it would prefer the lines that look calm by luck. What
-    is pooled are logarithms, freed of their bias (E ln of a chi-square over its freedom n is digamma(n/2) - ln(n/2)),
-    of the variance or of its share of |P|², whichever is the flatter about a line.
-    """
-    v, freedom = np.array(frf.variance[:, 0, 0]), frf.variance_freedom
-    if freedom >= FREEDOM or not v.any():
-        return v
-    reach = min(int(np.ceil(FREEDOM / freedom)) * frf.variance_pooled, 41, v.size)
-    ln_v = np.log(np.maximum(v, 1e-12 * np.median(v) + 1e-300))
-    means, misses = [], []
-    for base in (np.zeros(v.size), np.log(np.abs(frf.siso) ** 2 + 1e-300)):
-        mean = uniform_filter1d(ln_v - base, reach, mode="nearest")
-        means.append(mean + base)
-        misses.append(uniform_filter1d((ln_v - base - mean) ** 2, reach, mode="nearest"))
-    half = 0.5 * freedom
-    return np.asarray(np.exp(np.where(misses[0] <= misses[1], *means) - digamma(half) + np.log(half)))
 
 
 def drawn_errors(rng: np.random.Generator, v: Array, overlap: float) -> ComplexArray:

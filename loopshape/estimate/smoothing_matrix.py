@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.algebra.propagation import pick
-from loopshape.estimate.smoothing import DRAWS, SEED, drawn_errors, pooled_variance, smoother_of
+from loopshape.estimate.pooling import pooled_variance
+from loopshape.estimate.smoothing import DRAWS, SEED, drawn_errors, smoother_of
 from loopshape.frf import FRF
 from loopshape.units import Array, ComplexArray
 

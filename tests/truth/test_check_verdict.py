@@ -61,7 +61,7 @@ def line_of(verdict, quantity):
 def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency():
     verdict = check(POINTS, controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0))
     gain, phase = (line_of(verdict, q) for q in ("gain_margin_db", "phase_margin_deg"))
-    alone = {x.recording: margins(Loop(x, controller(), 1, unstable_poles=0)) for x in POINTS}
+    alone = {x.plant.recording: margins(x) for x in loops_of(POINTS, controller(), wish())[0]}
     worst = min(alone, key=lambda name: alone[name].gain_margin_db)
     assert not verdict.passed
     assert (gain.passed, gain.recording) == (False, worst) == (False, "strong")
