@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion, binary_opening, median_filter
+from scipy.ndimage import binary_dilation, binary_erosion, binary_opening
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers
@@ -90,7 +90,8 @@ def _by_segments(
         covariance = np.einsum("fab,fij->faibj", spread.conj() * segments / k, noise)
         covariance = covariance.reshape(-1, nr * m, nr * m)
         freedom, pooled = 2.0 * (k - nr), 1
-    unresolved = None if passing else _unresolved(response, covariance, excited)
+    known = settings.window == "hann" and not passing
+    unresolved = _unresolved(response, covariance, excited) if known else None
     density = 2.0 / (rate * float(window @ window))
     text = f"Welch, {_words(settings)}, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Answers(
@@ -116,16 +117,28 @@ def _unresolved(
 
     A window brings the mean of H over its main lobe; for Hann that is (1, 4, 1)/6 over three lines, off by a sixth of
     the second difference to first order. It counts beyond as many standard deviations (by the median of 15 lines,
-    which a resonance does not move) and 2 % of H; with one, noise alone does it once in a million lines.
+    which a resonance hardly moves) and 2 % of H; with one, noise alone does it once in a million lines.
     """
     nf, m, nr = response.shape
     variance = np.real(np.einsum("fii->fi", covariance)).reshape(nf, nr, m).transpose(0, 2, 1)
     inner = np.asarray(binary_erosion(excited, np.ones(3, dtype=bool)))
     with np.errstate(invalid="ignore"):
-        off = np.abs(bias_of(response)) ** 2
-        noise = median_filter(np.nan_to_num(variance, nan=np.inf), (15, 1, 1), mode="nearest")
-        bent = (off > deviations**2 * noise) & (off > (SEEN_BIAS * np.abs(response)) ** 2)
-    return np.asarray(binary_dilation(bent.any(axis=(1, 2)) & inner, np.ones(3, dtype=bool)) & excited)
+        off = np.nan_to_num(np.abs(bias_of(response)) ** 2)
+        seen = off > (SEEN_BIAS * np.abs(response)) ** 2
+    variance = np.nan_to_num(variance, nan=np.inf)
+    rows = np.flatnonzero(inner & (seen & (off > 0.25 * deviations**2 * _by_blocks(variance))).any(axis=(1, 2)))
+    around = np.clip(rows[:, None] + np.arange(-7, 8), 0, nf - 1)
+    bent = np.zeros(nf, dtype=bool)
+    bent[rows] = (seen[rows] & (off[rows] > deviations**2 * np.median(variance[around], axis=1))).any(axis=(1, 2))
+    return np.asarray(binary_dilation(bent, np.ones(3, dtype=bool)) & excited)
+
+
+def _by_blocks(variance: Array, block: int = 15) -> Array:
+    """Medians of blocks of lines, on each of their lines (nf, ...): cheap, and too small on a slope."""
+    nf = variance.shape[0]
+    filled = np.pad(variance, ((0, -nf % block), *((0, 0),) * (variance.ndim - 1)), mode="edge")
+    middle = np.median(filled.reshape(-1, block, *variance.shape[1:]), axis=1)
+    return np.asarray(np.repeat(middle, block, axis=0)[:nf])
 
 
 def bias_of(response: ComplexArray) -> ComplexArray:
