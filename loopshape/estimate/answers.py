@@ -21,7 +21,9 @@ class Answers:
 
     `noise` is the part of the covariance that noise leaves, None where it cannot be told from the rest. `power`
     (nf, m + nr, m + nr) are cross-powers of signals and instruments, per Hz or per line as `power_per` says, over
-    `averages` effective averages. `excited` (nf,) marks lines that every instrument feeds. The rest as in `FRF`.
+    `averages` effective averages. `excited` (nf,) marks lines that every instrument feeds,
+    `unresolved` (nf,) those on which a resonance is too narrow for the lines' distance: their bias is in no
+    covariance. The rest as in `FRF`.
     """
 
     frequency_hz: Array
@@ -37,10 +39,11 @@ class Answers:
     method: str
     noise: ComplexArray | None = None
     notes: tuple[str, ...] = ()
+    unresolved: np.ndarray | None = None
 
     def select(self, lines: np.ndarray) -> Answers:
         """The same on a mask or index of lines."""
-        names = ("frequency_hz", "response", "covariance", "power", "excited", "noise")
+        names = ("frequency_hz", "response", "covariance", "power", "excited", "noise", "unresolved")
         return replace(self, **{n: getattr(self, n)[lines] for n in names if getattr(self, n) is not None})
 
 

@@ -193,6 +193,8 @@ def _valid(
     relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
     trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
     notes = drowned_note(a.frequency_hz, sound)
+    if a.unresolved is not None:
+        trusted = trusted & ~a.unresolved
     if settings.estimator == "direct" and recording.info.closed_loop and loop.controller is not None:
         inverse = controller_lines(a, G, variance, loop.controller)
         trusted, notes = trusted & ~inverse, notes + controller_note(a.frequency_hz, inverse)

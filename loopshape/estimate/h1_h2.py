@@ -12,7 +12,7 @@ so that |H| lies between both, both have the phase of H, and H1/H2 is the cohere
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +56,10 @@ def h1_h2(recordings: Sequence[Recording], loop: LoopSetup, settings: Settings |
     settings = settings or Settings()
     parts = [loop_signals(r, loop) for r in recordings]
     answers = [by_welch(r, [s.y, s.u], [s.u], settings) for r, s in zip(recordings, parts, strict=True)]
+    longest = max(a.frequency_hz.size for a in answers)
+    if any(a.frequency_hz.size < longest for a in answers):  # segments became longer in some
+        alike = replace(settings, segment_samples=2 * (longest - 1))
+        answers = [by_welch(r, [s.y, s.u], [s.u], alike) for r, s in zip(recordings, parts, strict=True)]
     power = np.mean([a.power for a in answers], axis=0)
     fed = np.logical_and.reduce([a.excited for a in answers])
     averages = float(sum(a.averages for a in answers))

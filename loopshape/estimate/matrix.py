@@ -246,6 +246,8 @@ def _frf(
     relative = np.where(sound, relative, np.inf)
     notes += drowned_note(f, sound)
     trusted = trusted_lines(f, relative, np.ones(f.size, dtype=bool)) & sound
+    for part in parts:
+        trusted = trusted if part.unresolved is None else trusted & ~part.unresolved
     notes += band_note(f, trusted) + _wiring(recordings, loops, outputs, parts)
     return FRF(
         frequency_hz=f,

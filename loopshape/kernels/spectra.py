@@ -86,7 +86,7 @@ def cross_spectra(
     window = hann(length) if window is None else window
     few = max(1, BLOCK_BYTES // (16 * nf * len(signals)))
     block = np.empty((len(signals), min(few, count), nf), dtype=np.complex128)
-    room, evenly = np.empty((min(few, count), length)), np.full(length, 1.0 / length)
+    room = np.empty((min(few, count), length))
     for first in range(0, count, few):
         k = min(few, count - first)
         for row, signal in enumerate(signals):
@@ -95,7 +95,7 @@ def cross_spectra(
             if hanning and detrend == "mean":
                 np.multiply(segments, window, out=room[:k])
                 np.fft.rfft(room[:k], axis=1, out=block[row, :k])
-                means = segments @ evenly  # a mean under a Hann window lies in the lines 0 and 1 alone
+                means = _means(part, segments, step)  # a mean under a Hann window lies in the lines 0 and 1 alone
                 block[row, :k, 0] -= (0.5 * length) * means
                 block[row, :k, 1] += (0.25 * length) * means
             else:
@@ -103,6 +103,15 @@ def cross_spectra(
                 np.fft.rfft(room[:k], axis=1, out=block[row, :k])
         add_products(block[:, :k], -1 if weigh is None else weigh, total, weighted, squares)
     return total, weighted, squares
+
+
+def _means(part: Array, segments: Array, step: int) -> Array:
+    """Means (k,) of the segments (k, length) of `part`, from sums of what they share where steps fill a length."""
+    length = segments.shape[1]
+    if length % step:
+        return np.asarray(segments.mean(axis=1))
+    shared = part.reshape(-1, step).sum(axis=1)
+    return np.asarray(np.convolve(shared, np.full(length // step, 1.0 / length), "valid"))
 
 
 @compiled

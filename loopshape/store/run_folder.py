@@ -204,7 +204,7 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
     if differing:
         raise WrongUseError(
             f"{folder} already holds another run",
-            f"different {', '.join(differing)}",
+            f"different {short(', '.join(differing))}",
             "choose another folder, or delete this one",
         )
     notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]

@@ -229,7 +229,13 @@ def test_frfs_alone_are_drawn_and_the_rest_is_asked_for(tmp_path: Path) -> None:
 def test_a_controller_without_requirements_passes_nothing(run: Path) -> None:
     found = gather(run, run.parent / "controller.toml", None, DATE)
     assert found.outcome == "none"
-    assert "no requirements were given" in Page(page(found)).text
+    text = Page(page(found)).text
+    assert "no requirements were given" in text
+    assert "plant with 1 integrator (by phase and slope of its lowest lines, from 0.25 Hz)" in text
+
+
+def test_the_count_of_encirclements_says_what_its_integrators_rest_on(parts: Page) -> None:
+    assert "plant with 1 integrator (declared in the requirements)" in parts.text
 
 
 def test_a_loop_that_cannot_be_checked_is_not_passed(run: Path, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ from loopshape.draw.html.words import (
     wished,
     with_reach,
 )
+from loopshape.loop import Loop
 from loopshape.requirements import LIMITS, Limit, Line, Margins, Verdict
 from loopshape.run_report import CheckedLoop, RunReport
 
@@ -303,14 +304,26 @@ def certificate(one: CheckedLoop) -> Markup:
 
 
 def _poles(one: CheckedLoop) -> str:
-    """The open-loop poles that the count was made with."""
-    pairs: dict[tuple[int | None, int | None], list[str]] = {}
+    """The open-loop poles that the count was made with, and what they rest on."""
+    pairs: dict[tuple[int | None, int | None, str], list[str]] = {}
     for loop in one.loops:
-        pairs.setdefault((loop.integrators, loop.unstable_poles), []).append(loop.plant.recording)
+        key = (loop.integrators, loop.unstable_poles, _rests_on(one, loop))
+        pairs.setdefault(key, []).append(loop.plant.recording)
     parts = []
-    for (integrators, unstable), names in pairs.items():
+    for (integrators, unstable, basis), names in pairs.items():
         known = "an unknown number of integrators" if integrators is None else count(integrators, "integrator")
         growing = "an unknown number of unstable poles" if unstable is None else count(unstable, "unstable pole")
         where = f" at {_few(names)}" if len(pairs) > 1 else ""
-        parts.append(f"plant with {known} and {growing}{where}")
+        parts.append(f"plant with {known} ({basis}) and {growing}{where}")
     return f"Counted for: {'; '.join(parts)}; controller with {count(one.controller.integrators(), 'integrator')}."
+
+
+def _rests_on(one: CheckedLoop, loop: Loop) -> str:
+    """What the number of a plant's integrators rests on."""
+    if loop.integrators is None:
+        return "neither declared nor told by the lowest lines"
+    if one.requirements is not None and one.requirements.integrators is not None:
+        return "declared in the requirements"
+    if loop.model is not None:
+        return "by its fit"
+    return f"by phase and slope of its lowest lines, from {loop.frequency_hz[0]:.3g} Hz"
