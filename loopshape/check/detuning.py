@@ -34,8 +34,11 @@ from loopshape.units import Array, from_db
 #: steps between shifts, in per cent: up to what is required, and farther out
 COARSE, FINE, FINEST = 0.5, 0.25, 0.05
 OUTER = (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.0, 14.0, 17.0, SEARCHED_PERCENT)
+FEWER = (3.5, 6.0, 10.0, SEARCHED_PERCENT)
 #: steps at most from where something breaks to where it begins, and the step that is close enough, in per cent
 STEPS, FINEST_STEP = 6, 0.02
+#: what is missed by less is met
+ROUNDING = 1e-9
 #: a miss is warned of from this on: dB or ln of a ratio as dB, and degrees
 SLIGHT_DB, SLIGHT_DEG = 0.5, 3.0
 #: a resonance belongs to what breaks at a frequency so near, relatively, or within so many half widths
@@ -99,7 +102,8 @@ def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> 
         last = max(required, WARNED_PERCENT)
         near = np.linspace(0.0, last, int(np.ceil(last / step)) + 1)[1:]
         near = np.union1d(near, [required])
-    return np.concatenate([near, [x for x in OUTER if x > near[-1] + 1e-9]])
+    farther = FEWER if required is None else OUTER
+    return np.concatenate([near, [x for x in farther if x > near[-1] + 1e-9]])
 
 
 def _sharpest(loop: Loop) -> float:
@@ -129,7 +133,6 @@ class _Search:
         self.columns = np.array([_COLUMNS[x.name] for x in self.limits], dtype=int)
         self.signs = np.array([1.0 if _least(x) else -1.0 for x in self.limits])
         self.wished = np.array([_scaled(x, float(getattr(requirements, x.name))) for x in self.limits])
-        self.reach = np.array([self._known_reach(x) for x in self.limits])
         self.readings: dict[float, Reading] = {}
         self.reaches: dict[float, Array] = {}
         self.poles = self.reading(0.0).poles
@@ -137,13 +140,18 @@ class _Search:
         with np.errstate(invalid="ignore"):
             bias = unmoved.values[self.columns] - now
         self.now = self.signs * (now - self.wished)
+        self.known = {end: self._known_reach(end, now) for end in (-1.0, 1.0)}
         self.bias = np.where(np.isfinite(bias), bias, 0.0)
 
-    def _known_reach(self, limit: Limit) -> float:
-        """Half the interval of the unmoved loop."""
-        low, high = (_scaled_value(limit, x) for x in self.margins.intervals.get(limit.name, (0.0, 0.0)))
-        half = 0.5 * abs(high - low)
-        return half if np.isfinite(half) else 0.0
+    def _known_reach(self, end: float, now: Array) -> Array:
+        """How far the bad (-1) or good (1) end of the unmoved loop's intervals lies from the estimate `now`."""
+        out = np.zeros(len(self.limits))
+        for k, x in enumerate(self.limits):
+            interval = self.margins.intervals.get(x.name)
+            if interval is not None:
+                ends = self.signs[k] * (np.array([_scaled_value(x, value) for value in interval]) - now[k])
+                out[k] = ends.min() if end < 0.0 else ends.max()
+        return np.where(np.isfinite(out), out, 0.0)
 
     def reading(self, percent: float) -> Reading:
         """The loop at a shift."""
@@ -154,11 +162,19 @@ class _Search:
     def slacks(self, percent: float, end: float = 0.0) -> Array:
         """What each limit leaves at a shift: of the estimate, or of its interval's bad (-1) or good (1) end."""
         left = self.signs * (self.reading(percent).values[self.columns] - self.bias - self.wished)
-        return left if end == 0.0 else left + end * self._reach(percent)
+        return left if end == 0.0 else left + self._reach(percent, end)
 
-    def _reach(self, percent: float) -> Array:
+    def _reach(self, percent: float, end: float) -> Array:
+        """How far the ends lie from the estimate: as of the unmoved loop, grown as draws' deviations grow."""
         if not self.drawn or percent == 0.0:
-            return self.reach
+            return self.known[end]
+        here, before = self._deviations(percent), self._deviations(0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            grown = here / before
+        usual = np.isfinite(grown) & (before > 0.0)
+        return np.where(usual, self.known[end] * np.where(usual, grown, 1.0), self.known[end] + end * here)
+
+    def _deviations(self, percent: float) -> Array:
         if percent not in self.reaches:
             every = deviations(self.loop, self.moved(0.01 * percent), self.from_hz)
             self.reaches[percent] = every[self.columns]
@@ -172,7 +188,7 @@ class _Search:
 
     def holds(self, percent: float, end: float = 0.0) -> bool:
         """Whether every requirement holds and the loop is stable at a shift."""
-        return self.stable(percent, end) and bool(np.all(self.slacks(percent, end) >= 0.0))
+        return self.stable(percent, end) and bool(np.all(self.slacks(percent, end) >= -ROUNDING))
 
     def both(self) -> tuple[Reach, Reach]:
         """Up and down."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import count_unstable
-from loopshape.estimate.resonances import Resonance, resonances
+from loopshape.estimate.resonances import Phase, Resonance, resonances
 from loopshape.frf import FRF
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
@@ -152,10 +152,10 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
 
 
 def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
-    """Resonances of a loop's plant, as measured, whose peak matters to L under its controller."""
+    """Resonances of a loop's plant, as measured, whose damping is known and whose peak matters to L."""
     raw = loop.plant if loop.raw is None else loop.raw
     half = 0.5 * loop.controller.rate_hz / (1.0 + NEAR[-1])
-    found = [x for x in resonances(raw) if x.frequency_hz < half]
+    found = [x for x in resonances(raw) if x.frequency_hz < half and x.phase is not Phase.UNKNOWN]
     if not found:
         return ()
     C = np.abs(loop.controller.response(np.outer([x.frequency_hz for x in found], 1.0 + NEAR).ravel()))
