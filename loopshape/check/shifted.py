@@ -175,15 +175,16 @@ def read(loop: Loop, plant: Plant, from_hz: float) -> Reading:
     return Reading(found[0], at[0], poles, clear)
 
 
-def deviations(loop: Loop, plant: Plant, from_hz: float) -> Array:
-    """Half 95 % intervals (columns,) of a reading, by draws of the plant's error; infinite where one does not exist."""
+def scatter_of(loop: Loop, plant: Plant, from_hz: float, reading: Reading) -> tuple[Array, Array]:
+    """Bias and half 95 % interval (columns,) of a reading, by draws of the plant's error; infinite where one jumps."""
     draws = plant.draws
     if draws is None:
-        return np.zeros(kernel.COLUMNS)
+        return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
     f, C, above, C_above, _ = _responses(loop, plant)
     drawn, _ = kernel.read_margins(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, from_hz)
     known = np.isfinite(drawn).all(axis=0)
-    return np.where(known, REACH * np.where(known, drawn, 0.0).std(axis=0), np.inf)
+    off = np.where(known, drawn - np.where(known, reading.values, 0.0), 0.0)
+    return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)
 
 
 def _responses(loop: Loop, plant: Plant) -> tuple[Array, ComplexArray, Array, ComplexArray, ComplexArray]:
