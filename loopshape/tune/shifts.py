@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from loopshape.check.detuning import worst_shift
 from loopshape.check.shifted import stretched
 from loopshape.check.verdict import verdict_on
@@ -16,7 +18,9 @@ from loopshape.requirements import Requirements, Verdict
 #: plants are shifted by so many times what is required, to leave the check's own reading of intervals some room
 ROOM = 1.03
 #: copies nearer to each other than this share of what is required are one
-BESIDE = 0.1
+BESIDE = 0.15
+#: an end that does not hold goes farther out first, up to so many times what is required
+FARTHEST = 1.1
 
 
 @dataclass(frozen=True, order=True)
@@ -63,7 +67,7 @@ def closer(
     """More copies and closer limits for the operating points whose detuning margin does not pass.
 
     Each brings its worst shift. Where a copy stands there already, `check` reads it closer (between lines, or with
-    another bias), and what it misses there is added to the limits `asked` of all copies.
+    another bias): an end goes a little farther out, and else what is missed is added to the limits `asked` of all.
     """
     required, out = requirements.detuning_percent or 0.0, list(copies)
     limits: dict[str, Any] = {}
@@ -72,8 +76,14 @@ def closer(
         if found is None or found.interval_percent[0] >= required:
             continue
         percent, missed = worst_shift(replace(loop, controller=controller), margins, requirements, required)
-        if not any(one.index == k and abs(one.percent - percent) < BESIDE * required for one in copies):
+        near = [one for one in copies if one.index == k and abs(one.percent - percent) < BESIDE * required]
+        reach = max((abs(one.percent) for one in near), default=0.0)
+        if not near:
             out.append(Copy(k, percent))
+            continue
+        if required <= reach < FARTHEST * required:
+            out = [one for one in out if one not in near]
+            out.append(Copy(k, float(np.copysign(min(1.1 * reach, FARTHEST * required), percent))))
             continue
         for name, limit in missed.items():
             more = limit - getattr(requirements, name)
