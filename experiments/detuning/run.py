@@ -46,7 +46,7 @@ FORMULA = Requirements(
     ),
 )  # fmt: skip
 #: what is required of each plant, 0: nothing
-BENCH_PERCENT, ARM_PERCENT = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0), (0.0, 1.0, 2.0, 5.0)
+BENCH_PERCENT, ARM_PERCENT = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0), (0.0, 1.0, 2.0, 3.0, 5.0)
 
 
 def main() -> None:
