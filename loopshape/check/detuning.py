@@ -15,7 +15,7 @@ import numpy as np
 
 from loopshape.check.margins import LOGARITHMS, PLAIN
 from loopshape.check.obstacles import REACH_95
-from loopshape.check.shifted import Plant, Reading, deviations, plant_of, read, seen_resonances
+from loopshape.check.shifted import Plant, Reading, plant_of, read, scatter_of, seen_resonances
 from loopshape.detuning import (
     SEARCHED_PERCENT,
     STABILITY,
@@ -34,8 +34,13 @@ from loopshape.units import Array, from_db
 #: steps between shifts, in per cent: up to what is required, and farther out
 COARSE, FINE, FINEST = 0.5, 0.25, 0.05
 OUTER = (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 12.0, 14.0, 17.0, SEARCHED_PERCENT)
+FEWER = (3.5, 6.0, 10.0, SEARCHED_PERCENT)
 #: steps at most from where something breaks to where it begins, and the step that is close enough, in per cent
 STEPS, FINEST_STEP = 6, 0.02
+#: what is missed by less is met
+ROUNDING = 1e-9
+#: a limit that is missed at a shift is asked closer by so many times the miss
+CLOSER = 1.5
 #: a miss is warned of from this on: dB or ln of a ratio as dB, and degrees
 SLIGHT_DB, SLIGHT_DEG = 0.5, 3.0
 #: a resonance belongs to what breaks at a frequency so near, relatively, or within so many half widths
@@ -80,15 +85,24 @@ def with_detuning(loop: Loop, margins: Margins, requirements: Requirements) -> M
     return replace(margins, detuning_percent=found.worst.percent, detuning=found, intervals=intervals)
 
 
-def worst_shift(loop: Loop, margins: Margins, requirements: Requirements, within: float) -> float:
-    """The shift in per cent, up to `within` either way, at which the bad end of the least slack is least."""
+def worst_shift(
+    loop: Loop, margins: Margins, requirements: Requirements, within: float
+) -> tuple[float, dict[str, float]]:
+    """The shift in per cent, up to `within` either way, where the bad end of the least slack is least.
+
+    And what to ask for instead of each limit that is missed there, to hold it by half of the miss.
+    """
     seen = seen_resonances(loop)
     plant = plant_of(loop, seen)
     unmoved = read(loop, plant, requirements.control_high_frequency_from_hz or np.inf)
     shifts = _shifts(within, seen, loop)
     whole = _Search(loop, margins, requirements, unmoved, plant.dense().stretched, shifts)
     every = [way * x for x in shifts[shifts <= within].tolist() for way in (1.0, -1.0)]
-    return min(every, key=lambda x: (whole.stable(x, -1.0), float(np.min(whole.slacks(x, -1.0), initial=np.inf))))
+    worst = min(every, key=lambda x: (whole.stable(x, -1.0), float(np.min(whole.slacks(x, -1.0), initial=np.inf))))
+    slacks = whole.slacks(worst, -1.0)
+    closer = whole.wished - whole.signs * CLOSER * np.minimum(slacks, 0.0)
+    missed = np.flatnonzero((slacks < 0.0) & np.isfinite(closer))
+    return worst, {whole.limits[k].name: _own_unit(whole.limits[k], float(closer[k])) for k in missed}
 
 
 def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> Array:
@@ -101,7 +115,8 @@ def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> 
         last = max(required, WARNED_PERCENT)
         near = np.linspace(0.0, last, int(np.ceil(last / step)) + 1)[1:]
         near = np.union1d(near, [required])
-    return np.concatenate([near, [x for x in OUTER if x > near[-1] + 1e-9]])
+    farther = FEWER if required is None else OUTER
+    return np.concatenate([near, [x for x in farther if x > near[-1] + 1e-9]])
 
 
 def _sharpest(loop: Loop) -> float:
@@ -131,21 +146,25 @@ class _Search:
         self.columns = np.array([_COLUMNS[x.name] for x in self.limits], dtype=int)
         self.signs = np.array([1.0 if _least(x) else -1.0 for x in self.limits])
         self.wished = np.array([_scaled(x, float(getattr(requirements, x.name))) for x in self.limits])
-        self.reach = np.array([self._known_reach(x) for x in self.limits])
         self.readings: dict[float, Reading] = {}
-        self.reaches: dict[float, Array] = {}
+        self.scatters: dict[float, tuple[Array, Array]] = {}
         self.poles = self.reading(0.0).poles
         now = np.array([_scaled_value(x, getattr(margins, x.name)) for x in self.limits])
         with np.errstate(invalid="ignore"):
             bias = unmoved.values[self.columns] - now
         self.now = self.signs * (now - self.wished)
+        self.known = {end: self._known_reach(end, now) for end in (-1.0, 1.0)}
         self.bias = np.where(np.isfinite(bias), bias, 0.0)
 
-    def _known_reach(self, limit: Limit) -> float:
-        """Half the interval of the unmoved loop."""
-        low, high = (_scaled_value(limit, x) for x in self.margins.intervals.get(limit.name, (0.0, 0.0)))
-        half = 0.5 * abs(high - low)
-        return half if np.isfinite(half) else 0.0
+    def _known_reach(self, end: float, now: Array) -> Array:
+        """How far the bad (-1) or good (1) end of the unmoved loop's intervals lies from the estimate `now`."""
+        out = np.zeros(len(self.limits))
+        for k, x in enumerate(self.limits):
+            interval = self.margins.intervals.get(x.name)
+            if interval is not None:
+                ends = self.signs[k] * (np.array([_scaled_value(x, value) for value in interval]) - now[k])
+                out[k] = ends.min() if end < 0.0 else ends.max()
+        return np.where(np.isfinite(out), out, 0.0)
 
     def reading(self, percent: float) -> Reading:
         """The loop at a shift."""
@@ -155,16 +174,31 @@ class _Search:
 
     def slacks(self, percent: float, end: float = 0.0) -> Array:
         """What each limit leaves at a shift: of the estimate, or of its interval's bad (-1) or good (1) end."""
-        left = self.signs * (self.reading(percent).values[self.columns] - self.bias - self.wished)
-        return left if end == 0.0 else left + end * self._reach(percent)
+        left = self.signs * (self.reading(percent).values[self.columns] - self._bias(percent) - self.wished)
+        return left if end == 0.0 else left + self._reach(percent, end)
 
-    def _reach(self, percent: float) -> Array:
+    def _reach(self, percent: float, end: float) -> Array:
+        """How far the ends lie from the estimate: as of the unmoved loop, grown as draws' deviations grow."""
         if not self.drawn or percent == 0.0:
-            return self.reach
-        if percent not in self.reaches:
-            every = deviations(self.loop, self.moved(0.01 * percent), self.from_hz)
-            self.reaches[percent] = every[self.columns]
-        return self.reaches[percent]
+            return self.known[end]
+        here, before = self._scatter(percent)[1], self._scatter(0.0)[1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            grown = here / before
+        usual = np.isfinite(grown) & (before > 0.0)
+        return np.where(usual, self.known[end] * np.where(usual, grown, 1.0), self.known[end] + end * here)
+
+    def _bias(self, percent: float) -> Array:
+        """What noise adds to a reading: as to that of the unmoved loop, and by what draws say that it differs."""
+        if not self.drawn or percent == 0.0:
+            return self.bias
+        return self.bias + self._scatter(percent)[0] - self._scatter(0.0)[0]
+
+    def _scatter(self, percent: float) -> tuple[Array, Array]:
+        if percent not in self.scatters:
+            plant, reading = self.moved(0.01 * percent), self.reading(percent)
+            bias, reach = scatter_of(self.loop, plant, self.from_hz, reading)
+            self.scatters[percent] = bias[self.columns], reach[self.columns]
+        return self.scatters[percent]
 
     def stable(self, percent: float, end: float = 0.0) -> bool:
         """Whether the loop is stable at a shift: by the estimate, surely (-1), or perhaps (1)."""
@@ -174,7 +208,7 @@ class _Search:
 
     def holds(self, percent: float, end: float = 0.0) -> bool:
         """Whether every requirement holds and the loop is stable at a shift."""
-        return self.stable(percent, end) and bool(np.all(self.slacks(percent, end) >= 0.0))
+        return self.stable(percent, end) and bool(np.all(self.slacks(percent, end) >= -ROUNDING))
 
     def both(self) -> tuple[Reach, Reach]:
         """Up and down."""

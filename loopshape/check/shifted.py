@@ -14,7 +14,7 @@ import numpy as np
 from loopshape.check.low_end import judged_lines
 from loopshape.check.margins import followed
 from loopshape.check.stability import count_unstable
-from loopshape.estimate.resonances import Resonance, resonances
+from loopshape.estimate.resonances import Phase, Resonance, resonances
 from loopshape.frf import FRF
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
@@ -169,10 +169,10 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
 
 
 def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
-    """Resonances of a loop's plant, as measured, whose peak matters to L under its controller."""
+    """Resonances of a loop's plant, as measured, whose damping is known and whose peak matters to L."""
     raw = loop.plant if loop.raw is None else loop.raw
     half = 0.5 * loop.controller.rate_hz / (1.0 + NEAR[-1])
-    found = [x for x in resonances(raw) if x.frequency_hz < half]
+    found = [x for x in resonances(raw) if x.frequency_hz < half and x.phase is not Phase.UNKNOWN]
     if not found:
         return ()
     C = np.abs(loop.controller.response(np.outer([x.frequency_hz for x in found], 1.0 + NEAR).ravel()))
@@ -192,15 +192,16 @@ def read(loop: Loop, plant: Plant, from_hz: float) -> Reading:
     return Reading(found[0], at[0], poles, clear)
 
 
-def deviations(loop: Loop, plant: Plant, from_hz: float) -> Array:
-    """Half 95 % intervals (columns,) of a reading, by draws of the plant's error; infinite where one does not exist."""
+def scatter_of(loop: Loop, plant: Plant, from_hz: float, reading: Reading) -> tuple[Array, Array]:
+    """Bias and half 95 % interval (columns,) of a reading, by draws of the plant's error; infinite where one jumps."""
     draws = plant.draws
     if draws is None:
-        return np.zeros(kernel.COLUMNS)
+        return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
     f, C, above, C_above, _ = _responses(loop, plant)
     drawn, _ = kernel.read_margins(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, from_hz)
     known = np.isfinite(drawn).all(axis=0)
-    return np.where(known, REACH * np.where(known, drawn, 0.0).std(axis=0), np.inf)
+    off = np.where(known, drawn - np.where(known, reading.values, 0.0), 0.0)
+    return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)
 
 
 def _responses(loop: Loop, plant: Plant) -> tuple[Array, ComplexArray, Array, ComplexArray, ComplexArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
 
 if TYPE_CHECKING:
     from loopshape.controller import Controller
-    from loopshape.tune.relax import Relaxation, Shortfall
+    from loopshape.tune.relax import Shortfall
     from loopshape.tune.tune import Tuning
 
 RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
@@ -139,9 +140,13 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
     )
     for line in found.bounds:
         output.say(f"at a bound there: {line}")
-    rows = [[r.quantity, r.wished, *_reach_cells(r), r.unit, r.bandwidth_hz, r.verified] for r in found.relaxations]
+    possible = [r for r in found.relaxations if isfinite(r.reachable)]
+    rows = [[r.quantity, r.wished, r.reachable, r.by, r.unit, _known(r.bandwidth_hz), r.verified] for r in possible]
     columns = ["requirement", "wished", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
     output.table("One requirement relaxed, all others held", columns, rows)
+    for r in found.relaxations:
+        if r not in possible:
+            output.say(f"{r.quantity}: no value of it alone was found that makes the others possible")
     least = found.least
     if least is not None:
         output.say(f"relax {least.quantity} to {least.reachable:.4g} {least.unit}: the least of these")
@@ -149,8 +154,8 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
         output.say("none was found to do by itself; what is found below can be had together")
 
 
-def _reach_cells(r: Relaxation) -> list[Any]:
-    return ["not alone", "-"] if r.reachable != r.reachable else [r.reachable, r.by]
+def _known(value: float) -> float | str:
+    return value if isfinite(value) else "-"
 
 
 def tuning_json(tuning: Tuning) -> dict[str, Any]:

@@ -28,6 +28,8 @@ DAMPED, MIDDLE, WIDE = 0.3, 0.5, 0.6
 VISIBLE = 0.5
 #: frequency and damping are known to this share of the half width; where only the frequency is, to this share of a gap
 KNOWN, PLACED = 0.25, 0.15
+#: its residue is so many standard deviations large
+SURE = 6.0
 #: a resonance has no less damping than this
 SHARPEST = 1e-4
 #: lines are taken to err by this share of |P| at least: what the polynomial rounds off
@@ -130,11 +132,11 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int) -> list[R
         return []
     f0, width, reach, rows = f0[k], width[k], reach[k], rows[k]
     pole = z[k].real + 1j * np.where(z[k].imag < 0.0, -1.0, 1.0) * width / reach
-    residue, rest, error = _with_residue(x[k], y[k], std[k], pole)
+    residue, rest, error, sure = _with_residue(x[k], y[k], std[k], pole)
     residue, error, gap = residue * reach, error * reach, 2.0 * reach / (2 * half)
     known = error < KNOWN * width
     placed = (error < PLACED * gap) & (width < gap)
-    good = (known | placed) & (np.abs(residue) > VISIBLE * np.abs(rest) * np.maximum(width, error))
+    good = (known | placed) & (sure > SURE) & (np.abs(residue) > VISIBLE * np.abs(rest) * np.maximum(width, error))
     return [
         Resonance(
             frequency_hz=float(f0[i]),
@@ -169,24 +171,23 @@ def _poles(x: Array, y: ComplexArray, std: Array) -> ComplexArray:
 
 def _with_residue(
     x: Array, y: ComplexArray, std: Array, pole: ComplexArray
-) -> tuple[ComplexArray, ComplexArray, Array]:
+) -> tuple[ComplexArray, ComplexArray, Array, Array]:
     """Residue (n,) of each window's pole, the polynomial beside it at the pole, and the deviation of the pole's place.
 
-    What a window leaves over counts as noise where it is more than the lines' own.
+    And the residue's size in its own deviations. What a window leaves over counts as noise where it is more than the
+    lines' own.
     """
     column = 1.0 / (1j * (x - pole[:, None]))
     powers = np.stack([x**k for k in range(ORDER + 1)], axis=-1)
-    A = np.concatenate([column[:, :, None], powers], axis=-1) / std[:, :, None]
+    A = np.concatenate([powers, column[:, :, None]], axis=-1) / std[:, :, None]
     Q, R = np.linalg.qr(A)
     along = Q.conj().transpose(0, 2, 1)
     solved = np.linalg.solve(R + 1e-300 * np.eye(A.shape[2]), along @ (y / std)[:, :, None])[:, :, 0]
     left = y / std - (A @ solved[:, :, None])[:, :, 0]
     noise = np.sqrt(np.maximum((np.abs(left) ** 2).sum(1) / max(x.shape[1] - A.shape[2] - 1, 1), 1.0))
-    slope = (solved[:, :1] * column**2 / std)[:, :, None]
+    slope = (solved[:, -1:] * column**2 / std)[:, :, None]
     bent = (slope - Q @ (along @ slope))[:, :, 0]
-    rest = (solved[:, 1:] * pole.real[:, None] ** np.arange(ORDER + 1)).sum(1)
-    return (
-        np.asarray(solved[:, 0], dtype=complex),
-        np.asarray(rest, dtype=complex),
-        noise / np.sqrt((np.abs(bent) ** 2).sum(1) + 1e-300),
-    )
+    rest = (solved[:, :-1] * pole.real[:, None] ** np.arange(ORDER + 1)).sum(1)
+    error = noise / np.sqrt((np.abs(bent) ** 2).sum(1) + 1e-300)
+    residue = np.asarray(solved[:, -1], dtype=complex)
+    return residue, np.asarray(rest, dtype=complex), error, np.abs(residue * R[:, -1, -1]) / noise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from loopshape.requirements import Requirements, Verdict
 
 #: plants are shifted by so many times what is required, to leave the check's own reading of intervals some room
 ROOM = 1.03
-#: copies nearer to each other than this share of what is required are one; an end moves by so much of what is missing
-BESIDE, FARTHER = 0.1, 1.2
+#: copies nearer to each other than this share of what is required are one
+BESIDE = 0.15
+#: an end that does not hold goes farther out first, up to so many times what is required
+FARTHEST = 1.1
 
 
 @dataclass(frozen=True, order=True)
@@ -53,27 +56,38 @@ def judged(loops: dict[str, Loop], controller: Controller, asked: Requirements) 
     return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False)
 
 
-def more_copies(
+def closer(
     copies: Sequence[Copy],
+    asked: Requirements,
     loops: Sequence[Loop],
     controller: Controller,
     requirements: Requirements,
     verdict: Verdict,
-) -> tuple[Copy, ...]:
-    """The copies, and for each operating point whose detuning margin does not pass its worst shift.
+) -> tuple[tuple[Copy, ...], Requirements]:
+    """More copies and closer limits for the operating points whose detuning margin does not pass.
 
-    Where that is at an end already tuned for, which `check` reads closer (between lines), that end goes farther out.
+    Each brings its worst shift. Where a copy stands there already, `check` reads it closer (between lines, or with
+    another bias): an end goes a little farther out, and else what is missed is added to the limits `asked` of all.
     """
-    required = requirements.detuning_percent or 0.0
-    out = list(copies)
+    required, out = requirements.detuning_percent or 0.0, list(copies)
+    limits: dict[str, Any] = {}
     for k, (loop, margins) in enumerate(zip(loops, verdict.margins.values(), strict=True)):
         found = margins.detuning
         if found is None or found.interval_percent[0] >= required:
             continue
-        percent = worst_shift(replace(loop, controller=controller), margins, requirements, required)
-        near = [one for one in out if one.index == k and abs(one.percent - percent) < BESIDE * required]
-        out = [one for one in out if one not in near]
-        missing = required - found.interval_percent[0]
-        far = [abs(one.percent) + FARTHER * missing for one in near if abs(one.percent) >= required]
-        out.append(Copy(k, percent if not far else float(np.copysign(max(far), percent))))
-    return tuple(sorted(out))
+        percent, missed = worst_shift(replace(loop, controller=controller), margins, requirements, required)
+        near = [one for one in copies if one.index == k and abs(one.percent - percent) < BESIDE * required]
+        reach = max((abs(one.percent) for one in near), default=0.0)
+        if not near:
+            out.append(Copy(k, percent))
+            continue
+        if required <= reach < FARTHEST * required:
+            out = [one for one in out if one not in near]
+            out.append(Copy(k, float(np.copysign(min(1.1 * reach, FARTHEST * required), percent))))
+            continue
+        for name, limit in missed.items():
+            more = limit - getattr(requirements, name)
+            before = limits.get(name, 0.0)
+            limits[name] = more if abs(more) > abs(before) else before
+    changes: dict[str, Any] = {name: getattr(asked, name) + more for name, more in limits.items()}
+    return tuple(sorted(out)), replace(asked, **changes)

@@ -18,13 +18,13 @@ from loopshape.tune.problem import Problem, bounds_reached, problem
 from loopshape.tune.relax import Shortfall, shortfall
 from loopshape.tune.search import LARGEST, Found, begin, search
 from loopshape.tune.settle import UNSURE, Judge, Settled, settle
-from loopshape.tune.shifts import Copy, copies_for, judged, more_copies, shifted_loops
+from loopshape.tune.shifts import Copy, closer, copies_for, judged, shifted_loops
 from loopshape.tune.starts import race, random_starts
 from loopshape.tune.warm import warm_start
 from loopshape.units import Array, db
 
 #: rounds of adding the worst shift between those that were tuned for, and steps of the search in each
-SHIFTED, MORE = 4, 100
+SHIFTED, MORE = 8, 100
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,13 @@ def tune(
         settled, why = shortfall(p, settled, ends, judge_of)
     if start is not None:
         settled = _no_worse(p, settled, candidates[0].x, judge)
-    verdict = check(frfs, p.controller(settled.found.x), requirements, fits)
+    verdict, asked = check(frfs, p.controller(settled.found.x), requirements, fits), requirements
     for _ in range(SHIFTED):
         if not settled.verdict.passed or verdict.passed or requirements.detuning_percent is None:
             break
-        copies = more_copies(copies, loops, p.controller(settled.found.x), requirements, verdict)
-        p, judge_of = _problem(loops, requirements, unit, copies, start)
-        again = settle(p, search(p, begin(p, settled.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(requirements))
+        copies, asked = closer(copies, asked, loops, p.controller(settled.found.x), requirements, verdict)
+        p, judge_of = _problem(loops, asked, unit, copies, start)
+        again = settle(p, search(p, begin(p, settled.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(asked))
         steps, settled = steps + again.found.steps, again
         verdict = check(frfs, p.controller(settled.found.x), requirements, fits)
     return _tuning(p, settled, verdict, why, len(candidates), steps, moved)

@@ -124,6 +124,20 @@ def test_a_limit_that_breaks_within_2_percent_is_warned_of_with_resonance_and_bl
     assert any("58.84 Hz" in warning and "notch" in warning for warning in verdict.warnings)
 
 
+def test_a_sharp_notch_on_a_sharp_mode_passes_and_is_warned_of():
+    """Numerator damping 0.005 on a mode of 58.84 Hz and 0.0039: 5.7 of 6 dB, and 2 % off 7.05 dB."""
+    controller, asked = controller_with(HIDDEN, gain=0.12), Requirements("axis", sensitivity_peak_db=6.0)
+    frf = frf_of(BIG, np.unique(np.append(LINES, np.arange(56.0, 62.0, 0.05))))
+    verdict = check([frf], controller, asked)
+    lost = verdict.margins["r1"].detuning.lost
+    true_db = closed(BIG, (0.0,), controller, 0.01 * lost.shift_percent)[1]
+    assert (verdict.outcome, lost.block_kind) == ("passed", "notch")
+    assert lost.resonance_hz == pytest.approx(58.84, abs=0.01)
+    assert true_db == pytest.approx(7.05, abs=0.1)
+    assert lost.left == pytest.approx(true_db, abs=0.3)
+    assert check([frf], controller, replace(asked, detuning_percent=3.0)).outcome == "failed"
+
+
 def test_a_loop_without_such_a_limit_is_not_warned_of():
     verdict = check(
         [frf_of(BIG, LINES)],

@@ -106,3 +106,17 @@ def test_noise_counts_in_what_is_to_be_relaxed():
     clean, noisy = (tune([frf(DELAYED, 1000, std=std)], APART).shortfall for std in (0.0, 0.05))
     reach = [next(one.reachable for one in s.relaxations if one.quantity == "bandwidth_hz") for s in (clean, noisy)]
     assert reach[1] < 0.999 * reach[0]
+
+
+def test_what_to_relax_is_printed_with_numbers_alone(capsys):
+    from loopshape.cli.output import Output
+    from loopshape.cli.tune import _report_shortfall
+    from loopshape.tune.relax import Relaxation, Shortfall
+
+    relaxed = Relaxation("phase_margin_deg", "deg", 45.0, 32.4, True, 8.0)
+    never = Relaxation("gain_margin_db", "dB", 5.0, np.nan, False, np.nan)
+    _report_shortfall(Shortfall(True, 0.1, 0.0, (), (), (relaxed, never)), Output(as_json=False, quiet=False))
+    shown = capsys.readouterr().out
+    assert "32.4" in shown
+    assert "gain_margin_db: no value of it alone was found" in shown
+    assert "nan" not in shown.lower()
