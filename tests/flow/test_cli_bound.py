@@ -22,6 +22,7 @@ format = "loopshape-requirements/1"
 [[loop]]
 name = "one"
 integrators = 1
+unstable_poles = 0
 sensitivity_peak_db = 6.0
 phase_margin_deg = 45.0
 structure = [{ kind = "gain", gain = { min = 0.1, max = 100.0 } }]
