@@ -11,11 +11,16 @@ from loopshape.units import Array, ComplexArray
 
 #: deviation of what lies between lines, as a share of how far a spline lies off straight lines there; and its seed
 BETWEEN, SEED = 0.5, 20072
+#: fewer lines than this are not read between
+FEWEST = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Dense:
-    """A smoothed response (n,) on its lines and between them over narrow resonances, with draws as in `Scatter`."""
+    """A smoothed response on its lines and between them over narrow resonances, with draws as in `Scatter`.
+
+    `response` and `reference` are (n,), of a matrix (n, ny, nu); `deviations` have the draws in front.
+    """
 
     frequency_hz: Array
     response: ComplexArray
@@ -29,14 +34,25 @@ class Dense:
         """
         f, at = self.frequency_hz, frequency_hz
         k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 2)
-        share = (at - f[k]) / (f[k + 1] - f[k])
+        share = ((at - f[k]) / (f[k + 1] - f[k])).reshape(-1, *[1] * (self.response.ndim - 1))
         response = CubicSpline(f, self.response)(at)
         off = response - (self.response[k] * (1.0 - share) + self.response[k + 1] * share)
-        rng = np.random.default_rng(SEED)
-        sides = rng.standard_normal((len(self.deviations), 2)) @ np.array([[1.0], [1j]])
+        sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
         deviations = self.deviations[:, k] * (1.0 - share) + self.deviations[:, k + 1] * share
-        deviations += np.sqrt(0.5) * BETWEEN * sides * off
+        deviations += np.sqrt(0.5) * BETWEEN * sides.reshape(-1, *[1] * self.response.ndim) * off
         return Dense(at, response, CubicSpline(f, self.reference)(at), deviations)
+
+    def between(self, moved: Array, room: Array, step: float, most: int) -> Dense:
+        """The same with places between lines that move by more than a `step` of the `room` there; (n - 1,) each."""
+        f = self.frequency_hz
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.nan_to_num(moved / (step * room), posinf=float(most))
+        far = np.flatnonzero(ratio > 1.0)
+        if not far.size or f.size < FEWEST:
+            return self
+        count = np.clip(np.ceil(ratio[far]), 2, most).astype(int)
+        more = [f[k] + (f[k + 1] - f[k]) * np.arange(1, n) / n for k, n in zip(far, count, strict=True)]
+        return self.at(np.unique(np.concatenate([f, *more])))
 
 
 @dataclass(frozen=True, eq=False)

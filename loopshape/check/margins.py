@@ -42,7 +42,7 @@ LOGARITHMS = {
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
 #: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
-STEP, SMALL, MOST, FEWEST = 0.05, 0.05, 12, 6
+STEP, SMALL, MOST = 0.05, 0.05, 12
 #: where L is read below its first line, as shares of its frequency
 _DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 #: bandwidths that lie above the last line where nothing was met up to it
@@ -153,16 +153,12 @@ def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
     assert loop.scatter is not None
     lines = Dense(loop.frequency_hz, loop.plant.siso, loop.scatter.reference, loop.scatter.deviations)
     dense = loop.scatter.dense or lines
-    f, C = dense.frequency_hz, loop.controller.response(dense.frequency_hz)
+    C = loop.controller.response(dense.frequency_hz)
     L = C * dense.response
     nearest = np.minimum(np.abs(1.0 + L[1:]), np.abs(1.0 + L[:-1]))
-    far = np.flatnonzero((np.abs(np.diff(L)) > STEP * nearest) & (np.maximum(np.abs(L[1:]), np.abs(L[:-1])) > SMALL))
-    if not far.size or f.size < FEWEST:
-        return dense, C
-    steps = np.clip(np.ceil(np.abs(np.diff(L))[far] / (STEP * nearest[far])), 2, MOST).astype(int)
-    between = [f[k] + (f[k + 1] - f[k]) * np.arange(1, n) / n for k, n in zip(far, steps, strict=True)]
-    more = dense.at(np.unique(np.concatenate([f, *between])))
-    return more, loop.controller.response(more.frequency_hz)
+    small = np.maximum(np.abs(L[1:]), np.abs(L[:-1])) < SMALL
+    more = dense.between(np.where(small, 0.0, np.abs(np.diff(L))), nearest, STEP, MOST)
+    return more, C if more is dense else loop.controller.response(more.frequency_hz)
 
 
 def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:

@@ -11,9 +11,10 @@ from loopshape.channel import Channel, sum_terms
 from loopshape.check.determinant import closed_loops_stability
 from loopshape.check.structured import mu_bounds, refined, upper_at
 from loopshape.errors import WrongUseError
-from loopshape.estimate.smoothing_matrix import MatrixScatter, smoothed_matrix
-from loopshape.loop_matrix import LoopMatrix, sensitivity
+from loopshape.estimate.smoothing_matrix import smoothed_matrix
+from loopshape.loop_matrix import LoopMatrix, responses, sensitivity
 from loopshape.several import SeveralMargins
+from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray, db
 
 #: half width of a 95 % interval in standard deviations taken from 200 draws
@@ -21,6 +22,8 @@ REACH = 1.972
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
 #: search is needed for each (neighbours are smoothed together and say the same)
 NEAR, MOST, MOST_SEARCHED = 0.7, 40, 16
+#: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
+STEP, SMALL, BETWEEN = 0.2, 0.05, 8
 MIXED = "outputs have different units: singular values of S and T would depend on them and are not given"
 
 #: gauges whose peaks over frequency the margins are
@@ -55,21 +58,25 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
     and has a 95 % interval: both from draws of the error (as in `loopshape.check.margins`). For more than three loops,
     and for inputs and outputs at once, the margin is what is guaranteed (an upper bound of mu), and
-    `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are not seen.
+    `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
+    the lines show makes them.
     """
-    scatter = smoothed_matrix(loops.plant)
-    P = loops.P if scatter is None else scatter.response
+    scatter = _followed(loops)
+    P, f, c = loops.P, loops.frequency_hz, loops.c
+    if scatter is not None:
+        P, f = scatter.response, scatter.frequency_hz
+        c = responses(loops.controllers, f)
     mixed = not _one_unit(loops)
     wanted = [g for g in GAUGES if not (mixed and g in "ST")]
-    peaks = {g: _peak(g, P, loops.c) for g in wanted}
+    peaks = {g: _peak(g, P, c) for g in wanted}
     values = {g: peaks[g].value for g in wanted}
     reaches: Mapping[str, float] = {}
     if scatter is not None:
-        shifts = {g: _shift(g, scatter, loops.c, peaks[g]) for g in wanted}
+        shifts = {g: _shift(g, scatter, c, peaks[g]) for g in wanted}
         values = {g: values[g] - shifts[g][0] for g in wanted}
         reaches = {g: REACH * shifts[g][1] for g in wanted}
     certificate = closed_loops_stability(loops)
-    disk, f = peaks["disk"], loops.frequency_hz
+    disk = peaks["disk"]
     found = {name: _field(name, values[g]) if g in values else float("nan") for name, g in FIELDS.items()}
     return SeveralMargins(
         loops=loops.names,
@@ -84,6 +91,18 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         intervals={n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches},
         notes=(MIXED,) if mixed else (),
     )
+
+
+def _followed(loops: LoopMatrix) -> Dense | None:
+    """The smoothed plant with its draws, on lines and on places between them where I + L moves far."""
+    found = smoothed_matrix(loops.plant)
+    if found is None:
+        return None
+    L = found.response * responses(loops.controllers, found.frequency_hz)[:, None, :]
+    room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
+    moved = np.linalg.norm(np.diff(L, axis=0), 2, axis=(1, 2))
+    small = np.linalg.norm(L, 2, axis=(1, 2)) < SMALL
+    return found.between(np.where(small[1:], 0.0, moved), np.minimum(room[1:], room[:-1]), STEP, BETWEEN)
 
 
 def _field(name: str, value: float) -> float:
@@ -156,7 +175,7 @@ def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:
     return {"modulus": 1.0 / room, "S": 1.0 / room, "T": last / room}.get(name, 0.5 * (1.0 + last) / room)
 
 
-def _shift(name: str, scatter: MatrixScatter, c: ComplexArray, peak: _Peak) -> tuple[float, float]:
+def _shift(name: str, scatter: Dense, c: ComplexArray, peak: _Peak) -> tuple[float, float]:
     """Mean and standard deviation of what the draws do to ln of a gauge's peak, against the reference without them."""
     near = _near(name, scatter.reference, c, peak)
     reference = _read(name, scatter.reference[None, near], c[near], peak.scales[near])[0]

@@ -6,6 +6,7 @@ Pole and residue follow the lines' errors linearly, and so does what they add be
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,3 +94,82 @@ def _slopes(f: Array, residue: complex, z: complex) -> ComplexArray:
     """Of r/(j (f - z)), by r and by z: (n, 2)."""
     across = 1.0 / (np.asarray(f) - z)
     return np.stack([-1j * across, -1j * residue * across**2], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class CommonPole:
+    """A pole that the elements of a matrix share: one z, and in each element a residue (m,).
+
+    `influence` (m, m, nf) turns errors of all lines of all elements into those of each residue, `moves` (m, nf) into
+    that of the pole.
+    """
+
+    pole_hz: complex
+    residue: ComplexArray
+    influence: ComplexArray
+    moves: ComplexArray
+
+    @property
+    def places_hz(self) -> Array:
+        """Frequencies (81,) in Hz over its peak."""
+        return self.pole_hz.real + abs(self.pole_hz.imag) * PLACES
+
+    def response(self, f: Array) -> ComplexArray:
+        """Its part of all elements at f (n,): (n, m)."""
+        return np.asarray(_slopes(f, 1.0, self.pole_hz)[:, :1] * self.residue)
+
+    def deviations(self, f: Array, errors: ComplexArray) -> ComplexArray:
+        """What errors (draws, nf, m) of all lines do to it at f (n,): (draws, n, m)."""
+        by_residue, by_pole = _slopes(f, 1.0, self.pole_hz).T
+        residues = np.einsum("ekf,dfk->de", self.influence, errors, optimize=True)
+        pole = np.einsum("kf,dfk->d", self.moves, errors, optimize=True)
+        return np.asarray(
+            by_residue[:, None] * residues[:, None, :] + by_pole[:, None] * self.residue * pole[:, None, None]
+        )
+
+
+def common_poles(elements: Sequence[FRF], variance: Array) -> tuple[CommonPole, ...]:
+    """Narrow resonances of a matrix's elements, those at one place as one; `variance` (nf, m) is the elements'.
+
+    The place is the mean of the elements' that show it, weighted by how well they tell it; with it each element gives
+    its residue.
+    """
+    shown = [(k, term) for k, one in enumerate(elements) for term in pole_terms(one, variance[:, k])]
+    shown.sort(key=lambda x: x[1].resonance.frequency_std_hz)
+    groups: list[list[tuple[int, PoleTerm]]] = []
+    for k, term in shown:
+        near = next((g for g in groups if _near(g[0][1].resonance, term.resonance)), None)
+        if near is None:
+            groups.append([(k, term)])
+        elif k not in [other for other, _ in near]:
+            near.append((k, term))
+    return tuple(_common(group, elements, variance) for group in groups)
+
+
+def _near(one: Resonance, other: Resonance) -> bool:
+    widths = max(abs(one.pole_hz.imag), abs(other.pole_hz.imag))
+    spread = 3.0 * (one.frequency_std_hz + other.frequency_std_hz)
+    return abs(one.frequency_hz - other.frequency_hz) < widths + spread
+
+
+def _common(group: Sequence[tuple[int, PoleTerm]], elements: Sequence[FRF], variance: Array) -> CommonPole:
+    f, m = elements[0].frequency_hz, len(elements)
+    weight = np.array([1.0 / max(term.resonance.frequency_std_hz, 1e-12) ** 2 for _, term in group])
+    weight = weight / weight.sum()
+    z = complex(sum(w * term.resonance.pole_hz for w, (_, term) in zip(weight, group, strict=True)))
+    moves, influence = np.zeros((m, f.size), dtype=complex), np.zeros((m, m, f.size), dtype=complex)
+    for w, (k, term) in zip(weight, group, strict=True):
+        moves[k, term.resonance.first : term.resonance.last + 1] += w * term.influence[1]
+    one = group[0][1].resonance
+    rows = slice(one.first, one.last + 1)
+    x = 2.0 * (f[rows] - f[one.first]) / (f[one.last] - f[one.first]) - 1.0
+    basis = np.concatenate([_slopes(f[rows], 1.0, z)[:, :1], x[:, None] ** np.arange(ORDER + 1)], axis=1)
+    residue = np.zeros(m, dtype=complex)
+    for k, element in enumerate(elements):
+        y = element.siso[rows]
+        std = np.sqrt(variance[rows, k] + (FLOOR * np.abs(y)) ** 2 + 1e-300)
+        inverse = np.linalg.pinv(basis / std[:, None], rcond=1e-12)[0] / std
+        residue[k] = inverse @ y
+        influence[k, k, rows] += inverse
+        influence[k] -= complex(inverse @ _slopes(f[rows], complex(residue[k]), z)[:, 1]) * moves
+    return CommonPole(z, residue, influence, moves)

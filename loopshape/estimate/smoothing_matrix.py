@@ -6,51 +6,63 @@ errors of all elements are drawn together, by the covariance of their line.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from loopshape.algebra.propagation import pick
+from loopshape.estimate.pole_terms import common_poles
 from loopshape.estimate.pooling import pooled_variance
-from loopshape.estimate.smoothing import DRAWS, SEED, drawn_errors, smoother_of
+from loopshape.estimate.smoothing import SEED, drawn_errors, smoother_of
 from loopshape.frf import FRF
+from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray
 
 
-class MatrixScatter(NamedTuple):
-    """Smoothed response (nf, ny, nu), the same smoothed again, and draws of its error (draws, nf, ny, nu).
-
-    As in `loopshape.smoothed.Scatter`: reading `reference` + each of `deviations` against reading `reference` shows
-    what noise does to a nonlinear reading of `response`.
-    """
-
-    response: ComplexArray
-    reference: ComplexArray
-    deviations: ComplexArray
-
-
-def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> MatrixScatter | None:
-    """Smoothed lines of a matrix FRF and their scatter; None where the FRF has no covariance.
+def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> Dense | None:
+    """Smoothed lines of a matrix FRF (n, ny, nu) with draws of their error; None where the FRF has no covariance.
 
     The covariance is believed; the correlations between a line's elements are that line's own, their variances pooled
-    with those of neighbours where few degrees of freedom know them.
+    with those of neighbours where few degrees of freedom know them. Narrow resonances, which all elements share, are
+    taken out before and put back after, between the lines too.
     """
     if not frf.covariance.any():
         return None
     ny, nu = frf.response.shape[1:]
-    elements = [pick(frf, [i], [j]) for j in range(nu) for i in range(ny)]
+    f, elements = frf.frequency_hz, [pick(frf, [i], [j]) for j in range(nu) for i in range(ny)]
     variance = np.stack([pooled_variance(one) for one in elements], axis=1)
-    errors = _drawn(frf, variance, seed)
-    response, reference = np.empty_like(frf.response), np.empty_like(frf.response)
-    deviations = np.empty((DRAWS, *frf.response.shape), dtype=complex)
-    for k, one in enumerate(elements):
-        j, i = divmod(k, ny)
-        floor = np.maximum(variance[:, k], 1e-20 * np.abs(one.siso) ** 2 + 1e-300)
-        smoother = smoother_of(one, one.siso, floor)
-        response[:, i, j] = np.asarray(smoother @ one.siso)
-        reference[:, i, j] = np.asarray(smoother @ response[:, i, j])
-        deviations[:, :, i, j] = np.asarray((smoother @ errors[:, :, k].T).T)
-    return MatrixScatter(response, reference, deviations)
+    errors, poles = _drawn(frf, variance, seed), common_poles(elements, variance)
+    at = np.unique(np.concatenate([f, *(one.places_hz for one in poles)]))
+    at = at[(at >= f[0]) & (at <= f[-1])]
+    whole = np.zeros((f.size, len(elements)), dtype=complex) + sum(one.response(f) for one in poles)
+    moved = np.zeros(errors.shape, dtype=complex) + sum(one.deviations(f, errors) for one in poles)
+    found = [
+        _smooth(one, whole[:, k], moved[:, :, k], errors[:, :, k], variance[:, k]) for k, one in enumerate(elements)
+    ]
+    dense = [one.at(at) for one in found] if poles else found
+
+    def matrix(values: Sequence[np.ndarray], more: np.ndarray | int) -> np.ndarray:
+        stacked = np.stack(values, axis=-1) + more
+        return stacked.reshape(*stacked.shape[:-1], nu, ny).swapaxes(-1, -2)
+
+    back, strays = sum(one.response(at) for one in poles), sum(one.deviations(at, errors) for one in poles)
+    return Dense(
+        at,
+        matrix([one.response for one in dense], back),
+        matrix([one.reference for one in dense], back),
+        matrix([one.deviations for one in dense], strays),
+    )
+
+
+def _smooth(one: FRF, poles: ComplexArray, moved: ComplexArray, errors: ComplexArray, variance: Array) -> Dense:
+    """An element without its poles (nf,), smoothed; `moved` (draws, nf) is what errors do to the poles."""
+    rest = one.siso - poles
+    floor = np.maximum(variance, 1e-20 * np.abs(one.siso) ** 2 + 1e-300)
+    smoother = smoother_of(one, rest, floor)
+    response = np.asarray(smoother @ rest)
+    return Dense(
+        one.frequency_hz, response, np.asarray(smoother @ response), np.asarray((smoother @ (errors - moved).T).T)
+    )
 
 
 def _drawn(frf: FRF, variance: Array, seed: int) -> ComplexArray:
