@@ -162,7 +162,8 @@ class _Search:
         for k, x in enumerate(self.limits):
             interval = self.margins.intervals.get(x.name)
             if interval is not None:
-                ends = self.signs[k] * (np.array([_scaled_value(x, value) for value in interval]) - now[k])
+                with np.errstate(invalid="ignore"):
+                    ends = self.signs[k] * (np.array([_scaled_value(x, value) for value in interval]) - now[k])
                 out[k] = ends.min() if end < 0.0 else ends.max()
         return np.where(np.isfinite(out), out, 0.0)
 
@@ -175,7 +176,10 @@ class _Search:
     def slacks(self, percent: float, end: float = 0.0) -> Array:
         """What each limit leaves at a shift: of the estimate, or of its interval's bad (-1) or good (1) end."""
         left = self.signs * (self.reading(percent).values[self.columns] - self._bias(percent) - self.wished)
-        return left if end == 0.0 else left + self._reach(percent, end)
+        if end == 0.0:
+            return left
+        there = np.isfinite(left)  # a crossing that is nowhere stays nowhere
+        return np.where(there, np.where(there, left, 0.0) + self._reach(percent, end), left)
 
     def _reach(self, percent: float, end: float) -> Array:
         """How far the ends lie from the estimate: as of the unmoved loop, grown as draws' deviations grow."""

@@ -199,8 +199,8 @@ def scatter_of(loop: Loop, plant: Plant, from_hz: float, reading: Reading) -> tu
         return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
     f, C, above, C_above, _ = _responses(loop, plant)
     drawn, _ = kernel.read_margins(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, from_hz)
-    known = np.isfinite(drawn).all(axis=0)
-    off = np.where(known, drawn - np.where(known, reading.values, 0.0), 0.0)
+    known = np.isfinite(drawn).all(axis=0) & np.isfinite(reading.values)
+    off = np.where(known, drawn, 0.0) - np.where(known, reading.values, 0.0)
     return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)
 
 

@@ -18,10 +18,10 @@ from loopshape.estimate.pooling import pooled_variance
 from loopshape.frf import FRF
 from loopshape.units import Array, ComplexArray
 
-#: half widths of windows that are tried, in lines; windows stand a third of that apart
-HALVES = (4, 6, 9, 14, 22, 34)
+#: half widths of windows that are tried, in lines; windows stand half of that apart
+HALVES, APART = (4, 7, 12, 22, 36), 2
 #: order of the polynomial beside the pole, and rounds of weighting anew
-ORDER, ROUNDS = 2, 4
+ORDER, ROUNDS = 2, 3
 #: a pole is a resonance up to this damping, in this share of its window, and as wide as this share of its half at most
 DAMPED, MIDDLE, WIDE = 0.3, 0.5, 0.6
 #: its peak stands so far above what is left of P there
@@ -113,13 +113,16 @@ def _found(f: Array, P: ComplexArray, variance: Array) -> tuple[Resonance, ...]:
 
 
 def _same(one: Resonance, other: Resonance) -> bool:
+    """Whether one is another, surer one again: their widths overlap, or it only makes up for that in its window."""
+    if one.phase is Phase.UNKNOWN and one.first <= 0.5 * (other.first + other.last) <= one.last:
+        return True
     widths = abs(one.pole_hz.imag) + abs(other.pole_hz.imag) + 3.0 * (one.frequency_std_hz + other.frequency_std_hz)
     return abs(one.frequency_hz - other.frequency_hz) < widths
 
 
 def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int) -> list[Resonance]:
     """Resonances in windows of 2 half + 1 lines."""
-    starts = np.unique(np.append(np.arange(0, f.size - 2 * half, max(half // 3, 1)), f.size - 2 * half - 1))
+    starts = np.unique(np.append(np.arange(0, f.size - 2 * half, max(half // APART, 1)), f.size - 2 * half - 1))
     rows = starts[:, None] + np.arange(2 * half + 1)
     centre = 0.5 * (f[rows[:, 0]] + f[rows[:, -1]])
     reach = 0.5 * (f[rows[:, -1]] - f[rows[:, 0]])
