@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from loopshape.errors import BadSignalError
@@ -18,6 +17,7 @@ from loopshape.estimate.answers import Answers, plant_of
 from loopshape.estimate.input_power import powered
 from loopshape.estimate.local_fits import LocalFit, Window, fit_lines
 from loopshape.estimate.settings import Settings
+from loopshape.estimate.transforms import fast_length
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -85,19 +85,11 @@ def by_local_fits(
 
 
 def _lines(recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], outputs: int) -> Lines:
-    n = _fast(instruments[0].size)
+    n = fast_length(instruments[0].size)
     rate = recording.rate_hz
     X, R = (np.stack([np.fft.rfft(x[:n] - x[:n].mean()) for x in xs]) for xs in (signals, instruments))
     low, high = _stretch(R)
     return Lines(np.arange(X.shape[1], dtype=np.float64) * (rate / n), X, R, low, high, outputs, 2.0 / (rate * n))
-
-
-def _fast(n: int) -> int:
-    """Longest length up to n that transforms fast; at most a few per mille are cut off."""
-    for length in range(n, max(n - n // 20, 1), -1):
-        if next_fast_len(length, real=True) == length:
-            return length
-    return n
 
 
 def _stretch(R: ComplexArray) -> tuple[int, int]:

@@ -1,0 +1,160 @@
+"""Sweeps, one way or both ways: local models of a whole record's transform, each line with a window of its own.
+
+A sweep passes a frequency once or twice, so segments see each line too seldom to average. The transform of the whole
+record sees it all: X(k) = H(k) R(k) + T(k) + V(k), and over neighbouring lines H and the transient T of start, end and
+drift are smooth (Pintelon, Schoukens, Vandersteen, Barbe, MSSP 24, 2010). What is left over is noise, wherever in the
+record it lies: what is heard while the sweep passes, and just before and after, counts where it is louder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from loopshape.errors import BadSignalError
+from loopshape.estimate.answers import Answers
+from loopshape.estimate.local_models import Fits, influences, solve, window_moments
+from loopshape.estimate.settings import Settings
+from loopshape.estimate.sweep_windows import HALVES, LOUD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
+from loopshape.estimate.transforms import fast_length
+from loopshape.recording import Recording
+from loopshape.units import Array, ComplexArray
+
+#: lines lie this share of their frequency apart, or are the record's own
+DENSE = 150
+#: lines on each side over which a line's noise is pooled
+POOL = 5
+NO_GATES = np.zeros(0)
+#: windows chosen by the data make what they leave over look smaller: measured in experiments/sweep_estimation
+CHOSEN = 1.12
+#: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
+OVERLAP = 0.7
+
+
+def by_sweep(
+    recording: Recording, signals: Sequence[Array], instrument: Array, outputs: int, settings: Settings
+) -> Answers:
+    """Answers of signals (n,), the first `outputs` of them plant outputs, to a sweep (n,), within the band it crosses.
+
+    Lines are the record's own, thinned out to `DENSE` a frequency or to the resolution asked for. Refuses a record
+    whose band holds fewer lines than the narrowest window. Misleads where the plant changes while the sweep passes:
+    one direction alone cannot show it.
+    """
+    z, scale, unit = _transforms(recording.rate_hz, signals, instrument)
+    low_hz, high_hz = swept_band(instrument, recording.rate_hz)
+    low, high = max(2, int(0.5 * low_hz / unit)), min(z.shape[0] - 2, int(1.3 * high_hz / unit))
+    lines = _grid(max(low, int(np.ceil(low_hz / unit))), min(high, int(high_hz / unit)), unit, settings)
+    if high - low < 2 * HALVES[0] + 2 or lines.size < 2:
+        raise BadSignalError(
+            f"the sweep of recording {recording.info.file} crosses too few lines",
+            f"{low_hz:.3g} to {high_hz:.3g} Hz with lines {unit:.3g} Hz apart",
+            "record longer, or sweep a wider band",
+        )
+    chosen, transient = choose(z, lines, low, high, outputs)
+    response, covariance, power, freedom = _estimated(z, lines, chosen, transient)
+    to_unit, width = scale[2:] / scale[0], chosen.right - chosen.left + 1
+    order = [*range(2, z.shape[1]), 0]
+    density = 2.0 / (recording.rate_hz * recording.rate_hz / unit)
+    share = float(np.mean(chosen.rational))
+    return Answers(
+        frequency_hz=lines * unit,
+        response=(response * to_unit)[:, :, None],
+        covariance=covariance * (to_unit[:, None] * to_unit),
+        power=(power * (scale[:, None] * scale))[:, order][:, :, order] * density,
+        excited=np.ones(lines.size, dtype=bool),
+        averages=float(np.median(width)),
+        power_per="Hz",
+        line_overlap=max(1.0, float(np.median(0.5 * OVERLAP * width / np.gradient(lines.astype(float))))),
+        freedom=freedom,
+        pooled=2 * POOL + 1,
+        method=f"local fits of a sweep of {1.0 / unit:.4g} s, windows of {width.min() * unit:.3g} to"
+        f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals",
+    )
+
+
+def _transforms(rate_hz: float, signals: Sequence[Array], instrument: Array) -> tuple[ComplexArray, Array, float]:
+    """Transforms (nf, 2 + m) of instrument, 1 and signals without their trends, each to unit power, by what they were
+    divided, and the distance between lines in Hz."""
+    n = fast_length(instrument.size)
+    z = np.ones((n // 2 + 1, 2 + len(signals)), dtype=complex)
+    for k, x in ((0, instrument), *enumerate(signals, start=2)):
+        z[:, k] = np.fft.rfft(_without_trend(x[:n]))
+    scale = np.sqrt(np.mean(np.abs(z) ** 2, axis=0))
+    scale[1] = 1.0
+    return np.ascontiguousarray(z / scale), scale, rate_hz / n
+
+
+def _without_trend(x: Array) -> Array:
+    """x (n,) without its mean and straight trend: what this takes from the sweep's own answer is smooth over lines."""
+    t = np.arange(x.size) - 0.5 * (x.size - 1)
+    x = x - x.mean()
+    return np.asarray(x - t * ((t @ x) / (t @ t)))
+
+
+def swept_band(instrument: Array, rate_hz: float) -> tuple[float, float]:
+    """Lowest and highest frequency in Hz that a sweep (n,) crosses, by its zero crossings and one more at each end."""
+    x = instrument - instrument.mean()
+    k = np.flatnonzero(np.diff(np.signbit(x)))
+    if k.size < 8:
+        return 0.0, 0.5 * rate_hz
+    at = (k + x[k] / (x[k] - x[k + 1])) / rate_hz
+    f, t = 0.5 / np.diff(at), 0.5 * (at[1:] + at[:-1])
+    few = min(8, f.size // 4)
+    begun, left = t[0], x.size / rate_hz - t[-1]
+    first = f[0] * (f[0] / f[few]) ** (min(begun, 1.5 / f[0]) / (t[few] - t[0]))
+    last = f[-1] * (f[-1] / f[-1 - few]) ** (min(left, 1.5 / f[-1]) / (t[-1] - t[-1 - few]))
+    return float(min(f.min(), first, last)), float(min(max(f.max(), first, last), 0.5 * rate_hz))
+
+
+def _grid(first: int, last: int, unit: float, settings: Settings) -> np.ndarray:
+    """Lines from `first` to `last`: of the resolution asked for, else ever further apart; records of one length share
+    them."""
+    if settings.resolution_hz is not None:
+        step = max(1, round(settings.resolution_hz / unit))
+        return np.arange(-(-first // step) * step, last + 1, step)
+    lines, k = [], 1
+    while k <= last:
+        lines.append(k)
+        k += max(1, k // DENSE)
+    found = np.array(lines, dtype=int)
+    return found[found >= first]
+
+
+def _estimated(
+    z: ComplexArray, lines: np.ndarray, chosen: Chosen, transient: Transient
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, float]:
+    """Responses (n, m), their covariance, cross-powers of z over each window, and degrees of freedom of a variance."""
+    n, m = lines.size, z.shape[1] - 2
+    response, total = np.empty((n, m), dtype=complex), np.zeros((n, m, m), dtype=complex)
+    held, gain, effective = np.empty_like(total), np.empty(n), np.empty(n)
+    power = np.empty((n, m + 2, m + 2), dtype=complex)
+    for shape, rows in ((POLYNOMIAL, np.flatnonzero(~chosen.rational)), (RATIONAL, np.flatnonzero(chosen.rational))):
+        if not rows.size:
+            continue
+        left, right, expected = chosen.left[rows], chosen.right[rows], transient.select(rows)
+        M = window_moments(z, lines[rows], left[:, None], right[:, None], shape.powers)[:, 0]
+        count, ridge = (right - left + 1).astype(float), expected.ridge(left, right)
+        fits = solve(M, count, shape, ridge)
+        response[rows], gain[rows] = fits.response, fits.inverse[:, 0, 0].real
+        power[rows] = M[:, 0].conj() / count[:, None, None]
+        held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
+        total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
+    noise = _pooled(total.real / gain[:, None, None]) + 1j * _pooled(total.imag / gain[:, None, None])
+    louder = (chosen.before / np.maximum(np.einsum("nii->ni", noise).real, 1e-300)).mean(axis=1)
+    louder = np.where(louder > LOUD, louder, 1.0) * CHOSEN * gain
+    width = chosen.right - chosen.left + 1.0
+    freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
+    return response, np.asarray(noise * louder[:, None, None] + held), power, float(np.median(freedom))
+
+
+def _held(fits: Fits, ridge: Array, transient: Transient, half: Array) -> ComplexArray:
+    """Covariance (n, m, m) of what a transient held to its expected size may still leave in the responses."""
+    terms = np.arange(ridge.shape[1])
+    share = np.abs(fits.inverse[:, 0, -terms.size :] * ridge) ** 2 * half[:, None] ** (2.0 * terms)
+    return np.asarray(np.einsum("ns,nsxy->nxy", share, transient.covariance))
+
+
+def _pooled(x: Array) -> Array:
+    return np.asarray(uniform_filter1d(x, 2 * POOL + 1, axis=0, mode="nearest"))
