@@ -76,7 +76,7 @@ def window_moments(
     z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, powers: int
 ) -> ComplexArray:
     """Moments (n, windows, powers, s, s) of z (nf, s) about `lines` (n,), t over half of each window [left, right]."""
-    M = np.empty((lines.size, left.shape[1], powers, z.shape[1], z.shape[1]), dtype=complex)
+    M = np.zeros((lines.size, left.shape[1], powers, z.shape[1], z.shape[1]), dtype=complex)
     moments(z, lines, left, right, powers, M)
     widest = (right - left)[:, -1:] / (right - left)
     M *= widest[:, :, None, None, None] ** np.arange(powers)[:, None, None]

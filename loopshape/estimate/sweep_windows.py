@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d, uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from loopshape.estimate.local_models import Fits, Shape, influences, solve, window_moments
 from loopshape.units import Array, ComplexArray
@@ -75,8 +75,10 @@ def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
     left, right = _windows(few, low, high)
     M = window_moments(z, few, left, right, RATIONAL.powers)
     count, ridge = (right - left + 1).astype(float), transient.ridge(left, right)
+    widest = np.argmax(count, axis=1)
     place, variance = zip(
-        *(_best(solve(M, count, shape, ridge), outputs, shape, loud) for shape in (POLYNOMIAL, RATIONAL)), strict=True
+        *(_best(solve(M, count, shape, ridge), outputs, shape, loud, widest) for shape in (POLYNOMIAL, RATIONAL)),
+        strict=True,
     )
     rational = (variance[1] < variance[0] + np.log(PAYS)) & (loud == 0.0).all(axis=1)
     taken = np.where(rational, place[1], place[0])
@@ -95,14 +97,15 @@ def _windows(lines: np.ndarray, low: int, high: int) -> tuple[np.ndarray, np.nda
     return middle - half, middle + half
 
 
-def _best(fits: Fits, outputs: int, shape: Shape, loud: Array) -> tuple[np.ndarray, Array]:
+def _best(fits: Fits, outputs: int, shape: Shape, loud: Array, widest: np.ndarray) -> tuple[np.ndarray, Array]:
     """Window (n,) that one shape takes at each line, and the logarithm of its relative variance, smoothed."""
     value, noise = _sought(fits, outputs)
     noise = np.maximum(_pooled(noise), loud[:, None])
     first = min(TOO_FEW if shape.poles else 0, value.shape[1] - 1)
     gain = fits.gain[..., : value.shape[-1]]
     grown = first + _grown(value[:, first:], noise[:, first:], gain[:, first:])
-    best = np.maximum(minimum_filter1d(grown, 3, mode="nearest") - BACK, first)
+    grown = np.minimum(grown, widest)  # windows beyond are the same
+    best = np.maximum(median_filter(grown, 5, mode="nearest") - BACK, first)
     rows = np.arange(best.size)
     size = np.maximum(np.abs(value[rows, best]) ** 2, 1e-60)
     return best, _pooled(np.log((noise * gain)[rows, best] / size).mean(axis=-1))
@@ -148,23 +151,27 @@ def _reference(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs:
     fits, without = solve(M, count, POLYNOMIAL), solve(M, count, RESTING)
     separate = fits.gain[:, 0] / without.gain[:, 0]
     sharp = solve(M, count, RATIONAL)
-    parts = zip(
-        *(_before(z, lines, left, right, *x, outputs) for x in ((fits, POLYNOMIAL), (sharp, RATIONAL))), strict=True
-    )
+    both = ((fits, POLYNOMIAL), (sharp, RATIONAL))
+    parts = zip(*(_around(z, lines, left, right, *x, outputs) for x in both), strict=True)
     better = np.all(sharp.power < PAYS * fits.power, axis=1, keepdims=True)
-    before, power, noise = (_pooled(np.asarray(np.where(better, b, a))) for a, b in parts)
+    before, after, power, noise = (_pooled(np.asarray(np.where(better, b, a))) for a, b in parts)
     before = np.where((separate < SEPARATE)[:, None], before, power)
-    louder = (before / power).mean(axis=1)
-    return _expected(fits, lines, half, separate), before, np.where(louder > LOUD, louder, 0.0)[:, None] * noise
+    loud = before.sum(axis=1, keepdims=True) > LOUD * power.sum(axis=1, keepdims=True)
+    before = np.where(loud, np.maximum(before, after), before)
+    louder = before.sum(axis=1, keepdims=True) / power.sum(axis=1, keepdims=True)
+    return _expected(fits, lines, half, separate), before, np.where(loud, louder, 0.0) * noise
 
 
-def _before(
+def _around(
     z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, fits: Fits, shape: Shape, outputs: int
-) -> tuple[Array, Array, Array]:
-    """Noise power of each answer (n, m) just before the sweep passes and over the record, and of what is sought."""
-    total, gated, _ = influences(z, lines, left, right, shape.order, fits, BEFORE)
-    all_of_it = np.maximum(np.einsum("nii->ni", total).real, 1e-300)
-    return fits.power * (np.abs(gated) ** 2).mean(axis=1) / all_of_it, fits.power, _sought(fits, outputs)[1]
+) -> tuple[Array, Array, Array, Array]:
+    """Noise power of each answer (n, m) just before and after the sweep passes, and over the record."""
+    gates = np.concatenate([BEFORE, -BEFORE])
+    total, gated, _ = influences(z, lines, left, right, shape.order, fits, gates)
+    share = fits.power / np.maximum(np.einsum("nii->ni", total).real, 1e-300)
+    gated = np.abs(gated) ** 2
+    before, after = share * gated[:, : BEFORE.size].mean(axis=1), share * gated[:, BEFORE.size :].mean(axis=1)
+    return before, after, fits.power, _sought(fits, outputs)[1]
 
 
 def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) -> Transient:
@@ -176,7 +183,7 @@ def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) 
     own = own if own.size else np.array([int(np.argmin(separate))])
     per_line = 1.0 / half[own, None] ** (2.0 * np.arange(POLYNOMIAL.order + 1))
     T = fits.theta[own, POLYNOMIAL.order + 1 :]
-    power = _pooled((np.abs(T) ** 2 / fits.power[own, None]).mean(axis=-1) * per_line)
+    power = _pooled((np.abs(T) ** 2).sum(axis=-1) / fits.power[own].sum(axis=-1)[:, None] * per_line)
     covariance = T[..., :, None] * T[..., None, :].conj() * per_line[..., None, None]
     covariance = _pooled(covariance.real) + 1j * _pooled(covariance.imag)
     nearest = np.clip(np.searchsorted(own, np.arange(lines.size)), 0, own.size - 1)

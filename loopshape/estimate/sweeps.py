@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers
+from loopshape.estimate.averages import smoothed
 from loopshape.estimate.local_models import Fits, influences, solve, window_moments
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.sweep_windows import HALVES, LOUD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
@@ -27,7 +27,7 @@ DENSE = 150
 #: lines on each side over which a line's noise is pooled
 POOL = 5
 NO_GATES = np.zeros(0)
-#: windows chosen by the data make what they leave over look smaller: measured in experiments/sweep_estimation
+#: squared errors over stated variances without it: the data that choose a window also scatter about its fit
 CHOSEN = 1.12
 #: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
 OVERLAP = 0.7
@@ -141,8 +141,8 @@ def _estimated(
         power[rows] = M[:, 0].conj() / count[:, None, None]
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
         total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
-    noise = _pooled(total.real / gain[:, None, None]) + 1j * _pooled(total.imag / gain[:, None, None])
-    louder = (chosen.before / np.maximum(np.einsum("nii->ni", noise).real, 1e-300)).mean(axis=1)
+    noise = smoothed(total / gain[:, None, None], POOL)
+    louder = chosen.before.sum(axis=1) / np.maximum(np.einsum("nii->n", noise).real, 1e-300)
     louder = np.where(louder > LOUD, louder, 1.0) * CHOSEN * gain
     width = chosen.right - chosen.left + 1.0
     freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
@@ -154,7 +154,3 @@ def _held(fits: Fits, ridge: Array, transient: Transient, half: Array) -> Comple
     terms = np.arange(ridge.shape[1])
     share = np.abs(fits.inverse[:, 0, -terms.size :] * ridge) ** 2 * half[:, None] ** (2.0 * terms)
     return np.asarray(np.einsum("ns,nsxy->nxy", share, transient.covariance))
-
-
-def _pooled(x: Array) -> Array:
-    return np.asarray(uniform_filter1d(x, 2 * POOL + 1, axis=0, mode="nearest"))

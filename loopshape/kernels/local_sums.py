@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.kernels.types import Array, ComplexArray
+
+#: from so many lines on a window's leverages are small, and their mean is taken for each
+NARROW = 100
 
 
 @compiled
@@ -19,30 +22,39 @@ def moments(z: ComplexArray, lines: Array, left: Array, right: Array, powers: in
     ends included, each within the next; t is the distance over half the widest window. Upper triangles are filled.
     """
     s, windows = z.shape[1], left.shape[1]
-    total = np.zeros((powers, s, s), dtype=np.complex128)
+    total = np.zeros((powers, s * (s + 1)))  # real and imaginary parts of each pair
+    product = np.empty(s * (s + 1))
     for i in range(lines.size):
         total[:] = 0.0
         scale = 2.0 / (right[i, windows - 1] - left[i, windows - 1])
         first, last = left[i, 0], left[i, 0] - 1
         for c in range(windows):
             for j in range(left[i, c], first):
-                _add(z[j], (j - lines[i]) * scale, total)
+                _add(z[j], (j - lines[i]) * scale, product, total)
             for j in range(last + 1, right[i, c] + 1):
-                _add(z[j], (j - lines[i]) * scale, total)
+                _add(z[j], (j - lines[i]) * scale, product, total)
             first, last = left[i, c], right[i, c]
-            out[i, c] = total
+            for p in range(powers):
+                k = 0
+                for a in range(s):
+                    for b in range(a, s):
+                        out[i, c, p, a, b] = complex(total[p, k], total[p, k + 1])
+                        k += 2
 
 
-@compiled
-def _add(z: ComplexArray, t: float, total: ComplexArray) -> None:
+@compiled_in_line
+def _add(z: ComplexArray, t: float, product: Array, total: Array) -> None:
+    k = 0
     for a in range(z.size):
         for b in range(a, z.size):
-            product = complex(
-                z[a].real * z[b].real + z[a].imag * z[b].imag, z[a].real * z[b].imag - z[a].imag * z[b].real
-            )
-            for s in range(total.shape[0]):
-                total[s, a, b] += product
-                product *= t
+            product[k] = z[a].real * z[b].real + z[a].imag * z[b].imag
+            product[k + 1] = z[a].real * z[b].imag - z[a].imag * z[b].real
+            k += 2
+    power = 1.0
+    for p in range(total.shape[0]):
+        for k in range(product.size):
+            total[p, k] += product[k] * power
+        power *= t
 
 
 @compiled
@@ -86,11 +98,13 @@ def influence(
                 b[s], b[terms + s] = z[j, 0] * power, power
                 power *= t
             leverage = 0.0
-            for k in range(q):
+            for k in range(q if right[i] - left[i] < NARROW else 1):
                 a[k] = 0.0
                 for n in range(q):
                     a[k] += inverse[i, k, n] * np.conj(b[n])
                 leverage += (b[k] * a[k]).real
+            if right[i] - left[i] >= NARROW:
+                leverage = q / (right[i] - left[i] + 1.0)
             root = 1.0 / np.sqrt(max(1.0 - leverage, 1e-3))
             change[:] = 0.0
             for x in range(m):
