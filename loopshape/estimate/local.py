@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers, plant_of
 from loopshape.estimate.input_power import powered
-from loopshape.estimate.local_fits import LocalFit, Window, fit_lines
+from loopshape.estimate.local_fits import LocalFit, Window, fit_lines, predicted
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.transforms import fast_length
 from loopshape.recording import Recording
@@ -123,7 +123,11 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
             "record longer, or ask for Welch's method",
         )
     groups, tried = _groups(lines), _some_outputs(lines)
-    errors = np.array([_prediction_error(tried, groups, w) for w in windows])
+    errors = np.empty((len(windows), groups.size))
+    for shape in SHAPES:
+        alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == shape]
+        if alike:
+            errors[alike] = _prediction_errors(tried, groups, [windows[k] for k in alike])
     score = errors.mean(axis=1) + POLES_PAY * np.array([w.poles > 0 for w in windows])
     best = int(score.argmin())
     alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == (windows[best].order, windows[best].poles)]
@@ -149,16 +153,15 @@ def _groups(lines: Lines) -> np.ndarray:
     return np.unique(np.round(middles).astype(int))
 
 
-def _prediction_error(lines: Lines, groups: np.ndarray, window: Window) -> Array:
-    """Logarithm of the power (groups,) by which lines left out are missed: y - P u for each output, per Hz."""
-    half = TOGETHER // 2
-    every = (groups[:, None] + np.arange(-half, half + 1)).ravel()
-    missed = []
-    for part in _chunks(every, window):
-        fit = fit_lines(lines.X, lines.R, part, lines.low, lines.high, window)
-        missed.append(np.abs(_of_plant(fit.response, fit.left_out, lines.outputs)) ** 2)
-    power = np.concatenate(missed).reshape(groups.size, TOGETHER, lines.outputs).mean(axis=1)
-    return np.asarray(np.log(lines.density * power + 1e-300).mean(axis=1))
+def _prediction_errors(lines: Lines, groups: np.ndarray, windows: Sequence[Window]) -> Array:
+    """Logarithm of the power (windows, groups) by which lines left out are missed: y - P u for each output, per Hz, by
+    windows of one order and degree, narrowest first."""
+    reach = TOGETHER // 2
+    every = (groups[:, None] + np.arange(-reach, reach + 1)).ravel()
+    response, left_out = predicted(lines.X, lines.R, every, lines.low, lines.high, windows)
+    missed = [np.abs(_of_plant(H, e, lines.outputs)) ** 2 for H, e in zip(response, left_out, strict=True)]
+    power = np.stack(missed).reshape(len(windows), groups.size, TOGETHER, lines.outputs).mean(axis=2)
+    return np.asarray(np.log(lines.density * power + 1e-300).mean(axis=-1))
 
 
 def _of_plant(response: ComplexArray, left_out: ComplexArray, outputs: int) -> ComplexArray:

@@ -16,7 +16,7 @@ from loopshape.units import Array, ComplexArray
 
 #: what keeps equations regular that say the same twice, relative to their own size
 REGULAR = 1e-12
-TINY = 1e-200
+TINY = 1e-60
 #: an answer's noise is taken to be this share of its energy at least, where answers are weighed against each other
 LEAST = 1e-9
 
@@ -48,7 +48,8 @@ class Fits:
 
     `inverse` (..., q, q) of the normal equations, `theta` (..., q, m) the coefficients, N(0) first; `denominator`
     (..., 1 + poles); `bends` (..., poles, q, m) by what coefficients answer to the denominator's; `pull`
-    (..., poles, poles, m) by what the denominator answers to residuals, projected. `gain` (..., m) is N(0)'s variance
+    (..., poles, poles, m) by what the denominator answers to residuals, projected, `forms` (..., poles, poles) the
+    denominator's covariance over the noise's power where there is one answer. `gain` (..., m) is N(0)'s variance
     over the noise's, `scatter` (..., m, m) the noise's covariance E[v v^H], with `freedom` (...).
     """
 
@@ -57,6 +58,7 @@ class Fits:
     denominator: ComplexArray
     bends: ComplexArray
     pull: ComplexArray
+    forms: ComplexArray
     gain: Array
     scatter: ComplexArray
     freedom: Array
@@ -127,6 +129,7 @@ def _without_poles(inverse: ComplexArray, theta: ComplexArray, left: ComplexArra
         denominator=np.ones((*lead, 1), dtype=complex),
         bends=np.zeros((*lead, 0, q, m), dtype=complex),
         pull=np.zeros((*lead, 0, 0, m), dtype=complex),
+        forms=np.zeros((*lead, 0, 0), dtype=complex),
         gain=np.broadcast_to(inverse[..., 0, 0].real[..., None], (*lead, m)),
         scatter=left[..., 0, :, 0, :].conj() / freedom[..., None, None],
         freedom=freedom,
@@ -151,6 +154,7 @@ def _with_poles(inverse: ComplexArray, theta: ComplexArray, left: ComplexArray, 
         denominator=D,
         bends=bends,
         pull=-V[..., None] * weight[..., None, None, :],
+        forms=V * weight.mean(axis=-1)[..., None, None],
         gain=inverse[..., 0, 0].real[..., None] + moved * mean / power,
         scatter=scatter,
         freedom=freedom,

@@ -18,7 +18,7 @@ from loopshape.estimate.averages import smoothed
 from loopshape.estimate.local_models import Fits, influences, solve, window_moments
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.sweep_windows import HALVES, LOUD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
-from loopshape.estimate.transforms import fast_length
+from loopshape.estimate.transforms import FLOOR, fast_length
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -57,13 +57,13 @@ def by_sweep(
     to_unit, width = scale[2:] / scale[0], chosen.right - chosen.left + 1
     order = [*range(2, z.shape[1]), 0]
     density = 2.0 / (recording.rate_hz * recording.rate_hz / unit)
-    share = float(np.mean(chosen.rational))
+    share, fed = float(np.mean(chosen.rational)), power[:, 0, 0].real
     return Answers(
         frequency_hz=lines * unit,
         response=(response * to_unit)[:, :, None],
         covariance=covariance * (to_unit[:, None] * to_unit),
         power=(power * (scale[:, None] * scale))[:, order][:, :, order] * density,
-        excited=np.ones(lines.size, dtype=bool),
+        excited=fed > FLOOR * fed.max(),
         averages=float(np.median(width)),
         power_per="Hz",
         line_overlap=max(1.0, float(np.median(0.5 * OVERLAP * width / np.gradient(lines.astype(float))))),
@@ -94,18 +94,35 @@ def _without_trend(x: Array) -> Array:
 
 
 def swept_band(instrument: Array, rate_hz: float) -> tuple[float, float]:
-    """Lowest and highest frequency in Hz that a sweep (n,) crosses, by its zero crossings and one more at each end."""
+    """Lowest and highest frequency in Hz that a sweep (n,) crosses: by its zero crossings, and one more at each end.
+
+    Refuses a signal of fewer than four cycles.
+    """
     x = instrument - instrument.mean()
     k = np.flatnonzero(np.diff(np.signbit(x)))
     if k.size < 8:
-        return 0.0, 0.5 * rate_hz
+        raise BadSignalError("a sweep has four cycles at least", f"{0.5 * k.size:g} of them", "record longer")
     at = (k + x[k] / (x[k] - x[k + 1])) / rate_hz
-    f, t = 0.5 / np.diff(at), 0.5 * (at[1:] + at[:-1])
-    few = min(8, f.size // 4)
-    begun, left = t[0], x.size / rate_hz - t[-1]
-    first = f[0] * (f[0] / f[few]) ** (min(begun, 1.5 / f[0]) / (t[few] - t[0]))
-    last = f[-1] * (f[-1] / f[-1 - few]) ** (min(left, 1.5 / f[-1]) / (t[-1] - t[-1 - few]))
-    return float(min(f.min(), first, last)), float(min(max(f.max(), first, last), 0.5 * rate_hz))
+    f, t = 1.0 / (at[2:] - at[:-2]), 0.5 * (at[2:] + at[:-2])  # whole cycles: an offset moves every second crossing
+    logarithmic = _straighter(np.log(f), t, f)
+    reverse = x.size / rate_hz - t[::-1]
+    ends = _before_first(f, t, logarithmic), _before_first(f[::-1], reverse, logarithmic)
+    return float(min(f.min(), *ends)), float(min(max(f.max(), *ends), 0.5 * rate_hz))
+
+
+def _straighter(one: Array, at: Array, other: Array) -> bool:
+    """Whether `one` (k,) is straighter over `at` than `other`, up to the latter's peak or from there on."""
+    peak = int(np.argmax(other))
+    part = slice(0, peak + 1) if peak >= at.size // 2 - 1 else slice(peak, None)
+    return bool(abs(np.corrcoef(one[part], at[part])[0, 1]) > abs(np.corrcoef(other[part], at[part])[0, 1]))
+
+
+def _before_first(f_hz: Array, at_s: Array, logarithmic: bool) -> float:
+    """Frequency at time 0, or one and a half half-cycles earlier than the first of those of `f_hz` (k,) at `at_s`."""
+    k = min(8, f_hz.size // 4)
+    share = min(at_s[0], 1.5 / f_hz[0]) / (at_s[k] - at_s[0])
+    found = f_hz[0] * (f_hz[0] / f_hz[k]) ** share if logarithmic else f_hz[0] - (f_hz[k] - f_hz[0]) * share
+    return float(np.clip(found, 0.5 * f_hz[0], 2.0 * f_hz[0]))
 
 
 def _grid(first: int, last: int, unit: float, settings: Settings) -> np.ndarray:
@@ -141,7 +158,7 @@ def _estimated(
         power[rows] = M[:, 0].conj() / count[:, None, None]
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
         total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
-    noise = smoothed(total / gain[:, None, None], POOL)
+    noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
     louder = chosen.before.sum(axis=1) / np.maximum(np.einsum("nii->n", noise).real, 1e-300)
     louder = np.where(louder > LOUD, louder, 1.0) * CHOSEN * gain
     width = chosen.right - chosen.left + 1.0
