@@ -1,7 +1,7 @@
 """Which window and shape each line of a sweep's transform gets, and how large its transient is expected to be.
 
 The window grows until its answer leaves the narrower ones' by more than noise explains (Lepski 1990; Goldenshluger and
-Nemirovski 1997), and is then taken two steps narrower, so that what it rounds off is small against the noise. Near the
+Nemirovski 1997), and is then taken four steps narrower, so that what it rounds off is small against the noise. Near the
 ends of a record the sweep's own transform is as smooth as a transient and no fit can tell them apart: there the
 transient is held to the size that it has next to those lines, and what that leaves open counts in the covariance.
 """
@@ -21,18 +21,22 @@ HALVES = np.array([5, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512,
 #: half a window is this share of its frequency at most, but for the narrowest
 WIDEST = 0.2
 #: windows this narrow hold too few lines for a denominator: steps of `HALVES` left out
-TOO_FEW = 2
+TOO_FEW = 3
 #: squared distance from a narrower window's answer, over what noise gives, from which on a window is too wide
-LIMIT = 2.0
+LIMIT = 1.5
 #: by so many steps a window is narrower than the widest that agrees
-BACK = 2
+BACK = 4
+#: the narrowest step of `HALVES` that is taken: narrower windows serve to compare, too few residuals tell their noise
+SOUND = 2
 #: lines at which windows are chosen are every third; on each side so many are pooled
 EVERY, POOL = 3, 3
 POLYNOMIAL, RATIONAL, RESTING = Shape(2, 0), Shape(2, 2), Shape(2, 0, transient=False)
 #: share of the polynomial's variance below which a rational is taken: it bends to noise, which no variance shows
-PAYS = 0.5
+PAYS = 0.2
 #: variance that a transient may add before its lines count as inseparable from it
 SEPARATE = 2.0
+#: and up to which a denominator is fitted beside it
+PLAIN = 1.02
 #: turns over a window before the sweep passes (an answer that rings on is no noise), and what is clearly louder there
 LOUD = 2.0
 BEFORE = np.array([-6.0, -5.0, -4.0, -3.0, -2.0])
@@ -71,7 +75,7 @@ class Transient:
 def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int) -> tuple[Chosen, Transient]:
     """Windows within [low, high] for `lines` (n,) of z (nf, 2 + m): an instrument, 1, and answers, outputs first."""
     few = lines[::EVERY]
-    transient, before, loud = _reference(z, few, low, high, outputs)
+    transient, before, loud, separate = _reference(z, few, low, high, outputs)
     left, right = _windows(few, low, high)
     M = window_moments(z, few, left, right, RATIONAL.powers)
     count, ridge = (right - left + 1).astype(float), transient.ridge(left, right)
@@ -80,8 +84,8 @@ def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
         *(_best(solve(M, count, shape, ridge), outputs, shape, loud, widest) for shape in (POLYNOMIAL, RATIONAL)),
         strict=True,
     )
-    rational = (variance[1] < variance[0] + np.log(PAYS)) & (loud == 0.0).all(axis=1)
-    taken = np.where(rational, place[1], place[0])
+    rational = (variance[1] < variance[0] + np.log(PAYS)) & (loud == 0.0).all(axis=1) & separate
+    taken = np.minimum(np.maximum(np.where(rational, place[1], place[0]), SOUND), left.shape[1] - 1)
     rows = np.arange(few.size)
     nearest = np.minimum(np.searchsorted(0.5 * (few[1:] + few[:-1]), lines), few.size - 1)
     half = (0.5 * (right - left)[rows, taken]).astype(int)[nearest]
@@ -140,7 +144,9 @@ def _pooled(x: Array) -> Array:
     return np.asarray(uniform_filter1d(x, 2 * POOL + 1, axis=0, mode="nearest"))
 
 
-def _reference(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int) -> tuple[Transient, Array, Array]:
+def _reference(
+    z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
+) -> tuple[Transient, Array, Array, np.ndarray]:
     """From fits over a fixed share of the frequency: the transient, each answer's noise power (n, m) just before the
     sweep passes, and that of what is sought (n, k), zero where it is not clearly above the whole record's."""
     half = np.minimum(np.maximum(8, (0.1 * lines).astype(int)), (high - low) // 2)
@@ -159,7 +165,7 @@ def _reference(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs:
     loud = before.sum(axis=1, keepdims=True) > LOUD * power.sum(axis=1, keepdims=True)
     before = np.where(loud, np.maximum(before, after), before)
     louder = before.sum(axis=1, keepdims=True) / power.sum(axis=1, keepdims=True)
-    return _expected(fits, lines, half, separate), before, np.where(loud, louder, 0.0) * noise
+    return _expected(fits, lines, half, separate), before, np.where(loud, louder, 0.0) * noise, separate < PLAIN
 
 
 def _around(

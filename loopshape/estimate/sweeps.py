@@ -27,8 +27,6 @@ DENSE = 150
 #: lines on each side over which a line's noise is pooled
 POOL = 5
 NO_GATES = np.zeros(0)
-#: squared errors over stated variances without it: the data that choose a window also scatter about its fit
-CHOSEN = 1.12
 #: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
 OVERLAP = 0.7
 
@@ -160,7 +158,7 @@ def _estimated(
         total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
     noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
     louder = chosen.before.sum(axis=1) / np.maximum(np.einsum("nii->n", noise).real, 1e-300)
-    louder = np.where(louder > LOUD, louder, 1.0) * CHOSEN * gain
+    louder = np.where(louder > LOUD, louder, 1.0) * gain
     width = chosen.right - chosen.left + 1.0
     freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
     return response, np.asarray(noise * louder[:, None, None] + held), power, float(np.median(freedom))
