@@ -10,14 +10,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.answers import Answers, plant_of
 from loopshape.estimate.input_power import powered
-from loopshape.estimate.local_fits import LocalFit, Window, fit_lines
+from loopshape.estimate.local_fits import LocalFit, Window, fit_lines, predicted
 from loopshape.estimate.settings import Settings
+from loopshape.estimate.transforms import fast_length
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
@@ -85,19 +85,11 @@ def by_local_fits(
 
 
 def _lines(recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], outputs: int) -> Lines:
-    n = _fast(instruments[0].size)
+    n = fast_length(instruments[0].size)
     rate = recording.rate_hz
     X, R = (np.stack([np.fft.rfft(x[:n] - x[:n].mean()) for x in xs]) for xs in (signals, instruments))
     low, high = _stretch(R)
     return Lines(np.arange(X.shape[1], dtype=np.float64) * (rate / n), X, R, low, high, outputs, 2.0 / (rate * n))
-
-
-def _fast(n: int) -> int:
-    """Longest length up to n that transforms fast; at most a few per mille are cut off."""
-    for length in range(n, max(n - n // 20, 1), -1):
-        if next_fast_len(length, real=True) == length:
-            return length
-    return n
 
 
 def _stretch(R: ComplexArray) -> tuple[int, int]:
@@ -131,7 +123,11 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
             "record longer, or ask for Welch's method",
         )
     groups, tried = _groups(lines), _some_outputs(lines)
-    errors = np.array([_prediction_error(tried, groups, w) for w in windows])
+    errors = np.empty((len(windows), groups.size))
+    for shape in SHAPES:
+        alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == shape]
+        if alike:
+            errors[alike] = _prediction_errors(tried, groups, [windows[k] for k in alike])
     score = errors.mean(axis=1) + POLES_PAY * np.array([w.poles > 0 for w in windows])
     best = int(score.argmin())
     alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == (windows[best].order, windows[best].poles)]
@@ -157,16 +153,15 @@ def _groups(lines: Lines) -> np.ndarray:
     return np.unique(np.round(middles).astype(int))
 
 
-def _prediction_error(lines: Lines, groups: np.ndarray, window: Window) -> Array:
-    """Logarithm of the power (groups,) by which lines left out are missed: y - P u for each output, per Hz."""
-    half = TOGETHER // 2
-    every = (groups[:, None] + np.arange(-half, half + 1)).ravel()
-    missed = []
-    for part in _chunks(every, window):
-        fit = fit_lines(lines.X, lines.R, part, lines.low, lines.high, window)
-        missed.append(np.abs(_of_plant(fit.response, fit.left_out, lines.outputs)) ** 2)
-    power = np.concatenate(missed).reshape(groups.size, TOGETHER, lines.outputs).mean(axis=1)
-    return np.asarray(np.log(lines.density * power + 1e-300).mean(axis=1))
+def _prediction_errors(lines: Lines, groups: np.ndarray, windows: Sequence[Window]) -> Array:
+    """Logarithm of the power (windows, groups) by which lines left out are missed: y - P u for each output, per Hz, by
+    windows of one order and degree, narrowest first."""
+    reach = TOGETHER // 2
+    every = (groups[:, None] + np.arange(-reach, reach + 1)).ravel()
+    response, left_out = predicted(lines.X, lines.R, every, lines.low, lines.high, windows)
+    missed = [np.abs(_of_plant(H, e, lines.outputs)) ** 2 for H, e in zip(response, left_out, strict=True)]
+    power = np.stack(missed).reshape(len(windows), groups.size, TOGETHER, lines.outputs).mean(axis=2)
+    return np.asarray(np.log(lines.density * power + 1e-300).mean(axis=-1))
 
 
 def _of_plant(response: ComplexArray, left_out: ComplexArray, outputs: int) -> ComplexArray:

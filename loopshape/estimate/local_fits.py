@@ -8,10 +8,12 @@ SYSID 2012).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.estimate.local_models import TINY, Fits, Shape, solve, window_moments
 from loopshape.units import Array, ComplexArray
 
 
@@ -121,12 +123,50 @@ def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, hig
     )
 
 
+def predicted(
+    X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, high: int, windows: Sequence[Window]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Responses (windows, n, m, nr) and left-out residuals (windows, n, m) of `fit_lines`, over several windows of one
+    order and degree, narrowest first, from moments: each line of the record is looked at once for all of them."""
+    nr, m, half = R.shape[0], X.shape[0], np.array([w.half for w in windows])
+    shape = Shape(windows[0].order, windows[0].poles, instruments=nr)
+    z = np.concatenate([R, np.ones_like(R[:1]), X]).T
+    unit = np.sqrt(np.maximum(np.mean(np.abs(z) ** 2, axis=0), TINY))
+    z = np.ascontiguousarray(z / unit)
+    middle = np.clip(lines[:, None], low + half, high - half)
+    M = window_moments(z, lines, middle - half, middle + half, shape.powers)
+    count = np.broadcast_to(2.0 * half + 1.0, M.shape[:2])
+    response, left_out = (
+        np.empty((half.size, lines.size, m, nr), complex),
+        np.empty((half.size, lines.size, m), complex),
+    )
+    for i in range(m):
+        kept = [*range(nr + 1), nr + 1 + i]
+        fits = solve(M[..., kept, :][..., kept], count, shape)
+        tops = np.arange(nr + 1) * (shape.order + 1)
+        at = np.einsum("nka,na->nk", fits.theta[:, :, tops, 0], z[lines][:, : nr + 1])
+        leverage = _leverage(fits, tops, z[lines][:, : nr + 1])
+        response[:, :, i] = fits.theta[:, :, tops[:nr], 0].swapaxes(0, 1) * (unit[nr + 1 + i] / unit[:nr])
+        left_out[:, :, i] = ((z[lines, nr + 1 + i][:, None] - at) / (1.0 - leverage)).T * unit[nr + 1 + i]
+    return response, left_out
+
+
+def _leverage(fits: Fits, tops: np.ndarray, here: ComplexArray) -> Array:
+    """Leverage (n, windows) of the lines themselves, where only the lowest coefficients count; `here` (n, nr + 1)."""
+    inverse = fits.inverse[:, :, tops[:, None], tops]
+    out = np.einsum("na,nkab,nb->nk", here, inverse, here.conj()).real
+    if fits.bends.shape[2]:
+        own = np.einsum("na,nkpa->nkp", here, fits.bends[:, :, :, tops, 0])
+        out = out + np.einsum("nkp,nkpq,nkq->nk", own, fits.forms, own.conj()).real
+    return np.asarray(np.minimum(out, 1.0 - 1e-9))
+
+
 def _solve(
     A: ComplexArray, data: ComplexArray, instruments: int, window: Window, here: np.ndarray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, Array]:
     """Weights (n, nr, w) of the responses, residuals (m, n, w), left-out residuals (n, m) at the line itself, and
     leverages (n, w)."""
-    Q, triangle = np.linalg.qr(A)
+    Q, triangle = _qr(A)
     tops = [a * (window.order + 1) for a in range(instruments)]
     adjoint = Q.conj().transpose(0, 2, 1)
     try:
@@ -139,3 +179,20 @@ def _solve(
     leverage = np.minimum((np.abs(Q) ** 2).sum(-1), 1.0 - 1e-9)
     left_out = residual[n, here] / (1.0 - leverage[n, here])[:, None]
     return weights, residual.transpose(2, 0, 1), left_out, leverage
+
+
+def _qr(A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """QR of (n, w, p) by two Cholesky factorisations, as exact as reflections where the first succeeds (Yamamoto,
+    Nakatsukasa, Yanagisawa, Fukaya, ETNA 44, 2015), and by reflections where it does not."""
+    size = np.sqrt(np.maximum(np.einsum("nwp,nwp->np", A, A.conj()).real, TINY))
+    try:
+        Q, first = _orthogonal(A / size[:, None])
+        Q, second = _orthogonal(Q)
+    except np.linalg.LinAlgError:
+        return np.linalg.qr(A)
+    return Q, np.asarray(second @ first * size[:, None], dtype=complex)
+
+
+def _orthogonal(A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    upper = np.linalg.cholesky(A.conj().transpose(0, 2, 1) @ A).conj().transpose(0, 2, 1)
+    return np.asarray(A @ np.linalg.inv(upper)), np.asarray(upper)

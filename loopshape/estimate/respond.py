@@ -12,6 +12,7 @@ from loopshape.estimate.answers import Answers
 from loopshape.estimate.local import by_local_fits, compared
 from loopshape.estimate.periods import by_periods
 from loopshape.estimate.settings import Settings
+from loopshape.estimate.sweeps import by_sweep
 from loopshape.estimate.welch import by_welch
 from loopshape.recording import Recording
 from loopshape.units import Array, db
@@ -26,10 +27,9 @@ def respond(
 ) -> Answers:
     """Answers of signals (n,), the first `outputs` of them plant outputs, to instruments (n,) of one recording.
 
-    By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. `auto`
-    gives sweeps to Welch, since what a sweep drives a machine to differs along the record, and whoever asks for a
-    resolution, which is Welch's trade; noise it gives to whichever of both predicts best what it has not seen. The
-    method's words say which it was.
+    By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. One sweep
+    has local fits of its own (`by_sweep`); of several at once, and of noise with a resolution asked for, `auto` takes
+    Welch's segments, and of other noise whichever of both predicts best what it has not seen.
     """
     if recording.info.period_s is not None:
         if settings.method != "auto" or settings.recipe:
@@ -39,7 +39,10 @@ def respond(
                 "leave it out, or take period_s out of run.toml",
             )
         return by_periods([(recording, signals, instruments, 0)], settings)
-    chosen = recording.info.kind == "sweep" or settings.resolution_hz is not None or settings.recipe
+    sweep = recording.info.kind == "sweep"
+    if sweep and len(instruments) == 1 and settings.method != "welch" and not settings.recipe:
+        return by_sweep(recording, signals, instruments[0], outputs, settings)
+    chosen = sweep or settings.resolution_hz is not None or settings.recipe
     if settings.method == "welch" or (settings.method == "auto" and chosen):
         return by_welch(recording, signals, instruments, settings)
     if settings.method == "local":

@@ -21,8 +21,8 @@ class Settings:
     """How to estimate; None lets the record decide. `resolution_hz` is the distance between lines.
 
     `method` is for records without a period: `welch`, `local` (local polynomials and rationals, which take the
-    transient off), or `auto`: sweeps, and records with a resolution asked for, go to Welch, other noise to whichever
-    predicts best what it has not seen. For local fits a resolution is the distance between lines alone.
+    transient off), or `auto`: sweeps by local fits, noise with a resolution asked for by Welch, other noise by
+    whichever predicts best what it has not seen. For local fits a resolution is the distance between lines alone.
 
     `window` (periodic, or `symmetric` as for filters), `detrend` of each segment, `overlap` (share of a segment) and
     `segment_samples` are Welch's and reproduce somebody's recipe; each but the overlap makes `auto` choose Welch. With

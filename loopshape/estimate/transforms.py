@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.signal import get_window
 
 from loopshape.errors import BadSignalError, WrongUseError
@@ -51,6 +52,14 @@ def transform(recording: Recording, signals: Sequence[Array], instrument: Array,
             )
         return _by_periods(recording, signals, instrument)
     return _by_segments(recording, signals, instrument, settings)
+
+
+def fast_length(n: int) -> int:
+    """Longest length up to n that transforms fast; at most a few per mille are cut off."""
+    for length in range(n, max(n - n // 20, 1), -1):
+        if next_fast_len(length, real=True) == length:
+            return length
+    return n
 
 
 def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Array) -> Transforms:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import csd
 
+from loopshape.estimate.local import by_local_fits
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.welch import by_welch
 from loopshape.recording import Recording, RecordingInfo
@@ -63,3 +64,19 @@ def peak_megabytes(minutes: int) -> float:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return 1e-6 * peak
+
+
+def local(seconds: float = 60.0) -> tuple[Callable[[], object], Callable[[], object]]:
+    """Local fits of a record of noise at 1 kHz, and the bare transforms of its three signals, a hundred times."""
+    rng = np.random.default_rng(0)
+    n, v = (rng.standard_normal(round(seconds * RATE)) for _ in range(2))
+    y = np.convolve(n, 0.9 ** np.arange(60))[: n.size] + 0.01 * v
+    recording = Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
+    signals, settings = [y, n - 0.1 * y], Settings(method="local")
+
+    def bare() -> None:
+        for _ in range(100):
+            for x in (*signals, n):
+                np.fft.rfft(x)
+
+    return lambda: by_local_fits(recording, signals, [n], 1, settings), bare

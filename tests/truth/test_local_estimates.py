@@ -10,7 +10,7 @@ from scipy.stats import f as f_distribution
 
 from loopshape.errors import BadSignalError
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.local_fits import Window, fit_lines
+from loopshape.estimate.local_fits import Window, fit_lines, predicted
 from loopshape.estimate.matrix import estimate_matrix
 from loopshape.estimate.settings import Settings
 from loopshape.experiment import LoopSetup
@@ -103,6 +103,19 @@ def test_a_polynomial_plant_and_transient_are_recovered_exactly():
     fit = fit_lines(H * R + T, R, k, 0, 199, Window(12, 2, 0))
     np.testing.assert_allclose(fit.response[:, 0, 0], H, rtol=1e-8)
     assert np.abs(fit.left_out).max() < 1e-8
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (2, 0), (4, 0), (2, 2)])
+def test_moments_predict_what_least_squares_predict(shape):
+    k, rng = np.arange(400), np.random.default_rng(0)
+    R, V = (rng.standard_normal((2, 400)) + 1j * rng.standard_normal((2, 400)) for _ in range(2))
+    X = np.stack([R[0] / (1.0 + 1j * (k - 200.0) / 9.0) + 0.3 * R[1], 0.5 * R[0] - R[1]]) + 0.01 * V
+    windows, lines = [Window(half, *shape) for half in (16, 24, 64)], np.array([3, 20, 195, 200, 230, 396])
+    response, left_out = predicted(X, R, lines, 1, 398, windows)
+    for one, window in enumerate(windows):
+        fit = fit_lines(X, R, lines, 1, 398, window)
+        np.testing.assert_allclose(response[one], fit.response, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(left_out[one], fit.left_out, rtol=1e-4, atol=1e-7)
 
 
 def test_a_rational_plant_is_recovered_exactly_at_its_resonance():
