@@ -177,7 +177,7 @@ def read_margins(
         if before_t >= 0.5:
             found[b, LN_COMPLEMENTARY_HZ] = np.log(f[lines - 1])
         size = np.sqrt(before_size)
-        if size >= 1.0:
+        if bounded and size >= 1.0:
             found[b, PHASE_DEG], found[b, LN_DELAY_S] = 0.0, -np.inf
         if bounded:
             _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])

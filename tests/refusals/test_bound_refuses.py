@@ -38,7 +38,9 @@ def test_nothing_to_schedule():
     [{}, {"phase_margin_deg": 45.0}, {"bandwidth_hz": 1.0}, {"delay_margin_s": 0.001}, {"gain_margin_db": 0.0}],
 )
 def test_limits_that_a_bound_does_not_count_exclude_no_bandwidth(asked):
-    found = bound([frf_of(TransferFunction([1.0], [1.0, 0.0]))], gain(), limits(integrators=1, **asked))
+    found = bound(
+        [frf_of(TransferFunction([1.0], [1.0, 0.0]))], gain(), limits(integrators=1, unstable_poles=0, **asked)
+    )
     assert (found.answer, found.bound_hz) == ("these limits exclude no bandwidth", np.inf)
     assert (found.reached.bandwidth_hz, found.counted) == (0.0, ())
 
@@ -49,7 +51,7 @@ def test_limits_that_a_bound_does_not_count_exclude_no_bandwidth(asked):
 )
 def test_limits_that_no_controller_meets(asked):
     plants = [frf_of(TransferFunction([k], [1.0, 0.0]), f"gain-{k:g}") for k in (1.0, 3.0)]
-    found = bound(plants, gain(), limits(integrators=1, **asked))
+    found = bound(plants, gain(), limits(integrators=1, unstable_poles=0, **asked))
     assert found.answer == "no controller meets these limits"
     assert found.impossible == tuple(asked)
     assert any(f"no controller with a bandwidth meets {found.impossible[0]} = " in note for note in found.notes)
@@ -58,5 +60,9 @@ def test_limits_that_no_controller_meets(asked):
 
 
 def test_a_limit_just_above_what_none_meets_is_bounded():
-    found = bound([frf_of(TransferFunction([1.0], [1.0, 0.0]))], gain(), limits(integrators=1, modulus_margin=0.99))
+    found = bound(
+        [frf_of(TransferFunction([1.0], [1.0, 0.0]))],
+        gain(),
+        limits(integrators=1, unstable_poles=0, modulus_margin=0.99),
+    )
     assert (found.answer, found.impossible) == ("bounded", ())

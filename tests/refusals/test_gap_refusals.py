@@ -73,7 +73,7 @@ def refused(run: Run, folder, capsys) -> str:
 
 
 def refused_folder(folder, capsys) -> str:
-    assert loopshape("gap", folder / "run", "--json", folder / "gap.json", "--report", folder / "gap.png") == 2
+    assert loopshape("gap", folder / "run", "--save-answer", folder / "gap.json", "--report", folder / "gap.png") == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert not (folder / "gap.json").exists()
     assert not (folder / "gap.png").exists()
@@ -156,7 +156,10 @@ def test_what_is_left_is_diagnosed_and_what_it_cannot_tell_is_said(good, tmp_pat
     one, two = good.recordings
     bad = (short(one, "r04", 1.5), stuck(one, "r05"))
     write_run(tmp_path / "run", replace(good, recordings=(one, two, *bad)))
-    assert loopshape("gap", tmp_path / "run", "--json", tmp_path / "gap.json", "--report", tmp_path / "gap.png") == 0
+    assert (
+        loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--report", tmp_path / "gap.png")
+        == 0
+    )
     found, warned = json.loads((tmp_path / "gap.json").read_text()), capsys.readouterr().err
     for words in (
         "no validation recording: how far the gap shrinks cannot be told; hold a sweep and a staircase out",
@@ -174,14 +177,14 @@ def test_what_is_left_is_diagnosed_and_what_it_cannot_tell_is_said(good, tmp_pat
 
 def test_a_recording_without_a_pressure_among_good_ones_is_left_out(good, tmp_path) -> None:
     write_run(tmp_path / "run", replace(good, recordings=(*good.recordings, blind(good.recordings[0], "r03"))))
-    assert loopshape("gap", tmp_path / "run", "--json", tmp_path / "gap.json", "--quick", "--quiet") == 0
+    assert loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     notes = json.loads((tmp_path / "gap.json").read_text())["notes"]
     assert "r03.parquet has no p_b_bar: it is left out; record them" in notes
 
 
 def test_one_recording_alone_is_diagnosed_with_a_note(good, tmp_path) -> None:
     write_run(tmp_path / "run", replace(good, recordings=good.recordings[:1]))
-    assert loopshape("gap", tmp_path / "run", "--json", tmp_path / "gap.json", "--quick", "--quiet") == 0
+    assert loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     found = json.loads((tmp_path / "gap.json").read_text())
     assert any(
         "one estimation recording: intervals by leaving recordings out do not exist" in n for n in found["notes"]
@@ -192,7 +195,7 @@ def test_one_recording_alone_is_diagnosed_with_a_note(good, tmp_path) -> None:
 def notes_of(run: Run, folder) -> list[str]:
     """What the command notes of a run that it can use in part; exit code 0."""
     write_run(folder / "run", run)
-    assert loopshape("gap", folder / "run", "--json", folder / "gap.json", "--quiet") == 0
+    assert loopshape("gap", folder / "run", "--save-answer", folder / "gap.json", "--quiet") == 0
     return json.loads((folder / "gap.json").read_text())["notes"]
 
 

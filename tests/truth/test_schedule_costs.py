@@ -19,7 +19,7 @@ from loopshape.tune.tune import tune
 DELAY = 0.02
 GAINS = (1.0, 4.0)
 ASKED = Requirements.from_table({
-    "name": "one", "integrators": 1, "phase_margin_deg": 45.0, "sensitivity_peak_db": 8.0,
+    "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0, "sensitivity_peak_db": 8.0,
     "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}],
 })  # fmt: skip
 
@@ -59,7 +59,7 @@ def test_no_bandwidth_exceeds_its_bound(found):
 def test_own_is_never_worse_than_robust(frfs):
     # a robust controller that is better than what the search may choose is its own
     narrow = Requirements.from_table({
-        "name": "one", "integrators": 1, "phase_margin_deg": 45.0,
+        "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0,
         "structure": [{"kind": "gain", "gain": {"min": 1.0, "max": 2.0}}],
     })  # fmt: skip
     (point, _) = schedule(frfs, narrow, gain(5.0), bounds=False).points
@@ -81,7 +81,7 @@ def test_the_bound_of_a_controller_says_how_far_it_is_at_every_point(frfs):
 
 def test_a_controller_of_another_structure_is_refused(frfs):
     other = Requirements.from_table({
-        "name": "one", "integrators": 1, "phase_margin_deg": 45.0,
+        "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0,
         "structure": [{"kind": "low_pass", "order": 1, "f_hz": {"min": 1.0, "max": 2.0}}],
     })  # fmt: skip
     with pytest.raises(WrongUseError, match="not of the structure"):
