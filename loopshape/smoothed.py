@@ -30,17 +30,18 @@ class Dense:
     def at(self, frequency_hz: Array) -> Dense:
         """The same at other frequencies (m,) within these, by cubic splines; draws go straight from line to line.
 
-        Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all places.
+        Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all places; it
+        lies off it by no more than half of how far the response moves from line to line about there.
         """
         f, at = self.frequency_hz, frequency_hz
         k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 2)
         share = ((at - f[k]) / (f[k + 1] - f[k])).reshape(-1, *[1] * (self.response.ndim - 1))
-        response = CubicSpline(f, self.response)(at)
-        off = response - (self.response[k] * (1.0 - share) + self.response[k + 1] * share)
+        straight, off = _curved(f, self.response, at, k, share)
         sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
         deviations = self.deviations[:, k] * (1.0 - share) + self.deviations[:, k + 1] * share
         deviations += np.sqrt(0.5) * BETWEEN * sides.reshape(-1, *[1] * self.response.ndim) * off
-        return Dense(at, response, CubicSpline(f, self.reference)(at), deviations)
+        again = _curved(f, self.reference, at, k, share)
+        return Dense(at, straight + off, again[0] + again[1], deviations)
 
     def between(self, moved: Array, room: Array, step: float, most: int) -> Dense:
         """The same with places between lines that move by more than a `step` of the `room` there; (n - 1,) each."""
@@ -53,6 +54,17 @@ class Dense:
         count = np.clip(np.ceil(ratio[far]), 2, most).astype(int)
         more = [f[k] + (f[k + 1] - f[k]) * np.arange(1, n) / n for k, n in zip(far, count, strict=True)]
         return self.at(np.unique(np.concatenate([f, *more])))
+
+
+def _curved(
+    f: Array, values: ComplexArray, at: Array, k: np.ndarray, share: Array
+) -> tuple[ComplexArray, ComplexArray]:
+    """Values (n, ...) straight between lines, and how far a spline lies off that, at `share` of the k-th gaps."""
+    straight = values[k] * (1.0 - share) + values[k + 1] * share
+    step = np.abs(np.diff(values, axis=0))
+    about = np.maximum(step[np.maximum(k - 1, 0)], np.maximum(step[k], step[np.minimum(k + 1, f.size - 2)]))
+    off = CubicSpline(f, values)(at) - straight
+    return straight, np.asarray(off * np.minimum(1.0, 0.5 * about / np.maximum(np.abs(off), 1e-300)))
 
 
 @dataclass(frozen=True, eq=False)
