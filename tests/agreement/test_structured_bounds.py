@@ -112,12 +112,11 @@ def test_the_change_that_it_names_destabilises_and_a_smaller_one_does_not():
     for plant, controllers, f, integrators in closed_plants(4, 2, 0):
         G = response_of(f, *plant)
         found = several_margins(loops(f, G, controllers, integrators))
-        k = int(np.argmin(np.abs(f - found.at_hz["disk_margin"])))
-        changed = np.array(found.worst_changes)
-        L = gauge_matrix("disk", G[k], np.array([c.response(f[k : k + 1])[0] for c in controllers]))
-        assert L.shape == (2, 2)
-        C = np.diag([c.response(f[k : k + 1])[0] for c in controllers])
-        limit = np.linalg.svd(np.eye(2) + np.diag(changed) @ C @ G[k], compute_uv=False)
+        at = np.array([found.at_hz["disk_margin"]])  # on a line, or between two
+        (P,), changed = response_of(at, *plant), np.array(found.worst_changes)
+        assert gauge_matrix("disk", P, np.array([c.response(at)[0] for c in controllers])).shape == (2, 2)
+        C = np.diag([c.response(at)[0] for c in controllers])
+        limit = np.linalg.svd(np.eye(2) + np.diag(changed) @ C @ P, compute_uv=False)
         assert limit[-1] < 1e-3 * max(limit[0], 1.0)
         a = 0.98 * found.disk_margin
         rng = np.random.default_rng(1)
