@@ -118,14 +118,15 @@ class CommonPole:
         """Its part of all elements at f (n,): (n, m)."""
         return np.asarray(_slopes(f, 1.0, self.pole_hz)[:, :1] * self.residue)
 
-    def deviations(self, f: Array, errors: ComplexArray) -> ComplexArray:
-        """What errors (draws, nf, m) of all lines do to it at f (n,): (draws, n, m)."""
-        by_residue, by_pole = _slopes(f, 1.0, self.pole_hz).T
+    def drawn(self, errors: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """What errors (draws, nf, m) of all lines do to the residues (draws, m) and to the pole (draws,)."""
         residues = np.einsum("ekf,dfk->de", self.influence, errors, optimize=True)
-        pole = np.einsum("kf,dfk->d", self.moves, errors, optimize=True)
-        return np.asarray(
-            by_residue[:, None] * residues[:, None, :] + by_pole[:, None] * self.residue * pole[:, None, None]
-        )
+        return residues, np.einsum("kf,dfk->d", self.moves, errors, optimize=True)
+
+    def deviations(self, f: Array, drawn: tuple[ComplexArray, ComplexArray], k: int) -> ComplexArray:
+        """What draws do to its part of the k-th element at f (n,): (draws, n)."""
+        by_residue, by_pole = _slopes(f, 1.0, self.pole_hz).T
+        return np.asarray(np.outer(drawn[0][:, k], by_residue) + np.outer(drawn[1] * self.residue[k], by_pole))
 
 
 def common_poles(elements: Sequence[FRF], variance: Array) -> tuple[CommonPole, ...]:

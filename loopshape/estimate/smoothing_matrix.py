@@ -6,8 +6,6 @@ errors of all elements are drawn together, by the covariance of their line.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from loopshape.algebra.propagation import pick
@@ -34,35 +32,33 @@ def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> Dense | None:
     errors, poles = _drawn(frf, variance, seed), common_poles(elements, variance)
     at = np.unique(np.concatenate([f, *(one.places_hz for one in poles)]))
     at = at[(at >= f[0]) & (at <= f[-1])]
-    whole = np.zeros((f.size, len(elements)), dtype=complex) + sum(one.response(f) for one in poles)
-    moved = np.zeros(errors.shape, dtype=complex) + sum(one.deviations(f, errors) for one in poles)
-    found = [
-        _smooth(one, whole[:, k], moved[:, :, k], errors[:, :, k], variance[:, k]) for k, one in enumerate(elements)
-    ]
-    dense = [one.at(at) for one in found] if poles else found
+    drawn = [one.drawn(errors) for one in poles]
+    response = np.empty((at.size, ny, nu), dtype=complex)
+    reference, deviations = np.empty_like(response), np.empty((len(errors), at.size, ny, nu), dtype=complex)
+    for k, one in enumerate(elements):
+        j, i = divmod(k, ny)
 
-    def matrix(values: Sequence[np.ndarray], more: np.ndarray | int) -> np.ndarray:
-        stacked = np.stack(values, axis=-1) + more
-        return stacked.reshape(*stacked.shape[:-1], nu, ny).swapaxes(-1, -2)
+        def put_back(places: Array, k: int = k) -> tuple[ComplexArray, ComplexArray]:
+            still = sum((pole.response(places)[:, k] for pole in poles), np.zeros(places.size, dtype=complex))
+            moved = [pole.deviations(places, own, k) for pole, own in zip(poles, drawn, strict=True)]
+            return still, np.asarray(sum(moved, np.zeros((1, 1), dtype=complex)))
 
-    back, strays = sum(one.response(at) for one in poles), sum(one.deviations(at, errors) for one in poles)
-    return Dense(
-        at,
-        matrix([one.response for one in dense], back),
-        matrix([one.reference for one in dense], back),
-        matrix([one.deviations for one in dense], strays),
-    )
+        still, moved = put_back(f)
+        found = _smooth(one, still, errors[:, :, k] - moved, variance[:, k])
+        if poles:
+            found, (still, moved) = found.at(at), put_back(at)
+        response[:, i, j], reference[:, i, j] = found.response + still, found.reference + still
+        deviations[:, :, i, j] = found.deviations + moved
+    return Dense(at, response, reference, deviations)
 
 
-def _smooth(one: FRF, poles: ComplexArray, moved: ComplexArray, errors: ComplexArray, variance: Array) -> Dense:
-    """An element without its poles (nf,), smoothed; `moved` (draws, nf) is what errors do to the poles."""
+def _smooth(one: FRF, poles: ComplexArray, errors: ComplexArray, variance: Array) -> Dense:
+    """An element without its poles (nf,), smoothed, with errors (draws, nf) of what is left."""
     rest = one.siso - poles
     floor = np.maximum(variance, 1e-20 * np.abs(one.siso) ** 2 + 1e-300)
     smoother = smoother_of(one, rest, floor)
     response = np.asarray(smoother @ rest)
-    return Dense(
-        one.frequency_hz, response, np.asarray(smoother @ response), np.asarray((smoother @ (errors - moved).T).T)
-    )
+    return Dense(one.frequency_hz, response, np.asarray(smoother @ response), np.asarray((smoother @ errors.T).T))
 
 
 def _drawn(frf: FRF, variance: Array, seed: int) -> ComplexArray:
