@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import grey_closing, median_filter
 
 from loopshape.controller import Controller
 from loopshape.estimate.answers import Answers
@@ -52,6 +52,8 @@ def _feedback_note(recording: Recording, loop: LoopSetup, s: LoopSignals, settin
 
 #: squared distance, in variances, up to which an estimate counts as equal: F(0.95) with many degrees of freedom
 EQUAL = 3.0
+#: fewer lines than this between such lines, or beyond the last of them, are as doubtful
+ISLAND = 25
 
 
 def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: Controller) -> np.ndarray:
@@ -70,7 +72,8 @@ def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: C
         equal = np.minimum(apart**2 / (EQUAL * variance), apart / (KNOWN * np.abs(G)))
         bias = noise * apart / (KNOWN * np.abs(G))
     equal, bias = (median_filter(np.nan_to_num(x, nan=0.0, posinf=1e9), 9, mode="nearest") for x in (equal, bias))
-    return np.asarray((equal <= 1.0) | (bias > 1.0))
+    found = ((equal <= 1.0) | (bias > 1.0)).astype(np.uint8)
+    return np.asarray(grey_closing(found, ISLAND, mode="nearest") > 0)
 
 
 def controller_note(frequency_hz: Array, lines: np.ndarray) -> tuple[str, ...]:
