@@ -34,7 +34,7 @@ from loopshape.controller import Block, Controller  # noqa: E402
 from loopshape.model import TransferFunction  # noqa: E402
 from loopshape.requirements import Requirements  # noqa: E402
 
-LOOPS, NOISES = 320, (1e-6, 0.01, 0.03, 0.1)
+LOOPS, NOISES = 420, (1e-6, 0.01, 0.03, 0.1)
 STEPS = (0.3, 0.5, 0.7, 0.9, 1.1, 1.4, 2.0, 3.0)
 TOLD = ("declared", "recorded loop", "nothing")
 COLUMNS = ("told", "noise", "unstable_poles", "loops", "stable", "right", "undecided", "wrong")

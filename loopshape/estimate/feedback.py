@@ -73,7 +73,7 @@ def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: C
         bias = noise * apart / (KNOWN * np.abs(G))
     equal, bias = (median_filter(np.nan_to_num(x, nan=0.0, posinf=1e9), 9, mode="nearest") for x in (equal, bias))
     found = ((equal <= 1.0) | (bias > 1.0)).astype(np.uint8)
-    return np.asarray(grey_closing(found, ISLAND, mode="nearest") > 0)
+    return np.asarray(grey_closing(found, (ISLAND,), mode="nearest") > 0)
 
 
 def controller_note(frequency_hz: Array, lines: np.ndarray) -> tuple[str, ...]:
