@@ -95,7 +95,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     is too large) and has a 95 % interval: both from what draws of the error do to the same reading (a parametric
     bootstrap; Davison and Hinkley, Bootstrap methods, 1997, chapter 5), normal on the scale of dB, degrees or ln. The
     interval knows the FRF's noise, not what differs from day to day. Without scatter lines are taken at face value:
-    the peak of |S| comes out too high. A resonance between two lines is not seen. Margins mean room only where
+    the peak of |S| comes out too high. With it L is read between lines too, along splines and the resonances that the
+    lines show, and what a spline adds to a straight line widens the interval. Margins mean room only where
     `stable` says "stable".
     """
     j = _judged(loop)
