@@ -92,7 +92,7 @@ def _row(loop: Loop, k: int, wished: Requirements | None, verdict: Verdict | Non
     peak, at_hz, interval = float(size.max()), float(f[np.argmax(size)]), None
     outcome = "passed" if limit is None or peak <= limit else "failed"
     if margins is not None:
-        peak, at_hz = margins.sensitivity_peak_db, margins.at_hz.get("sensitivity_peak_db", at_hz)
+        peak, at_hz = margins.sensitivity_peak_db, max(margins.at_hz.get("sensitivity_peak_db", at_hz), float(f[0]))
         interval = margins.intervals.get("sensitivity_peak_db")
         outcome = "passed" if limit is None else point_outcome(margins, "sensitivity_peak_db", limit)
     stable = "stable" if margins is None else margins.stable

@@ -80,7 +80,7 @@ def _measured(top: Axes, side: Axes, loop: Loop, name: str) -> None:
 def _margins(panels: dict[str, Axes], loop: Loop, margins: Margins) -> None:
     """Margins as bars, bandwidth and peaks as dots with their intervals; in words above each panel."""
     gain_hz, turn_hz = margins.at_hz.get("gain_margin_db"), margins.at_hz.get("phase_margin_deg")
-    if gain_hz is not None and np.isfinite(margins.gain_margin_db):
+    if gain_hz and np.isfinite(margins.gain_margin_db):
         _bar(panels["L"], gain_hz, -margins.gain_margin_db, 0.0, "gain margin")
     if turn_hz is not None and np.isfinite(margins.phase_margin_deg):
         phase, _ = phase_of(loop, "L")
@@ -117,7 +117,7 @@ def _bandwidth(ax: Axes, margins: Margins) -> None:
 
 def _peak(ax: Axes, margins: Margins, quantity: str) -> None:
     value, at_hz = getattr(margins, quantity), margins.at_hz.get(quantity)
-    if at_hz is None or not np.isfinite(value):
+    if not at_hz or not np.isfinite(value):  # at 0 Hz it has no place on the axis
         return
     low, high = margins.intervals.get(quantity, (value, value))
     limits = ax.get_ylim()

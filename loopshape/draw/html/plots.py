@@ -126,7 +126,7 @@ class Plots:
         rings = []
         for line in self.lines:
             k = next((k for k, x in enumerate(self.traces) if x.name == line.recording), None)
-            if line.quantity not in _RINGS.get(name, ()) or k is None or line.at_hz is None:
+            if line.quantity not in _RINGS.get(name, ()) or k is None or not line.at_hz:
                 continue
             f = self.traces[k].frequency_hz
             y = float(np.interp(np.log(line.at_hz), np.log(f), curves[k]))
