@@ -46,7 +46,7 @@ def plant(f: np.ndarray, gain: float) -> np.ndarray:
 
 
 def frf(name: str, gain: float, where_m: float, lines: int = 240) -> FRF:
-    """A FRF of the known plant, 2 % noise, the last lines not trusted."""
+    """A FRF of the known plant, which is stable, 2 % noise, the last lines not trusted."""
     rng = np.random.default_rng(round(1000 * gain))
     f = np.linspace(0.25, 60.0, lines)
     truth = plant(f, gain)
@@ -54,7 +54,7 @@ def frf(name: str, gain: float, where_m: float, lines: int = 240) -> FRF:
     return FRF(
         f, (truth + noise)[:, None, None], (0.02 * np.abs(truth))[:, None, None].astype(complex) ** 2, f < 55.0,
         ("z_v",), ("y_m",), "local polynomials, <b>bold</b>", name, "axis", RATE, {"where_m": where_m},
-        notes=(HOSTILE,),
+        notes=(HOSTILE,), open_loop=True,
     )  # fmt: skip
 
 
