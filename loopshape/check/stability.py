@@ -110,11 +110,11 @@ def unstable_count(loop: Loop) -> int | Obstacle:
         return found
     poles = count_unstable(loop.L, integrators, loop.unstable_poles, below)
     if poles is None:
-        poles = _count_by_low_models(loop, integrators)
+        poles = count_by_low_models(loop, integrators)
     return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
 
 
-def _count_by_low_models(loop: Loop, integrators: int) -> int | None:
+def count_by_low_models(loop: Loop, integrators: int) -> int | None:
     """The count with each of the small models that follow the lowest lines; None where there is none or two differ."""
     f = low_hz(loop)
     C, unstable = loop.controller.response(f), loop.unstable_poles or 0

@@ -12,7 +12,7 @@ from loopshape.check.detuning import with_detuning
 from loopshape.check.low_frequency import low_frequency_models
 from loopshape.check.margins import margins
 from loopshape.check.points import SEVERITY, point_outcome
-from loopshape.check.stability import count_unstable, uncountable
+from loopshape.check.stability import count_by_low_models, count_unstable, uncountable
 from loopshape.check.words import detuning_warnings
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
@@ -183,7 +183,10 @@ def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF 
     if uncountable(loop):
         return None
     below = frf.held_by.response(loop.below_hz) * loop.P_below
-    missing = count_unstable(loop.L, integrators + frf.held_by.integrators(), 0, below)
+    order = integrators + frf.held_by.integrators()
+    missing = count_unstable(loop.L, order, 0, below)
+    if missing is None:  # as with an odd number of unstable poles: L starts on the other side
+        missing = count_by_low_models(loop, order)
     return None if missing is None else -missing
 
 

@@ -56,6 +56,26 @@ def test_the_holding_controller_itself_is_stable():
     assert check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
 
 
+@pytest.mark.parametrize("std", [1e-4, 0.03])
+def test_a_single_unstable_pole_is_counted_too(std):
+    # w^2/(s^2 - w^2) under gain 2.2 with a lead stands; under a gain of 0.5 it has one unstable pole
+    w = TWO_PI * 8.0
+    G = TransferFunction([w * w], [1.0, 0.0, -w * w]).response(np.geomspace(0.5, 300.0, 600))[:, None, None]
+    own = Controller("l", (Block("gain", {"gain": 2.2}), Block("lead_lag", {"f1_hz": 8.0, "f2_hz": 150.0})), RATE)
+    rng = np.random.default_rng(2)
+    error = std * np.abs(G) * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)) / np.sqrt(2.0)
+    f, covariance = np.geomspace(0.5, 300.0, 600), (std * np.abs(G)) ** 2 + 0j
+    frf = replace(
+        recorded(own), frequency_hz=f, response=G + error, covariance=covariance, trusted=np.ones(f.size, dtype=bool)
+    )
+    (loop,), notes = loops_of([frf], WEAK, replace(WISH, integrators=0))
+    assert loop.unstable_poles == 1
+    assert "1 unstable pole, because the loop that was recorded was stable" in notes[0]
+    weak = Controller("l", (Block("gain", {"gain": 0.5}),), RATE)
+    assert check([frf], own, replace(WISH, integrators=0)).margins["r"].stable == "stable"
+    assert check([frf], weak, replace(WISH, integrators=0)).margins["r"].stable == "unstable"
+
+
 def test_a_record_with_the_wrong_sign_contradicts_itself():
     # a stable plant whose recorded loop cannot have stood by this FRF: the gain is turned
     f = np.geomspace(0.3, 400.0, 1500)
