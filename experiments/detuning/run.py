@@ -33,7 +33,7 @@ COLUMNS = (
 )  # fmt: skip
 #: a structure and limits for the plant by formula
 FORMULA = Requirements(
-    "axis", sensitivity_peak_db=6.0, phase_margin_deg=40.0, gain_margin_db=5.0,
+    "axis", sensitivity_peak_db=6.0, phase_margin_deg=40.0, gain_margin_db=5.0, unstable_poles=0,
     structure=tuple(
         BlockTemplate.from_table(table)
         for table in (
