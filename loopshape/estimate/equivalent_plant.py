@@ -45,7 +45,11 @@ def equivalent_plant(
     }
     others = tuple(names[k] for k in rest)
     closed = replace(
-        own, response=value[:, None, None], method=f"{frf.method}, with {', '.join(others)} closed", **changes
+        own,
+        response=value[:, None, None],
+        method=f"{frf.method}, with {', '.join(others)} closed",
+        open_loop=False,
+        **changes,
     )
     return _compared(frf, own, closed, slope, i, others)
 

@@ -11,7 +11,7 @@ from loopshape.estimate.answers import Answers, PlantEstimate, ordinary_coherenc
 from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.feedback import controller_lines, controller_note, direct_signals
 from loopshape.estimate.periods import by_periods
-from loopshape.estimate.quality import inverse_note, open_loop_note, unfed_notes
+from loopshape.estimate.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import BY_INSTRUMENT, SPECTRAL, Settings
 from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
@@ -143,7 +143,7 @@ def _loop_frf(
         averages=a.averages,
         parameters=dict(info.parameters),
         held_by=loop.controller if info.closed_loop else None,
-        open_loop=not any(r.info.closed_loop for r in recordings),
+        open_loop=stayed_bounded(recordings, [loop.output]),
         notes=tuple(dict.fromkeys(notes)),
     )
 

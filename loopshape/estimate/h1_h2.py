@@ -19,6 +19,7 @@ import numpy as np
 from loopshape.errors import BadSignalError, WrongUseError
 from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import trusted_lines
+from loopshape.estimate.quality import stayed_bounded
 from loopshape.estimate.settings import Settings
 from loopshape.estimate.signals import LoopSignals, loop_signals
 from loopshape.estimate.welch import by_welch
@@ -148,5 +149,5 @@ def _frf(
         variance_freedom=2.0 * max(s.averages - 1.0, 1.0),
         averages=s.averages,
         notes=s.first.notes,
-        open_loop=True,
+        open_loop=stayed_bounded(recordings, [loop.output]),
     )

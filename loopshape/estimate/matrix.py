@@ -17,7 +17,7 @@ from loopshape.estimate.averages import trusted_lines
 from loopshape.estimate.coherence import coherences
 from loopshape.estimate.frequency_response import band_note, drowned_note
 from loopshape.estimate.periods import by_periods
-from loopshape.estimate.quality import unfed_notes
+from loopshape.estimate.quality import stayed_bounded, unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import BY_INSTRUMENT, Settings
 from loopshape.estimate.signals import held_note, instrument, output_channel, plant_input, refuse_alike, wiring_notes
@@ -272,7 +272,7 @@ def _frf(
         variance_freedom=min(p.freedom for p in parts),
         variance_pooled=parts[0].pooled,
         notes=notes,
-        open_loop=not any(r.info.closed_loop for r in recordings),
+        open_loop=stayed_bounded(recordings, outputs),
     )
 
 

@@ -20,6 +20,24 @@ from loopshape.units import Array, ComplexArray, deg
 MOST_ROWS = 200_000
 
 
+#: the output of a record in open loop may grow by this much from its first third to its last, rms; an unstable pole
+#: whose frequency the record resolves makes it grow by exp(4) and more
+GROWN = 10.0
+
+
+def stayed_bounded(recordings: Sequence[Recording], outputs: Sequence[str]) -> bool:
+    """Whether all recordings were made without feedback and no output grows along any: no pole is unstable then."""
+    if any(r.info.closed_loop for r in recordings):
+        return False
+    for recording in recordings:
+        for expression in outputs:
+            y = recording.output(expression)
+            first, last = (float(np.std(part)) for part in (y[: y.size // 3], y[-(y.size // 3) :]))
+            if not last <= GROWN * first:
+                return False
+    return True
+
+
 def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0.01) -> FeedbackCheck:
     """Whether what enters the plant of a loop answers noise of the loop's output; see `feedback_check`.
 

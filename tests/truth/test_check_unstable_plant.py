@@ -7,8 +7,11 @@ import pytest
 
 from loopshape.check.verdict import check, loops_of
 from loopshape.controller import Block, Controller
+from loopshape.estimate.equivalent_plant import equivalent_plant
+from loopshape.estimate.quality import stayed_bounded
 from loopshape.frf import FRF
 from loopshape.model import TransferFunction
+from loopshape.recording import Recording, RecordingInfo
 from loopshape.requirements import Requirements
 from loopshape.units import TWO_PI
 
@@ -112,3 +115,25 @@ def test_a_resonance_above_the_trusted_band_is_not_overlooked():
     margins = check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]
     assert margins.stable == "undecided"
     assert "above the band that is known well" in margins.stability_reason
+
+
+@pytest.mark.parametrize(("growth_per_s", "told"), [(0.0, True), (-0.3, True), (0.8, False)])
+def test_a_record_in_open_loop_whose_output_grows_is_no_witness(growth_per_s, told):
+    # y' = growth y + u from rest for 20 s; 0.8 makes it grow by 9 million
+    rate, n = 100.0, 2000
+    u, y = np.random.default_rng(4).standard_normal(n), np.zeros(n)
+    for k in range(n - 1):
+        y[k + 1] = np.exp(growth_per_s / rate) * y[k] + u[k] / rate
+    info = RecordingInfo("r.parquet", "noise", "control", closed_loop=False, excites="x")
+    assert stayed_bounded([Recording(info, rate, {"u_V": u, "y_m": y})], ["y_m"]) is told
+
+
+def test_with_other_loops_closed_a_plant_recorded_in_open_loop_may_be_unstable():
+    f = np.geomspace(0.1, 50.0, 200)
+    G = np.broadcast_to(np.array([[1.0, 0.5], [0.5, 1.0]]) + 0j, (f.size, 2, 2))
+    frf = FRF(
+        f, G, np.zeros((f.size, 4, 4)) + 0j, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "known",
+        loop="a+b", rate_hz=RATE, open_loop=True,
+    )  # fmt: skip
+    own = {name: Controller(name, (Block("gain", {"gain": 1.0}),), RATE) for name in "ab"}
+    assert not equivalent_plant(frf, ("a", "b"), "a", own).closed.open_loop
