@@ -5,10 +5,10 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test check speed studies exam clean install
+.PHONY: help demo test test-long check speed studies exam clean install
 
 help: ## list the targets
-	@awk -F':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "loopshape needs Python 3.11 or newer; set PYTHON=python3.x"; exit 2; }
@@ -23,6 +23,9 @@ demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm 
 
 test: $(STAMP) ## run the tests
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests  # a worker a core: libraries add no threads
+
+test-long: $(STAMP) ## run the tests of minutes: kills, damaged files, bad lines
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long tests
 
 check: $(STAMP) ## ruff, the type checker, and who may import whom
 	$(BIN)/ruff check loopshape tests experiments examples

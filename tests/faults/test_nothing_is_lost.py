@@ -72,10 +72,11 @@ def is_the_whole(run, study):
         assert all(np.array_equal(r.column(name), there.column(name)) for name in there.columns)
 
 
-def test_two_hundred_kills_at_random_times(study):
-    rng, have, kills, turn = random.Random(1), set(), 0, 0
-    run = study.parent / "kills-0"
-    while kills < 200:
+@pytest.mark.parametrize("many", [40, pytest.param(400, marks=pytest.mark.long)])
+def test_kills_at_random_times(study, many):
+    rng, have, kills, turn = random.Random(many), set(), 0, 0
+    run = study.parent / f"kills-{many}-0"
+    while kills < many:
         pid = child(partial(record, study, run, QUIET))
         time.sleep(rng.uniform(0.0, 0.06))
         os.kill(pid, signal.SIGKILL)
@@ -87,7 +88,7 @@ def test_two_hundred_kills_at_random_times(study):
         if len(have) == RECORDINGS:
             is_the_whole(run, study)
             turn, have = turn + 1, set()
-            run = study.parent / f"kills-{turn}"
+            run = study.parent / f"kills-{many}-{turn}"
     record(study, run, QUIET)
     is_sound(run)
     is_the_whole(run, study)
