@@ -153,9 +153,11 @@ def inside(folder: Path, name: object, what: str) -> Path:
 def read_toml(path: Path) -> dict[str, Any]:
     """Content of a TOML file; refuses one that is missing, damaged, or not TOML."""
     with reading(path, "TOML"), path.open("rb") as file:
-        data = file.read(_LONGEST_TOML + 1)
-        if len(data) > _LONGEST_TOML:
-            raise ValueError(f"more than {_LONGEST_TOML} bytes")
+        data = bytearray()
+        while part := file.read(1 << 20):  # all at once would take the room of the longest file
+            data += part
+            if len(data) > _LONGEST_TOML:
+                raise ValueError(f"more than {_LONGEST_TOML} bytes")
         return tomllib.loads(data.decode("utf-8-sig"))  # some editors put a byte order mark in front
 
 

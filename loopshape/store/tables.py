@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import threading
+import weakref
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +23,8 @@ from loopshape.units import Array
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 TIME = "t_s"
+#: bytes of columns that all tables together keep in memory; those used longest ago are read again when asked for
+KEPT_BYTES = 192_000_000
 
 
 def check_ending(name: str) -> str:
@@ -31,6 +37,7 @@ def check_ending(name: str) -> str:
 class TableColumns(Mapping[str, Array]):
     """Columns (n,) of a table by name, float64 and read-only, each loaded when it is asked for.
 
+    Those used last are kept, up to `KEPT_BYTES` over all tables: memory does not grow with the recordings of a run.
     Names and length of a Parquet file come from its footer. With `rate_hz` the time column is checked
     before the first column is handed out, and with `sha256` the file. Refuses a file that is damaged or not the one
     that was written (`UnreadableInputError`), a column that is not of numbers, and stamps that do not keep the rate
@@ -41,7 +48,7 @@ class TableColumns(Mapping[str, Array]):
         self.path = path
         self.rate_hz = rate_hz
         self.sha256 = sha256
-        self._loaded: dict[str, Array] = {}
+        self.loaded: dict[str, Any] = {}
         self._rate_checked = False
         check_ending(path.name)
 
@@ -66,9 +73,13 @@ class TableColumns(Mapping[str, Array]):
     def _is_parquet(self) -> bool:
         return self.path.name.endswith(".parquet")
 
-    @cached_property
+    @property
     def _csv(self) -> CsvTable:
-        return read_csv_table(self.path, CsvShape())
+        found = self.loaded.get("")  # no column is named so
+        if found is None:
+            found = self.loaded[""] = read_csv_table(self.path, CsvShape())
+        _RECENT.used(self, "", int(found.frame.memory_usage().sum()))
+        return found
 
     def _check_rate_once(self) -> None:
         if not self._rate_checked and self.sha256 is not None:
@@ -78,11 +89,13 @@ class TableColumns(Mapping[str, Array]):
         self._rate_checked = True
 
     def _load(self, name: str) -> Array:
-        if name not in self._loaded:
+        values: Array | None = self.loaded.get(name)
+        if values is None:
             values = _parquet_column(self.path, name) if self._is_parquet else self._csv.column(name)
             values.setflags(write=False)
-            self._loaded[name] = values
-        return self._loaded[name]
+            self.loaded[name] = values
+        _RECENT.used(self, name, values.nbytes)
+        return values
 
     def __getitem__(self, name: str) -> Array:
         if name not in self:
@@ -98,6 +111,34 @@ class TableColumns(Mapping[str, Array]):
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+
+class _Recent:
+    """Which columns of which tables were used last; what exceeds the bytes kept leaves its table, oldest first."""
+
+    def __init__(self) -> None:
+        self._sizes: OrderedDict[tuple[weakref.ref[TableColumns], str], int] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def used(self, table: TableColumns, name: str, size: int) -> None:
+        """Note a use of a table's column of so many bytes."""
+        with self._lock:
+            key = (weakref.ref(table), name)
+            self._sizes[key] = size
+            self._sizes.move_to_end(key)
+            while len(self._sizes) > 1 and sum(self._sizes.values()) > KEPT_BYTES:
+                (owner, old), _ = self._sizes.popitem(last=False)
+                if (there := owner()) is not None:
+                    there.loaded.pop(old, None)
+
+
+_RECENT = _Recent()
 
 
 def _parquet_names(path: Path) -> tuple[str, ...]:

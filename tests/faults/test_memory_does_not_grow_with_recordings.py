@@ -1,0 +1,59 @@
+"""A run of many recordings is checked and estimated in the memory of a few."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from memory_limit import in_a_child
+
+from loopshape.experiment import LoopSetup
+from loopshape.recording import Recording, RecordingInfo
+from loopshape.run import Run
+from loopshape.store.run_folder import write_run
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
+
+RATE_HZ, ROWS, RECORDINGS = 1000.0, 160_000, 50  # 4 MB each, 200 MB in all
+MOST_BYTES = 90_000_000
+
+BEFORE = """
+import numpy as np
+import loopshape.store.tables as tables
+tables.KEPT_BYTES = 20_000_000
+from loopshape.store.verify import verify
+from loopshape.store.run_folder import check_recordings, read_run
+from loopshape.estimate.frequency_response import estimate_frf
+from loopshape.estimate.settings import Settings
+folder = Path(sys.argv[1])
+run = read_run(folder)
+settings = Settings(resolution_hz=1.0)
+estimate_frf(run.recordings[0], run.loop("a"), settings)
+"""
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory):
+    rng = np.random.default_rng(0)
+    u = rng.integers(-500, 500, ROWS) / 100.0
+    y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[:ROWS]
+    folder = tmp_path_factory.mktemp("many") / "run"
+    loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
+    recordings = tuple(
+        Recording(
+            RecordingInfo(f"r{k:02d}.parquet", "noise", "reference", excites="a"),
+            RATE_HZ,
+            {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
+        )
+        for k in range(RECORDINGS)
+    )
+    write_run(folder, Run(rate_hz=RATE_HZ, loops=(loop,), recordings=recordings))
+    return folder
+
+
+def test_verify(many):
+    in_a_child(BEFORE, "assert all(f.sound is not False for f in verify(folder))", MOST_BYTES, many)
+
+
+def test_looking_at_signals_and_estimating(many):
+    work = "check_recordings(run)\nfor r in run.recordings: estimate_frf(r, run.loop('a'), settings)"
+    in_a_child(BEFORE, work, MOST_BYTES, many)
