@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def campaign(
         plan(machine.study, plant)  # refuses before anything is written
     make_folder(out)
     started = time.monotonic()
-    with alone(out), _terminable():
+    with alone(out), interrupts():
         write_index(out, machines)
         try:
             todo = [job for machine in machines for job in _todo(out, machine, plant, study_file)]
@@ -55,21 +56,6 @@ def campaign(
     wall_s = time.monotonic() - started
     output.say(f"{len(machines)} machines, {len(todo)} recordings made in {wall_s:.1f} s, in {out}")
     output.json({"machines": len(machines), "recordings": len(todo), "wall_s": wall_s})
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """A request to terminate ends like Ctrl-C: with the workers."""
-    import signal
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _record(out: Path, todo: Sequence[Job], plant: Rig, by: tuple[int, str | None], output: Output) -> None:

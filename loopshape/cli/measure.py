@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def record(
     todo = plan(study, plant)
     start_run(out, header(study, plant, extra))
     done = frozenset(finished(out))
-    with alone(out), output.progress("measure", len(todo) - len(done)) as step:
+    with alone(out), interrupts(), output.progress("measure", len(todo) - len(done)) as step:
         try:
             for recording in measure(study, plant, done=done, states=states):
                 add_recording(out, recording)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import Output, point
 from loopshape.errors import RigError
 
@@ -68,7 +69,7 @@ def record_on_target(
             raise typer.Exit(0)
         _be_armed(armed, output)
         start_run(out, head)
-        with alone(out), _marked(out, name), _interrupts():
+        with alone(out), _marked(out, name), interrupts():
             try:
                 _drive(session, wanted, todo, study, plant, out, output)
             except LoopshapeError as error:
@@ -225,28 +226,3 @@ def _marked(out: Path, port: str) -> Iterator[None]:
     finally:
         with suppress(OSError):
             mark.unlink()
-
-
-@contextmanager
-def _interrupts() -> Iterator[None]:
-    """Ctrl-C, a request to terminate and a closed terminal end alike: the machine vents first, undisturbed by a second.
-
-    A shell that starts this in the background lets it ignore Ctrl-C's signal; `loopshape stop` sends that one.
-    """
-    import signal
-
-    told = False
-
-    def interrupt(number: int, frame: object) -> None:
-        nonlocal told
-        if not told:
-            told = True
-            raise KeyboardInterrupt
-
-    which = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(one, interrupt) for one in which]
-    try:
-        yield
-    finally:
-        for one, handler in zip(which, before, strict=True):
-            signal.signal(one, handler)

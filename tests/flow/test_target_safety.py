@@ -15,6 +15,7 @@ from python_target_line import Running
 from typer.testing import CliRunner
 
 from loopshape.cli import measure_target
+from loopshape.cli.interrupts import interrupts
 from loopshape.cli.main import app
 from loopshape.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.store.run_folder import finished, read_run
@@ -253,7 +254,7 @@ def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
 
 def test_a_second_interrupt_does_not_disturb_the_vent():
     before = signal.getsignal(signal.SIGINT)
-    with measure_target._interrupts():
+    with interrupts():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
         signal.raise_signal(signal.SIGINT)
