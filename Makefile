@@ -43,6 +43,6 @@ studies: $(STAMP) ## all studies under experiments/ but the exam, within an hour
 exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an hour or so); EXAM_SEED=n draws another exam
 	$(BIN)/loopshape exam --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)
 
-clean: ## remove caches (also numba's, needed after editing a kernel) and the demo
+clean: ## remove caches (compiled kernels too) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	rm -rf demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info

@@ -1,8 +1,4 @@
-"""The one way our kernels are compiled. With NUMBA_DISABLE_JIT=1 the plain functions beneath run instead.
-
-Numba's cache notices a change in a kernel's own file, not in a file it calls into: after editing a kernel,
-`make clean` empties the cache.
-"""
+"""The one way our kernels are compiled. With NUMBA_DISABLE_JIT=1 the plain functions beneath run instead."""
 
 from __future__ import annotations
 
@@ -11,11 +7,13 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from loopshape.kernels.kept import keep
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """Compile with numba: cached, without the interpreter's lock, IEEE division, contraction allowed."""
+    """Compile with numba: kept on disk, without the interpreter's lock, IEEE division, contraction allowed."""
     return _compile(function)
 
 
@@ -25,9 +23,7 @@ def compiled_in_line(function: F) -> F:
 
 
 def _compile(function: F, **options: bool) -> F:
-    options |= {"nogil": True}
-    common: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
-    try:
-        return cast(F, numba.njit(cache=True, **common, **options)(function))
-    except RuntimeError:  # no folder for the cache can be written: compile in each process
-        return cast(F, numba.njit(**common, **options)(function))
+    dispatcher = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function)
+    if dispatcher is not function:
+        dispatcher._cache = keep(function) or dispatcher._cache
+    return cast(F, dispatcher)

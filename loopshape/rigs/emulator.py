@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from loopshape.errors import LoopshapeError, WrongUseError
+from loopshape.folders import cache_folder
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 SOURCES = (
@@ -86,12 +87,6 @@ def compiler() -> list[str]:
             "install gcc or clang, or name one in the environment variable CC",
         )
     return command
-
-
-def cache_folder() -> Path:
-    """Where compiled emulators are kept: XDG_CACHE_HOME or ~/.cache, in loopshape."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "loopshape"
 
 
 def program(number_bytes: int = 8) -> Path:

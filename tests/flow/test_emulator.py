@@ -16,9 +16,10 @@ from target_cases import TARGET, WARNINGS
 from typer.testing import CliRunner
 
 from loopshape.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.folders import cache_folder
 from loopshape.plants.arm.emulated import plant_file
 from loopshape.rigs import emulator as rig
-from loopshape.rigs.emulator import Emulator, NoCompilerError, cache_folder, program, source, start, stop
+from loopshape.rigs.emulator import Emulator, NoCompilerError, program, source, start, stop
 from loopshape.rigs.link import open_link
 from loopshape.rigs.messages import Ask, State
 from loopshape.rigs.session import Session

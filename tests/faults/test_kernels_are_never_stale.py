@@ -1,0 +1,147 @@
+"""Compiled kernels kept on disk: an edit anywhere beneath one is seen, for every user and two processes at once."""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import loopshape
+from loopshape.kernels.kept import sources
+
+MASS, VISCOUS, TICK_S, TICKS = 2.0, 3.0, 1e-3, 1000
+#: where a mass pushed off at 1 m/s is after a second, and how many kernels were compiled for it
+COASTS = f"""
+import json, sys
+import numpy as np
+from loopshape.plants.servo_axis import closed_loop, motion, parameters as k
+c = np.zeros(len(k.AXIS_PARAMETERS.rows))
+c[k.MASS], c[k.VISCOUS] = {MASS}, {VISCOUS}
+c.setflags(write=len(sys.argv) == 1)  # another type for the compiler
+x, m, out = np.zeros(motion.STATES), np.zeros(motion.MEMORY), np.empty({TICKS})
+motion.start(x, m, 0.0, 1.0, 0.0)
+closed_loop.follow(c, x, m, np.zeros({TICKS}), np.zeros({TICKS}), 0.0, 0.0, {TICK_S}, 1, out)
+json.dump([x[motion.DRIVE], closed_loop.follow.stats.cache_misses.total()], sys.stdout)
+"""
+BRAKED = pytest.approx(MASS / VISCOUS * (1.0 - math.exp(-VISCOUS / MASS * TICKS * TICK_S)), rel=1e-6)  # m dv/dt = -d v
+FREE = pytest.approx(TICKS * TICK_S, rel=1e-12)
+#: the files of ours that each of the modules named brings with it, its packages' own files left out
+LOADED = """
+import importlib, itertools, json, os, sys, types
+files = {}
+for name in sys.argv[1:]:
+    for loaded in [m for m in sys.modules if m.split(".")[0] == "loopshape"]:
+        del sys.modules[loaded]
+    for place in sys.argv[1:]:
+        for package in itertools.accumulate(place.split(".")[:-1], "{}.{}".format):
+            bare = sys.modules[package] = types.ModuleType(package)
+            bare.__path__ = [package.replace(".", "/")]
+    importlib.import_module(name)
+    ours = [m for n, m in sys.modules.items() if n.split(".")[0] == "loopshape" and hasattr(m, "__file__")]
+    files[name] = [os.path.relpath(m.__file__) for m in ours]
+json.dump(files, sys.stdout)
+"""
+
+
+def copied(folder):
+    """A copy of the package that nobody has run yet."""
+    here = Path(loopshape.__file__).parent
+    return shutil.copytree(here, folder / "loopshape", ignore=shutil.ignore_patterns("__pycache__"))
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    return copied(tmp_path_factory.mktemp("package"))
+
+
+def started(package, *words, code=COASTS, **environment):
+    path = {"PYTHONPATH": str(package.parent), "XDG_CACHE_HOME": str(package.parent / "cache")}
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *words], cwd=package.parent, env=os.environ | path | environment,
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def answer(process):
+    output, _ = process.communicate(timeout=200)
+    assert process.returncode == 0
+    return json.loads(output)
+
+
+def coast(package, *words, **environment):
+    """Metres after a second, and how many kernels were compiled for it."""
+    return answer(started(package, *words, **environment))
+
+
+def edit(file, old, new):
+    text = file.read_text()
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new))
+
+
+def name(file, package):
+    return ".".join(file.relative_to(package.parent).with_suffix("").parts)
+
+
+def kept(package):
+    return {p.name for p in (package / "__pycache__/kernels").glob("*servo_axis.closed_loop-*")}
+
+
+def test_two_processes_that_compile_at_once_keep_both_forms(tmp_path):
+    package = copied(tmp_path)
+    both = [started(package), started(package, "read-only")]
+    assert [answer(one) for one in both] == [[BRAKED, 1]] * 2
+    assert [coast(package), coast(package, "read-only")] == [[BRAKED, 0]] * 2
+
+
+def test_an_edited_callee_gives_new_physics(package):
+    """A force in a file beneath the kernel's is multiplied by 0; what was compiled before is used no more, and gone."""
+    coast(package)
+    before = kept(package)
+    file = package / "plants/servo_axis/motion.py"
+    edit(file, "    viscous = c[k.VISCOUS]", "    viscous = 0.0 * c[k.VISCOUS]")
+    assert coast(package) == [FREE, 1]
+    assert len(kept(package)) == 1
+    assert not kept(package) & before
+    edit(file, "    viscous = 0.0 * c[k.VISCOUS]", "    viscous = c[k.VISCOUS]")
+    assert coast(package) == [BRAKED, 1]
+
+
+def test_another_processor_has_its_own(package):
+    """A home that machines share: none runs, or writes over, what another compiled for itself."""
+    coast(package)
+    assert coast(package, NUMBA_CPU_NAME="generic") == [BRAKED, 1]
+    assert coast(package) == [BRAKED, 0]
+
+
+def test_a_damaged_file_is_compiled_again(package):
+    coast(package)
+    for name in kept(package):
+        file = package / "__pycache__/kernels" / name
+        whole = file.read_bytes()
+        file.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
+    assert coast(package) == [BRAKED, 1]
+    assert coast(package) == [BRAKED, 0]
+
+
+def test_where_the_package_cannot_be_written_the_users_folder_serves(tmp_path):
+    package = copied(tmp_path)
+    (package / "__pycache__").touch()  # stands where a folder would be made, for root too
+    assert [coast(package), coast(package)] == [[BRAKED, 1], [BRAKED, 0]]
+    assert (tmp_path / "cache/loopshape/kernels").is_dir()
+    nowhere = {"XDG_CACHE_HOME": str(package / "__init__.py")}
+    assert coast(package, **nowhere) == [BRAKED, 1]
+
+
+def test_a_key_covers_all_that_an_import_runs(package):
+    """For every file with a compiled function: no module of ours that Python loads with it is outside its key."""
+    here = Path(loopshape.__file__).parent
+    files = {name(p, here): p for p in here.rglob("*.py") if "@compiled" in p.read_text()}
+    assert len(files) > 15
+    loaded = answer(started(package, *files, code=LOADED))
+    for module, file in files.items():
+        assert set(loaded[module]) <= {str(p.relative_to(here.parent)) for p in sources(file)}, module
