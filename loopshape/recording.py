@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from loopshape import stretches
 from loopshape.channel import sum_terms
 from loopshape.errors import BadSignalError
 from loopshape.experiment import Experiment
+from loopshape.stretches import ByStretches, LongSignal, Signal
 from loopshape.units import Array
 
 
@@ -77,24 +79,57 @@ class Recording:
     rate_hz: float
     columns: Mapping[str, Array]
 
+    def stored(self, name: str) -> Signal:
+        """A column as it is stored, which may hold what is no number; of a long recording a `LongSignal`."""
+        self._check_name(name)
+        columns = self.columns
+        if not isinstance(columns, ByStretches) or columns.rows < stretches.LONG:
+            return np.asarray(columns[name], dtype=float)
+        return LongSignal(columns.rows, lambda start, stop: columns.stretch(name, start, stop))
+
+    def signal(self, expression: str) -> Signal:
+        """As `output`, but of a long recording what is read a stretch at a time, and refused when it is read."""
+        terms = sum_terms(expression)
+        signals = [self._checked(name, self.stored(name)) for name in terms]
+        return signals[0] if len(terms) == 1 else self._sum(signals)
+
+    def _checked(self, name: str, signal: Signal) -> Signal:
+        if isinstance(signal, LongSignal):
+            return LongSignal(signal.size, lambda start, stop: self._finite(name, signal[start:stop], start))
+        return self._finite(name, signal, 0)
+
+    @staticmethod
+    def _sum(signals: Sequence[Signal]) -> Signal:
+        if any(isinstance(signal, LongSignal) for signal in signals):
+            return LongSignal(
+                signals[0].size, lambda start, stop: np.asarray(np.sum([s[start:stop] for s in signals], axis=0))
+            )
+        return np.asarray(np.sum([np.asarray(s) for s in signals], axis=0))
+
     def column(self, name: str) -> Array:
         """A column (n,), as a read-only view; refuses one that is missing or holds NaN."""
-        if name not in self.columns:
-            raise BadSignalError(
-                f"recording {self.info.file} has no column {name}", f"columns {', '.join(self.columns)}"
-            )
-        values = np.asarray(self.columns[name], dtype=float).view()
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise BadSignalError(
-                f"column {name} of recording {self.info.file} holds {bad.size} values that are not numbers",
-                f"the first in row {bad[0]}",
-                "repair the recording or leave it out",
-            )
-        values.setflags(write=False)
-        return values
+        self._check_name(name)
+        return self._finite(name, np.asarray(self.columns[name], dtype=float), 0)
 
     def output(self, expression: str) -> Array:
         """A column, or the sum of columns that `expression` names, (n,)."""
         terms = [self.column(term) for term in sum_terms(expression)]
         return np.asarray(np.sum(terms, axis=0))
+
+    def _check_name(self, name: str) -> None:
+        if name not in self.columns:
+            raise BadSignalError(
+                f"recording {self.info.file} has no column {name}", f"columns {', '.join(self.columns)}"
+            )
+
+    def _finite(self, name: str, values: Array, first_row: int) -> Array:
+        values = values.view()
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise BadSignalError(
+                f"column {name} of recording {self.info.file} holds {bad.size} values that are not numbers",
+                f"the first in row {first_row + bad[0]}",
+                "repair the recording or leave it out",
+            )
+        values.setflags(write=False)
+        return values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from loopshape.model import Estimate, Fit
 from loopshape.recording import RecordingInfo
 from loopshape.requirements import Requirements, Verdict
 from loopshape.run import Run
+from loopshape.stretches import Signal
 from loopshape.units import Array
 
 
@@ -53,10 +55,12 @@ class Envelope:
     high: Array
 
     @classmethod
-    def of(cls, column: str, values: Array, bins: int = 160) -> Envelope:
+    def of(cls, column: str, values: Signal, bins: int = 160) -> Envelope:
         """Envelope of a column's values (n,), n at least 1, in at most `bins` stretches."""
-        starts = np.unique(np.arange(min(bins, values.size)) * values.size // min(bins, values.size))
-        return cls(column, np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts))
+        edges = np.unique(np.arange(min(bins, values.size) + 1) * values.size // min(bins, values.size))
+        parts = (values[a:b] for a, b in pairwise(edges.tolist()))
+        ends = np.array([(part.min(), part.max()) for part in parts])
+        return cls(column, ends[:, 0], ends[:, 1])
 
 
 @dataclass(frozen=True, eq=False)

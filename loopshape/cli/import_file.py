@@ -28,8 +28,9 @@ def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace
     from loopshape.estimate.signals import has_instrument
     from loopshape.store.import_file import import_file as read
     from loopshape.store.run_folder import add_recording, check_recordings, clear_run, finished, holds, start_run
+    from loopshape.stretches import extent
 
-    run = read(file, map_file)
+    run = read(file, map_file, next((p for p in (out, *out.absolute().parents) if p.is_dir()), None))
     warnings = check_recordings(run)
     for recording in run.recordings:
         if recording.info.excites is not None and not has_instrument(recording, run.loop(recording.info.excites)):
@@ -50,11 +51,8 @@ def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace
     start_run(out, run)
     for recording in todo:
         add_recording(out, recording)
-    rows = [
-        [name, float(values.min()), float(values.max()), float(values.std()), int(values.size)]
-        for recording in run.recordings
-        for name, values in recording.columns.items()
-    ]
+    every = [(name, extent(recording.signal(name))) for recording in run.recordings for name in recording.columns]
+    rows = [[name, seen.least, seen.most, seen.std, seen.size] for name, seen in every]
     output.table(f"Imported {file.name} at {run.rate_hz:g} Hz", ["column", "min", "max", "std", "samples"], rows)
     notes = [str(note) for note in run.extra.get("notes", ())]
     for note in notes:

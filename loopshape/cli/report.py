@@ -195,7 +195,7 @@ def _samples(recording: Recording) -> int:
     from loopshape.errors import LoopshapeError
 
     try:
-        return len(next(iter(recording.columns.values()), ()))
+        return recording.stored(next(iter(recording.columns))).size if recording.columns else 0
     except LoopshapeError:
         return 0
 
@@ -216,7 +216,7 @@ def _envelopes(run: Run, recording: Recording) -> tuple[Envelope, ...]:
     found = []
     for name in dict.fromkeys(names):
         try:
-            values = recording.output(name)
+            values = recording.signal(name)
         except LoopshapeError:
             continue
         found += [Envelope.of(name, values)] if values.size else []

@@ -7,11 +7,13 @@ a spike comes back to where it left, far beyond what the signal does elsewhere (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from loopshape.errors import BadSignalError
+from loopshape.stretches import AT_ONCE, LongSignal, Signal
 from loopshape.units import Array
 
 #: samples that a spike lasts at most; a longer one is a step there and back
@@ -45,12 +47,32 @@ class Fault:
     sentence: str
 
 
-def spikes(values: Array, rate_hz: float, name: str = "the signal") -> Fault | None:
+def by_stretches(
+    look: Callable[[Array, float, str, int], Fault | None], signal: Signal, rate_hz: float, name: str
+) -> Fault | None:
+    """`look` (`spikes` or `saturated`) at a signal (n,); at a long one stretch by stretch, each judged by itself.
+
+    The sentence is that of the first stretch with a fault, and says how many stretches have one.
+    """
+    if not isinstance(signal, LongSignal):
+        return look(signal, rate_hz, name, 0)
+    starts = [max(0, k - 2 * AROUND) for k in range(0, signal.size, AT_ONCE)]
+    every = (look(signal[start : start + AT_ONCE + 2 * AROUND], rate_hz, name, start) for start in starts)
+    found = [fault for fault in every if fault is not None]
+    if not found:
+        return None
+    rows, size = np.unique(np.concatenate([f.rows for f in found])), max(found, key=lambda f: abs(f.size)).size
+    more = f"; so in {len(found)} of {len(starts)} stretches of {AT_ONCE / rate_hz:.3g} s, this is the first"
+    return replace(found[0], rows=rows, size=size, sentence=found[0].sentence + more)
+
+
+def spikes(values: Array, rate_hz: float, name: str = "the signal", first_row: int = 0) -> Fault | None:
     """Excursions of up to three samples that come back, in a signal (n,) at `rate_hz`; None where there are none.
 
     Overlooks spikes smaller than twice an ordinary large move of the signal, those in more than about 1 % of the
     samples, and those at the record's very ends. A single sample of a switched signal (at most 20 values) that lands
-    on a value where it rests is its own. Impulses that are shorter than four samples by intention are taken for spikes.
+    on a value where it rests is its own. Impulses that are shorter than four samples by
+    intention are taken for spikes. Rows are counted on from `first_row`.
     """
     x = _checked(values, name)
     moves = np.abs(np.diff(x))
@@ -67,7 +89,7 @@ def spikes(values: Array, rate_hz: float, name: str = "the signal") -> Fault | N
     found = [one for one in found if not _its_own(x, one[0], one[1])]
     if not found:
         return None
-    rows = np.unique(np.concatenate([np.arange(start, start + width) for start, width, _ in found]))
+    rows = first_row + np.unique(np.concatenate([np.arange(start, start + width) for start, width, _ in found]))
     highest = max(height for *_, height in found)
     words = (
         f"{name} has {_count(rows.size, 'spike sample')} at {_where(rows, rate_hz)}, up to {highest:.3g} beyond both"
@@ -103,26 +125,30 @@ def _its_own(x: Array, start: int, width: int) -> bool:
     return any(b - a > WIDTH for a, b in _runs(there.astype(bool)))
 
 
-def saturated(values: Array, rate_hz: float, name: str = "the signal") -> Fault | None:
+def saturated(values: Array, rate_hz: float, name: str = "the signal", first_row: int = 0) -> Fault | None:
     """Samples of a signal (n,) at `rate_hz` that sit on its largest or smallest value as if clipped; None without any.
 
     Clipped is a run of three or more at an extreme, into or out of which the signal moves at such a speed that the
     peak it would have made is more than three steps of its resolution; or 2 % of all samples at one extreme, and four
     times as many as at the next value. Signals of at most 200 values pass: coarse converters, staircases, square waves.
     A peak clipped for one or two samples, and a signal that creeps into its limit, are overlooked; one that rests on
-    its end stop for 2 % of the time is named.
+    its end stop for 2 % of the time is named. Rows are counted on from `first_row`.
     """
     x = _checked(values, name)
-    levels, counts = np.unique(x, return_counts=True)
-    if levels.size <= min(FINE, x.size // 2):
+    few = max(1, min(FINE, x.size // 2))
+    if np.unique(x[: 20 * FINE]).size <= few and np.unique(x).size <= few:
         return None
+    moves = np.abs(np.diff(x))
+    step = float(moves[moves > 0.0].min())
+    many = x.size > 2 * FINE or np.unique(x).size > FINE
     rows, at = [], 0.0
-    for extreme, most, next_most in ((levels[-1], *counts[:-3:-1]), (levels[0], *counts[:2])):
-        piled = levels.size > FINE and most > CLIPPED_SHARE * x.size and most > PILED * next_most
+    for extreme, following in ((x.max(), x[x < x.max()].max()), (x.min(), x[x > x.min()].min())):
         there = x == extreme
+        most, next_most = int(there.sum()), int((x == following).sum())
+        piled = many and most > CLIPPED_SHARE * x.size and most > PILED * next_most
         runs = [run for run in _runs(there) if run[1] - run[0] >= CLIPPED]
-        if piled or any(_cut_off(x, *run) for run in runs):
-            rows.append(np.flatnonzero(there))
+        if piled or any(_cut_off(x, *run, step) for run in runs):
+            rows.append(first_row + np.flatnonzero(there))
             at = float(extreme)
     if not rows:
         return None
@@ -137,15 +163,13 @@ def saturated(values: Array, rate_hz: float, name: str = "the signal") -> Fault 
     return Fault("saturated", name, every, at, words)
 
 
-def _cut_off(x: Array, start: int, end: int) -> bool:
+def _cut_off(x: Array, start: int, end: int, step: float) -> bool:
     """Whether a signal enters or leaves x[start:end] too fast for that to be the top of a smooth peak."""
     speeds = []
     if start >= 2:
         speeds.append(abs(float(x[start - 1] - x[start - 2])))
     if end + 2 <= x.size:
         speeds.append(abs(float(x[end + 1] - x[end])))
-    moves = np.abs(np.diff(x))
-    step = float(moves[moves > 0.0].min())
     return bool(speeds) and 0.25 * (end - start) * min(speeds) > 3.0 * step and min(speeds) > 1.5 * step
 
 

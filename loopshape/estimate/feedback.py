@@ -16,32 +16,37 @@ from loopshape.controller import Controller
 from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import KNOWN, against_instrument
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.signals import LoopSignals, has_instrument, loop_signals
+from loopshape.estimate.signals import LoopSignals, has_instrument, read_signals
 from loopshape.estimate.transforms import transform
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
+from loopshape.stretches import Signal
 from loopshape.units import Array, ComplexArray, db
 
 
-def direct_signals(recording: Recording, loop: LoopSetup, settings: Settings) -> tuple[LoopSignals, tuple[str, ...]]:
+def direct_signals(
+    recording: Recording, loop: LoopSetup, settings: Settings
+) -> tuple[LoopSignals[Signal], tuple[str, ...]]:
     """Signals with the plant's input as its own instrument, and a warning where there is feedback."""
     if has_instrument(recording, loop):
-        s = loop_signals(recording, loop)
+        s = read_signals(recording, loop)
         return replace(s, instrument=s.u), _feedback_note(recording, loop, s, settings) if s.feedback else ()
     opened = Recording(replace(recording.info, closed_loop=False), recording.rate_hz, recording.columns)
-    return loop_signals(opened, loop), (BIASED,)
+    return read_signals(opened, loop), (BIASED,)
 
 
 #: what can be said of every direct estimate under feedback
 BIASED = "direct estimator in closed loop: biased towards -1/C where noise outweighs the excitation"
 
 
-def _feedback_note(recording: Recording, loop: LoopSetup, s: LoopSignals, settings: Settings) -> tuple[str, ...]:
+def _feedback_note(
+    recording: Recording, loop: LoopSetup, s: LoopSignals[Signal], settings: Settings
+) -> tuple[str, ...]:
     """The warning, with how far the plant's input answers the injected signal otherwise than without feedback."""
     at_plant = recording.info.injection == "plant_input"
     if loop.controller is None and not at_plant:
         return (BIASED,)
-    t = transform(recording, [s.u], s.instrument, settings)
+    t = transform(recording, [np.asarray(s.u)], np.asarray(s.instrument), settings)
     rows = np.flatnonzero(t.excited & (t.frequency_hz < 0.45 * recording.rate_hz))
     f = t.frequency_hz[rows]
     alone = np.ones(f.size) if at_plant or loop.controller is None else loop.controller.response(f)

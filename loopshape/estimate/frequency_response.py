@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from loopshape.estimate.periods import by_periods
 from loopshape.estimate.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
 from loopshape.estimate.respond import respond
 from loopshape.estimate.settings import BY_INSTRUMENT, SPECTRAL, Settings
-from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, wiring_notes
+from loopshape.estimate.signals import LoopSignals, held_note, loop_signals, read_signals, wiring_notes
 from loopshape.estimate.welch import by_welch
 from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF, joined
@@ -64,7 +65,7 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     if settings.estimator == "direct":
         s, notes = direct_signals(recording, loop, settings)
     else:
-        s, notes = loop_signals(recording, loop), ()
+        s, notes = read_signals(recording, loop), ()
     if settings.estimator in SPECTRAL:
         _refuse_spectral(recording, settings)
         answers = by_welch(recording, [s.y, s.u], [s.u], settings)
@@ -92,7 +93,7 @@ def estimate_realisations(recordings: Sequence[Recording], loop: LoopSetup) -> F
 def _loop_frf(
     recordings: Sequence[Recording],
     loop: LoopSetup,
-    s: LoopSignals,
+    s: LoopSignals[Any],
     answers: Answers,
     settings: Settings,
     notes: tuple[str, ...],

@@ -122,7 +122,12 @@ def _refuse(recording: Recording, rate_hz: float) -> None:
 
 
 def _frf(
-    s: _Spectra, response: ComplexArray, name: str, recordings: Sequence[Recording], loop: LoopSetup, part: LoopSignals
+    s: _Spectra,
+    response: ComplexArray,
+    name: str,
+    recordings: Sequence[Recording],
+    loop: LoopSetup,
+    part: LoopSignals[Array],
 ) -> FRF:
     """The noun; to first order both scatter by the same share, (1 - coherence)/coherence over the averages."""
     relative = (1.0 - s.coherence) / (s.coherence * max(s.averages - 1.0, 1.0))

@@ -139,14 +139,16 @@ def between(at_hz: Array, f: Array, response: ComplexArray) -> ComplexArray:
     return np.asarray(np.exp(size + 1j * np.interp(x, x0, np.unwrap(np.angle(response)))))
 
 
-def _noise(recording: Recording, s: LoopSignals, frf: FRF, settings: Settings) -> tuple[Array, Array, float]:
+def _noise(recording: Recording, s: LoopSignals[Array], frf: FRF, settings: Settings) -> tuple[Array, Array, float]:
     """Lines (n,), power of Y - G U on them per Hz (n,), and independent averages per Hz behind it."""
     if recording.info.period_s is None:
         return _noise_of_fits(recording, s, frf)
     return _noise_of_periods(recording, s, frf, settings)
 
 
-def _noise_of_periods(recording: Recording, s: LoopSignals, frf: FRF, settings: Settings) -> tuple[Array, Array, float]:
+def _noise_of_periods(
+    recording: Recording, s: LoopSignals[Array], frf: FRF, settings: Settings
+) -> tuple[Array, Array, float]:
     """From what differs between periods, at the lines that are not excited too."""
     t = transform(recording, [s.y, s.u], s.instrument, settings)
     rows = (t.frequency_hz >= frf.frequency_hz[0]) & (t.frequency_hz <= frf.frequency_hz[-1])
@@ -158,7 +160,7 @@ def _noise_of_periods(recording: Recording, s: LoopSignals, frf: FRF, settings: 
     return f, 2.0 * period_s * power, (k - 1) * period_s
 
 
-def _noise_of_fits(recording: Recording, s: LoopSignals, frf: FRF) -> tuple[Array, Array, float]:
+def _noise_of_fits(recording: Recording, s: LoopSignals[Array], frf: FRF) -> tuple[Array, Array, float]:
     """From what local fits of output and input to the instrument leave over; narrow ones, which follow resonances.
 
     A window as wide as the response is best estimated by would count what it rounds off as noise.

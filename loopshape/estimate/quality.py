@@ -10,10 +10,11 @@ from loopshape.channel import sum_terms
 from loopshape.estimate.faults import Fault, saturated, spikes, stuck
 from loopshape.estimate.feedback_check import FeedbackCheck, feedback_check, repeats
 from loopshape.estimate.input_power import unfed_bands
-from loopshape.estimate.signals import plant_input
+from loopshape.estimate.signals import input_signal, plant_input
 from loopshape.experiment import LoopSetup
 from loopshape.kernels.spectra import cross_spectra
 from loopshape.recording import Recording
+from loopshape.stretches import LongSignal, Signal, extent, stretches
 from loopshape.units import Array, ComplexArray, deg
 
 #: rows of a record that are looked at for feedback; more tell no more and take longer
@@ -31,11 +32,20 @@ def stayed_bounded(recordings: Sequence[Recording], outputs: Sequence[str]) -> b
         return False
     for recording in recordings:
         for expression in outputs:
-            y = recording.output(expression)
-            first, last = (float(np.std(part)) for part in (y[: y.size // 3], y[-(y.size // 3) :]))
+            y = recording.signal(expression)
+            first, last = (extent(part).std for part in _first_and_last_third(y))
             if not last <= GROWN * first:
                 return False
     return True
+
+
+def _first_and_last_third(y: Signal) -> tuple[Signal, Signal]:
+    """Parts of a signal (n,), read when they are used."""
+    third = y.size // 3
+    if isinstance(y, LongSignal):
+        rest = y.size - third
+        return LongSignal(third, y.read), LongSignal(third, lambda start, stop: y.read(rest + start, rest + stop))
+    return y[:third], y[-third:]
 
 
 def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0.01) -> FeedbackCheck:
@@ -51,7 +61,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
     info, rate = recording.info, recording.rate_hz
     first = round((info.periodic_from_s or 0.0) * rate) if info.period_s else 0
     rows = slice(first, first + MOST_ROWS)
-    u, y = plant_input(recording, loop)[rows], recording.output(loop.output)[rows]
+    u, y = input_signal(recording, loop)[rows], recording.signal(loop.output)[rows]
     period = round(info.period_s * rate) if info.period_s else None
     if period is not None and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = None
@@ -67,7 +77,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
 
     An input that repeats exactly is none. Where only neighbouring samples show it, as behind a filter, that is added.
     """
-    u = recording.column(loop.control)[:MOST_ROWS]
+    u = recording.signal(loop.control)[:MOST_ROWS]
     if recording.info.closed_loop or u.size < 200:
         return ()
     found = loop_feedback(recording, loop, false_alarms=1e-4)
@@ -78,7 +88,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
             f"{found.sentence}; so much comes before its cause that {loop.control} and {loop.output} may be swapped",
         )
     if recording.info.period_s is None:
-        y = recording.output(loop.output)[:MOST_ROWS]
+        y = recording.signal(loop.output)[:MOST_ROWS]
         if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
             return (f"{found.sentence}; only neighbouring samples show it, as behind an anti-aliasing filter",)
     return (found.sentence,)
@@ -103,7 +113,7 @@ def inverse_note(recording: Recording, loop: LoopSetup, frequency_hz: Array, G: 
     """
     if recording.info.closed_loop and loop.controller is not None:
         return ()
-    if _exact_multiple(plant_input(recording, loop), recording.output(loop.output)):
+    if _exact_multiple(input_signal(recording, loop), recording.signal(loop.output)):
         return (
             f"{loop.output} is an exact multiple of {loop.control} in {recording.info.file}: one column mapped twice?"
             " No measured plant answers without noise and delay",
@@ -130,11 +140,16 @@ def _slope(x: Array, y: Array, weight: Array) -> float:
     return float((weight * x * y).sum() / (weight * x * x).sum())
 
 
-def _exact_multiple(u: Array, y: Array) -> bool:
-    """Whether y (n,) is a u + b up to rounding."""
-    u, y = u - u.mean(), y - y.mean()
-    left = y - (u @ y) / (u @ u) * u
-    return bool(left @ left <= EXACT * (y @ y))
+def _exact_multiple(u: Signal, y: Signal) -> bool:
+    """Whether y (n,) is a u + b up to rounding; of long signals in each stretch, by one a and b in all of them."""
+    gains = []
+    for a, b in stretches(u, y):
+        a, b = a - a.mean(), b - b.mean()
+        gains.append((a @ b) / (a @ a) if a.any() else 0.0)
+        left = b - gains[-1] * a
+        if left @ left > EXACT * (b @ b):
+            return False
+    return bool(np.allclose(gains, gains[0], rtol=1e-6))
 
 
 def faults(recording: Recording, loop: LoopSetup) -> list[Fault]:
@@ -161,7 +176,7 @@ def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, 
     info = recording.info
     if info.closed_loop or info.kind != "noise":
         return ()
-    inputs = [recording.column(loop.control) for loop in loops]
+    inputs = [recording.signal(loop.control) for loop in loops]
     length = min(512, inputs[0].size // 8)
     if length < 32:
         return ()

@@ -15,13 +15,14 @@ from loopshape.estimate.settings import Settings
 from loopshape.estimate.sweeps import by_sweep
 from loopshape.estimate.welch import by_welch
 from loopshape.recording import Recording
+from loopshape.stretches import LongSignal, Signal
 from loopshape.units import Array, db
 
 
 def respond(
     recording: Recording,
-    signals: Sequence[Array],
-    instruments: Sequence[Array],
+    signals: Sequence[Signal],
+    instruments: Sequence[Signal],
     outputs: int,
     settings: Settings,
 ) -> Answers:
@@ -29,8 +30,17 @@ def respond(
 
     By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. One sweep
     has local fits of its own (`by_sweep`); of several at once, and of noise with a resolution asked for, `auto` takes
-    Welch's segments, and of other noise whichever of both predicts best what it has not seen.
+    Welch's segments, and of other noise whichever of both predicts best what it has not seen. Of a long recording's
+    noise `auto` takes Welch's segments, which alone are read a stretch at a time; the others take it whole.
     """
+    sweep = recording.info.kind == "sweep"
+    long = any(isinstance(x, LongSignal) for x in (*signals, *instruments))
+    chosen = sweep or long or settings.resolution_hz is not None or settings.recipe
+    once = sweep and len(instruments) == 1 and settings.method != "welch" and not settings.recipe
+    welch = settings.method == "welch" or (settings.method == "auto" and chosen and not once)
+    if recording.info.period_s is None and welch:
+        return by_welch(recording, signals, instruments, settings)
+    whole, moved = [np.asarray(x) for x in signals], [np.asarray(x) for x in instruments]
     if recording.info.period_s is not None:
         if settings.method != "auto" or settings.recipe:
             raise WrongUseError(
@@ -38,16 +48,12 @@ def respond(
                 f"{settings.method!r} for {recording.info.file} with period {recording.info.period_s:g} s",
                 "leave it out, or take period_s out of run.toml",
             )
-        return by_periods([(recording, signals, instruments, 0)], settings)
-    sweep = recording.info.kind == "sweep"
-    if sweep and len(instruments) == 1 and settings.method != "welch" and not settings.recipe:
-        return by_sweep(recording, signals, instruments[0], outputs, settings)
-    chosen = sweep or settings.resolution_hz is not None or settings.recipe
-    if settings.method == "welch" or (settings.method == "auto" and chosen):
-        return by_welch(recording, signals, instruments, settings)
+        return by_periods([(recording, whole, moved, 0)], settings)
+    if once:
+        return by_sweep(recording, whole, moved[0], outputs, settings)
     if settings.method == "local":
-        return by_local_fits(recording, signals, instruments, outputs, settings)[0]
-    return _better(recording, signals, instruments, outputs, settings)
+        return by_local_fits(recording, whole, moved, outputs, settings)[0]
+    return _better(recording, whole, moved, outputs, settings)
 
 
 def _better(

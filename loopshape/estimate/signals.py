@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -10,40 +11,51 @@ from loopshape.channel import Channel, sum_terms
 from loopshape.errors import BadSignalError
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording
+from loopshape.stretches import Signal, equal, extent, stretches
 from loopshape.units import Array, ComplexArray
+
+S = TypeVar("S", bound=Signal)
 
 
 @dataclass(frozen=True, eq=False)
-class LoopSignals:
+class LoopSignals(Generic[S]):
     """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.loop`.
 
     u is what enters the plant (z, plus n where n enters there). `instrument` is the injected signal, the
     moving reference, or u itself in open loop. `feedback` tells whether a loop was closed around them.
     """
 
-    u: Array
-    y: Array
-    instrument: Array
+    u: S
+    y: S
+    instrument: S
     feedback: bool
     input_channel: Channel
     output_channel: Channel
 
 
-def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals:
-    """Signals of a loop in a recording that excites it.
+def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Array]:
+    """As `read_signals`, each whole."""
+    s = read_signals(recording, loop)
+    u, y, source = (np.asarray(x) for x in (s.u, s.y, s.instrument))
+    return LoopSignals(u, y, source, s.feedback, s.input_channel, s.output_channel)
+
+
+def read_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Signal]:
+    """Signals of a loop in a recording that excites it; those of a long recording are read a stretch at a time.
 
     Refuses a closed loop without a signal that only we moved (there the data cannot tell plant from
     inverse controller), constant signals, and an output that is the same column as another signal.
     """
     info = recording.info
     refuse_alike(recording, loop)
-    u, y = plant_input(recording, loop), recording.output(loop.output)
-    source = instrument(recording, loop)
+    u, y = input_signal(recording, loop), recording.signal(loop.output)
+    source = moved_signal(recording, loop)
     for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
-        if np.ptp(signal) == 0.0:
+        seen = extent(signal)
+        if seen.least == seen.most:
             raise BadSignalError(
                 f"the {what} of loop {loop.name} in recording {info.file} is constant",
-                f"{signal[0]:g} in every row",
+                f"{seen.least:g} in every row",
                 "check the cable, the map, or which loop the recording excites",
             )
     return LoopSignals(u, y, source, info.closed_loop, Channel.from_column(loop.control), output_channel(loop))
@@ -51,22 +63,30 @@ def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals:
 
 def refuse_alike(recording: Recording, loop: LoopSetup) -> None:
     """Refuse an output that holds the same numbers as the control, injected or reference column."""
-    y = recording.output(loop.output)
+    y = recording.signal(loop.output)
     for name in dict.fromkeys((loop.control, loop.injected, loop.reference)):
-        if name in recording.columns and y.any() and np.array_equal(y, recording.column(str(name))):
+        if (
+            name in recording.columns
+            and equal(y, recording.signal(str(name)))
+            and any(part.any() for (part,) in stretches(y))
+        ):
             raise BadSignalError(
                 f"{loop.output} and {name} of loop {loop.name} in {recording.info.file} hold the same numbers",
-                f"{y.size} equal rows, the first {y[0]:g}",
+                f"{y.size} equal rows, the first {y[:1][0]:g}",
                 "map each to a column of its own in the file",
             )
 
 
 def plant_input(recording: Recording, loop: LoopSetup) -> Array:
+    """As `input_signal`, whole."""
+    return np.asarray(input_signal(recording, loop))
+
+
+def input_signal(recording: Recording, loop: LoopSetup) -> Signal:
     """What enters the plant (n,): z, plus the injected signal where it enters there."""
-    z = recording.column(loop.control)
     if recording.info.injection == "plant_input" and loop.injected in recording.columns:
-        return z + recording.column(str(loop.injected))
-    return z
+        return recording.signal(f"{loop.control} + {loop.injected}")
+    return recording.signal(loop.control)
 
 
 def _instrument_column(recording: Recording, loop: LoopSetup) -> str | None:
@@ -82,6 +102,11 @@ def has_instrument(recording: Recording, loop: LoopSetup) -> bool:
 
 
 def instrument(recording: Recording, loop: LoopSetup) -> Array:
+    """As `moved_signal`, whole."""
+    return np.asarray(moved_signal(recording, loop))
+
+
+def moved_signal(recording: Recording, loop: LoopSetup) -> Signal:
     """The signal (n,) that only we moved; refuses a closed loop without one."""
     name = _instrument_column(recording, loop)
     if name is None or name not in recording.columns:
@@ -90,7 +115,7 @@ def instrument(recording: Recording, loop: LoopSetup) -> Array:
             f"columns {', '.join(recording.columns)}",
             "name the injected column, or ask for the direct estimator and take its bias",
         )
-    return recording.column(name)
+    return recording.signal(name)
 
 
 def output_channel(loop: LoopSetup) -> Channel:
@@ -105,14 +130,14 @@ def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     info = recording.info
     if loop.reference not in recording.columns or not info.closed_loop or info.injection == "reference":
         return ()
-    wished, found = recording.column(str(loop.reference)), recording.output(loop.output)
-    gap = abs(float(wished.mean() - found.mean()))
-    if np.ptp(wished) > 0.0 or gap <= max(0.1 * abs(float(wished.mean())), 3.0 * float(found.std())):
+    wished, found = extent(recording.signal(str(loop.reference))), extent(recording.signal(loop.output))
+    gap = abs(wished.mean - found.mean)
+    if wished.most > wished.least or gap <= max(0.1 * abs(wished.mean), 3.0 * found.std):
         return ()
     unit = loop.output_unit
     return (
-        f"loop {loop.name} did not hold its setpoint: {float(wished[0]):.3g} {unit} asked,"
-        f" {float(found.mean()):.3g} {unit} on average; the FRF is that of where it stood",
+        f"loop {loop.name} did not hold its setpoint: {wished.least:.3g} {unit} asked,"
+        f" {found.mean:.3g} {unit} on average; the FRF is that of where it stood",
     )
 
 

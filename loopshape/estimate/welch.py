@@ -16,6 +16,7 @@ from loopshape.estimate.settings import Settings
 from loopshape.estimate.transforms import clear_of_edges, segments_of, window_of
 from loopshape.kernels.spectra import cross_spectra, independent_share, line_overlap
 from loopshape.recording import Recording
+from loopshape.stretches import Signal
 from loopshape.units import Array, ComplexArray
 
 #: averages that longer segments must leave
@@ -27,7 +28,7 @@ SEEN_BIAS = 0.02
 
 
 def by_welch(
-    recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], settings: Settings
+    recording: Recording, signals: Sequence[Signal], instruments: Sequence[Signal], settings: Settings
 ) -> Answers:
     """Answers of signals (n,) to instruments (n,) by windowed segments (Welch 1967).
 
@@ -49,7 +50,7 @@ def by_welch(
 
 
 def _by_segments(
-    recording: Recording, signals: Sequence[Array], instruments: Sequence[Array], settings: Settings
+    recording: Recording, signals: Sequence[Signal], instruments: Sequence[Signal], settings: Settings
 ) -> Answers:
     """Answers by segments of one length.
 

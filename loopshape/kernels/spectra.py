@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from loopshape.kernels.compiled import compiled
-from loopshape.kernels.types import Array, ComplexArray
+from loopshape.kernels.types import Array, ComplexArray, Sliced
 
 
 def hann(n: int) -> Array:
@@ -65,7 +67,7 @@ NEAR = 512
 
 
 def cross_spectra(
-    signals: list[Array],
+    signals: Sequence[Sliced],
     length: int,
     step: int,
     weigh: int | None = None,
@@ -74,7 +76,8 @@ def cross_spectra(
 ) -> tuple[ComplexArray, ComplexArray, Array]:
     """Sums over segments of x x^H, (s, s, nf), and of w x x^H and w² with w = |x[weigh]|², for signals (n,) each.
 
-    Segments are those of `segment_spectra`, a few at a time, so that memory does not grow with the record. Without
+    Segments are those of `segment_spectra`, a few at a time, so that memory does not grow with the record; signals may
+    be read as they are sliced. Without
     `weigh` the weighted sums are zero and one line long. `window` (length,) is Hann's where none is given; `detrend`
     takes each segment's "mean", its "linear" least-squares trend, or nothing ("none") off first.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -53,7 +54,7 @@ class CsvTable:
         if bad.size:
             raise UnreadableInputError(
                 f"column {name} of {self.path.name} holds {bad.size} cells that are not numbers",
-                f"{short(raw.iloc[bad[0]], 40)!r} in row {bad[0]}",
+                f"{short(raw.iloc[bad[0]], 40)!r} in row {raw.index[bad[0]]}",
                 "repair the file, or say its separator and decimal sign",
             )
         return values
@@ -66,15 +67,20 @@ def read_csv_names(path: Path, shape: CsvShape) -> tuple[str, ...]:
 
 def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
     """The whole file; refuses rows that have more cells than the header or the row before."""
+    if path.suffix == ".gz":  # to its end: a table takes many times the room of its text
+        with reading(path, "CSV"), _bytes(path) as packed:
+            while packed.read(1 << 20):
+                pass
+    return next(csv_stretches(path, shape, None))
+
+
+def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[CsvTable]:
+    """The file so many rows at a time, or at once (None); refuses as `read_csv_table` does, when it comes there."""
     import pandas as pd
 
     names, lines = _header(path, shape) if shape.header else ((), _skipped(path, shape))
     with reading(path, "CSV"), _bytes(path) as file:
-        if path.suffix == ".gz":  # to its end: a table takes many times the room of its text
-            with _bytes(path) as packed:
-                while packed.read(1 << 20):
-                    pass
-        frame = pd.read_csv(
+        frames = pd.read_csv(
             file,
             sep=r"\s+" if shape.separator == " " else shape.separator,
             header=None,
@@ -84,7 +90,19 @@ def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
             skip_blank_lines=False,
             encoding="utf-8-sig",
             low_memory=False,
+            iterator=True,
         )
+        while True:
+            try:
+                frame = frames.read(rows)
+            except StopIteration:
+                return
+            yield _table(path, names, frame)
+            if rows is None:
+                return
+
+
+def _table(path: Path, names: tuple[str, ...], frame: pd.DataFrame) -> CsvTable:
     if names and len(names) != frame.shape[1]:
         raise UnreadableInputError(
             f"the header of {path.name} names {len(names)} columns",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,18 @@ from loopshape.store.sources import Source, open_source
 from loopshape.store.stamps import ON_GRID, Stamps, check_rate, read_stamps
 from loopshape.store.tables import TIME
 from loopshape.store.words import said_in
+from loopshape.stretches import LongColumns, LongSignal, Signal, stretches
 from loopshape.units import Array
 
 _MOST_GROWTH = 50  # times the file's rows; more comes from a wrong unit of the stamps
 _GAP = 1.5  # median steps
 
 
-def import_file(file: Path, map_file: Path) -> Run:
-    """The run, with one recording in memory, that a map makes of a file; `run_folder.write_run` stores it.
+def import_file(file: Path, map_file: Path, beside: Path | None = None) -> Run:
+    """The run with one recording that a map makes of a file; `run_folder.write_run` stores it.
+
+    The recording is in memory; a long one is read from its file as it is asked for, of CSV from a copy of its numbers
+    on the disk of the folder `beside`. What has to be resampled is held whole.
 
     Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet, NPZ and MDF; the
     keys of the map stand in `import_map`. Refuses whatever the map does not say (`WrongUseError`), damaged files
@@ -30,8 +35,9 @@ def import_file(file: Path, map_file: Path) -> Run:
     stamps jitter or were resampled, `extra["notes"]` says how, how many gaps there were and how long.
     """
     rules = read_map(map_file, file.name.split(".")[0])
-    source = open_source(file, rules.csv)
-    columns = {rule.stored: _signal(source, rule) for rule in rules.columns}
+    places = [rule.place for rule in (*rules.columns, rules.time) if rule is not None]
+    source = open_source(file, rules.csv, places, beside)
+    columns: Mapping[str, Signal] = {rule.stored: _signal(source, rule) for rule in rules.columns}
     _check_lengths(columns, file)
     notes = [f"{rules.info.name}: imported from {file.name}"]
     stamps = _signal(source, rules.time) if rules.time else None
@@ -40,21 +46,26 @@ def import_file(file: Path, map_file: Path) -> Run:
         stamps = _cut(stamps, rules, file)
     columns = {name: _cut(values, rules, file) for name, values in columns.items()}
     if stamps is not None and rules.resample:
-        columns, note = _resample(stamps, columns, rules.rate_hz, file.name)
+        whole = {name: np.asarray(values) for name, values in columns.items()}
+        columns, note = _resample(np.asarray(stamps), whole, rules.rate_hz, file.name)
         notes.append(f"{rules.info.name}: {note}")
     elif stamps is not None and (note := check_rate(stamps, rules.rate_hz, file.name)):
         notes.append(f"{rules.info.name}: {note}")
     return _run(rules, columns, notes)
 
 
-def _run(rules: ImportMap, columns: dict[str, Array], notes: list[str]) -> Run:
-    n = len(next(iter(columns.values())))
-    columns = {TIME: np.arange(n) / rules.rate_hz, **columns}
+def _run(rules: ImportMap, columns: Mapping[str, Signal], notes: list[str]) -> Run:
+    n = next(iter(columns.values())).size
+    time: Signal = LongSignal(n, lambda start, stop: np.arange(start, stop) / rules.rate_hz)
+    if any(isinstance(values, LongSignal) for values in columns.values()):
+        table: Mapping[str, Array] = LongColumns({TIME: time, **columns})
+    else:
+        table = {TIME: np.asarray(time), **{name: np.asarray(values) for name, values in columns.items()}}
     parameters = {"parameters": dict(rules.parameters)} if rules.parameters else {}
     return Run(
         rate_hz=rules.rate_hz,
         loops=rules.loops,
-        recordings=(Recording(rules.info, rules.rate_hz, columns),),
+        recordings=(Recording(rules.info, rules.rate_hz, table),),
         plant=rules.plant,
         pwm=rules.pwm,
         extra={**parameters, "notes": notes},
@@ -62,12 +73,15 @@ def _run(rules: ImportMap, columns: dict[str, Array], notes: list[str]) -> Run:
     )
 
 
-def _signal(source: Source, rule: ColumnRule) -> Array:
+def _signal(source: Source, rule: ColumnRule) -> Signal:
     with said_in(rule.stored):
-        return rule.scale * source.signal(rule.place) + rule.shift
+        found = source.signal(rule.place)
+    if isinstance(found, LongSignal):
+        return LongSignal(found.size, lambda start, stop: rule.scale * found[start:stop] + rule.shift)
+    return rule.scale * found + rule.shift
 
 
-def _check_lengths(columns: dict[str, Array], file: Path) -> None:
+def _check_lengths(columns: Mapping[str, Signal], file: Path) -> None:
     if len({values.size for values in columns.values()}) != 1:
         raise WrongUseError(
             f"the columns taken from {file.name} differ in length",
@@ -76,22 +90,33 @@ def _check_lengths(columns: dict[str, Array], file: Path) -> None:
         )
 
 
-def _cut(values: Array, rules: ImportMap, file: Path) -> Array:
+def _cut(values: Signal, rules: ImportMap, file: Path) -> Signal:
     """The rows that the map takes; refuses rows that are not there and values that are not numbers."""
     last = rules.to_row if rules.to_row is not None else values.size
     if not rules.from_row + 1 < last <= values.size:
         raise WrongUseError(
             f"{file.name} has {values.size} rows", f"rows {rules.from_row + 1} to {last}", "take at least two of them"
         )
-    out = values[rules.from_row : last]
-    bad = np.flatnonzero(~np.isfinite(out))
-    if bad.size:
+    out = _rows_of(values, rules.from_row, last)
+    bad, first, row = 0, 0, rules.from_row
+    for (part,) in stretches(out):
+        wrong = np.flatnonzero(~np.isfinite(part))
+        if wrong.size and not bad:
+            first = row + int(wrong[0]) + 1
+        bad, row = bad + wrong.size, row + part.size
+    if bad:
         raise BadSignalError(
-            f"a column taken from {file.name} holds {bad.size} values that are not numbers",
-            f"the first in row {rules.from_row + bad[0] + 1}",
+            f"a column taken from {file.name} holds {bad} values that are not numbers",
+            f"the first in row {first}",
             "repair the file, or cut it with from_row and to_row",
         )
     return out
+
+
+def _rows_of(values: Signal, first: int, last: int) -> Signal:
+    if not isinstance(values, LongSignal):
+        return values[first:last]
+    return LongSignal(last - first, lambda start, stop: values[first + start : first + stop])
 
 
 def _resample(stamps: Array, columns: dict[str, Array], rate_hz: float, file: str) -> tuple[dict[str, Array], str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from loopshape.store.run_tables import loop_table, read_loops, read_outputs, rea
 from loopshape.store.tables import TIME, TableColumns, check_rate, write_table
 from loopshape.store.toml_text import toml_text
 from loopshape.store.words import Words, read_words, refuse_doubles
-from loopshape.units import Array
+from loopshape.stretches import LongSignal, Signal, equal
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"
@@ -112,7 +112,7 @@ def holds(folder: Path, recording: Recording) -> bool:
     there = read_run(folder).recording(recording.info.name)
     wanted = _timed(recording)
     same = there.info == recording.info and there.rate_hz == recording.rate_hz and set(there.columns) == set(wanted)
-    return same and all(np.array_equal(there.column(name), values) for name, values in wanted.items())
+    return same and all(equal(there.signal(name), values) for name, values in wanted.items())
 
 
 def recording_digests(folder: Path) -> dict[str, str]:
@@ -125,8 +125,8 @@ def recording_digests(folder: Path) -> dict[str, str]:
     marks = {}
     for entry in words.tables("recording"):
         path = _existing(folder, entry.text("file"))
-        with reading(path, "a recording"):
-            content = sha256(path.read_bytes())
+        with reading(path, "a recording"), path.open("rb") as file:
+            content = file_digest(file, "sha256")
         content.update((shared + repr(sorted(entry.table.items(), key=str))).encode())
         marks[path.name.split(".")[0]] = content.hexdigest()[:16]
     return marks
@@ -272,13 +272,15 @@ def _entry(recording: Recording) -> dict[str, Any]:
     return dict(loaded["recording"][0])
 
 
-def _timed(recording: Recording) -> dict[str, Array]:
+def _timed(recording: Recording) -> dict[str, Signal]:
     """The columns, with `t_s` in front; given stamps are checked, missing ones are made from the rate."""
-    columns = {name: np.asarray(recording.columns[name], dtype=float) for name in recording.columns}
+    columns = {name: recording.stored(name) for name in recording.columns}
     if TIME in columns:
         check_rate(columns[TIME], recording.rate_hz, recording.info.file)
         return columns
-    n = len(next(iter(columns.values()), ()))
+    n = next(iter(columns.values())).size if columns else 0
+    if any(isinstance(values, LongSignal) for values in columns.values()):
+        return {TIME: LongSignal(n, lambda start, stop: np.arange(start, stop) / recording.rate_hz), **columns}
     return {TIME: np.arange(n) / recording.rate_hz, **columns}
 
 

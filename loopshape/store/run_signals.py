@@ -6,11 +6,11 @@ import numpy as np
 
 from loopshape.channel import sum_terms
 from loopshape.errors import BadSignalError
-from loopshape.estimate.faults import saturated, spikes
+from loopshape.estimate.faults import by_stretches, saturated, spikes
 from loopshape.experiment import LoopSetup
 from loopshape.recording import Recording, RecordingInfo
 from loopshape.run import Run
-from loopshape.units import Array
+from loopshape.stretches import Signal, extent, stretches
 
 
 def check_recordings(run: Run) -> list[str]:
@@ -26,8 +26,11 @@ def check_recordings(run: Run) -> list[str]:
 
 def _check_recording(run: Run, recording: Recording) -> list[str]:
     for name in recording.columns:
-        if not recording.column(name).size:
+        signal = recording.signal(name)
+        if not signal.size:
             raise BadSignalError(f"recording {recording.info.file} has no rows", "an empty table", "leave it out")
+        for _ in stretches(signal):  # a long recording's values are looked at as they are read
+            pass
     info = recording.info
     if info.excites is None:
         return []
@@ -35,11 +38,12 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
     for name, loop in _watched(run, info).items():
         if not all(term in recording.columns for term in sum_terms(name)):
             continue
-        values = recording.output(name)
-        if np.ptp(values) == 0.0:
+        values = recording.signal(name)
+        seen = extent(values)
+        if seen.least == seen.most:
             raise BadSignalError(
                 f"{name} of recording {info.file} does not move although loop {loop.name} is excited",
-                f"{values[0]:g} in all {values.size} rows",
+                f"{seen.least:g} in all {seen.size} rows",
                 "check the sensor and the column, or leave the recording out",
             )
         if name != loop.injected:
@@ -65,7 +69,7 @@ def _pulses_saturated(run: Run, recording: Recording) -> str:
     commands = [name for name in recording.columns if name.startswith("u_") and name.endswith("_v")]
     if not run.pwm or not commands:
         return ""
-    share = max(float(np.mean(np.abs(recording.column(name)) > 1.0)) for name in commands)
+    share = max(_share_beyond(recording.signal(name), 1.0) for name in commands)
     if share < 0.01:
         return ""
     return (
@@ -74,8 +78,12 @@ def _pulses_saturated(run: Run, recording: Recording) -> str:
     )
 
 
-def _spoiled(name: str, values: Array, info: RecordingInfo, rate_hz: float) -> list[str]:
+def _share_beyond(signal: Signal, limit: float) -> float:
+    return sum(int(np.sum(np.abs(part) > limit)) for (part,) in stretches(signal)) / signal.size
+
+
+def _spoiled(name: str, values: Signal, info: RecordingInfo, rate_hz: float) -> list[str]:
     """Sentences on clipped samples and spikes, which they name."""
     whole = f"{name} of recording {info.file}"
-    found = (saturated(values, rate_hz, whole), spikes(values, rate_hz, whole))
+    found = [by_stretches(look, values, rate_hz, whole) for look in (saturated, spikes)]
     return [fault.sentence for fault in found if fault is not None]

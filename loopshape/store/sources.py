@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from loopshape.errors import UnreadableInputError, WrongUseError
-from loopshape.store.csv_text import CsvShape, read_csv_table
+from loopshape.store.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.store.files import reading, short
 from loopshape.store.growth import check_growth, check_zip
 from loopshape.store.mat5 import read_mat5
 from loopshape.store.mdf4 import mdf_array, mdf_names
+from loopshape.store.spool import Spool
 from loopshape.store.tables import TableColumns
+from loopshape.stretches import AT_ONCE, LONG, LongSignal, Signal
 from loopshape.units import Array
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
 _MDF = (".mf4", ".mdf")
+#: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
+LONG_TEXT = 200_000_000
 
 
 @dataclass(frozen=True)
@@ -33,15 +38,23 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ..."""
+    """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ...
+
+    `long` gives those that are too long to be loaded, and None for others.
+    """
 
     path: Path
     names: tuple[str, ...]
     load: Callable[[str], np.ndarray]
     numbered: bool = False
+    long: Callable[[str], LongSignal | None] = lambda name: None
 
-    def signal(self, place: Place) -> Array:
+    def signal(self, place: Place) -> Signal:
         """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
+        name = str(place.column) if self.numbered else place.name
+        alone = self.numbered or (place.column is None and place.row is None)
+        if name in self.names and alone and (long := self.long(str(name))) is not None:
+            return long
         if self.numbered:
             return _numbers(self.path, place.name or "", self.load(self._numbered_name(place)))
         if place.name not in self.names:
@@ -92,13 +105,19 @@ def _pick(values: Array, place: Place, file: str) -> Array:
     return np.ascontiguousarray(values[:, number - 1] if axis == 1 else values[number - 1])
 
 
-def open_source(path: Path, shape: CsvShape) -> Source:
+def open_source(
+    path: Path, shape: CsvShape, wanted: Sequence[Place] | None = None, beside: Path | None = None
+) -> Source:
     """The arrays of a file, by its ending; nothing is unpickled. `shape` is for text files.
+
+    Of a long file of text only the places `wanted` are read, onto the disk of the folder `beside`.
 
     Refuses an unknown ending, and a missing or damaged file (`UnreadableInputError`).
     """
     name = path.name.lower()
     if name.endswith(_TEXT):
+        if wanted is not None and _is_long_text(path):
+            return _long_csv_source(path, shape, wanted, beside)
         return _csv_source(path, shape)
     if name.endswith(".mat"):
         return _mat_source(path)
@@ -106,7 +125,7 @@ def open_source(path: Path, shape: CsvShape) -> Source:
         return _npz_source(path)
     if name.endswith(".parquet"):
         table = TableColumns(path)
-        return Source(path, table.names, lambda name: table[name])
+        return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
     if name.endswith(_MDF):
         return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
     raise UnreadableInputError(
@@ -117,6 +136,36 @@ def open_source(path: Path, shape: CsvShape) -> Source:
 def _csv_source(path: Path, shape: CsvShape) -> Source:
     table = read_csv_table(path, shape)
     return Source(path, tuple(name for name in table.names if name), table.column, numbered=not shape.header)
+
+
+def _is_long_text(path: Path) -> bool:
+    with reading(path, "a file of text"):
+        return path.stat().st_size * (4 if path.suffix == ".gz" else 1) >= LONG_TEXT
+
+
+def _long_csv_source(path: Path, shape: CsvShape, wanted: Sequence[Place], beside: Path | None) -> Source:
+    """Columns that are wanted, on disk; a name that is not there is refused when it is asked for."""
+    blocks = csv_stretches(path, shape, AT_ONCE // 4)
+    first = next(blocks)
+    asked = [str(place.column) if not shape.header else place.name for place in wanted]
+    columns = [name for name in dict.fromkeys(asked) if name and name in first.names]
+    spool = Spool(len(columns), beside)
+    for block in chain([first], blocks):
+        spool.add([block.column(name) for name in columns])
+    spooled = {name: k for k, name in enumerate(columns)}
+    return Source(
+        path,
+        tuple(name for name in first.names if name),
+        first.column,
+        numbered=not shape.header,
+        long=lambda name: spool.signal(spooled[name]),
+    )
+
+
+def _long_column(table: TableColumns, name: str) -> LongSignal | None:
+    if table.rows < LONG:
+        return None
+    return LongSignal(table.rows, lambda start, stop: table.stretch(name, start, stop))
 
 
 def _npz_source(path: Path) -> Source:
@@ -158,7 +207,21 @@ def _mat73_source(path: Path) -> Source:
             check_growth(path, file[name].nbytes)
             return np.asarray(file[name][()]).T
 
-    return Source(path, names, load)
+    def long(name: str) -> LongSignal | None:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            check_growth(path, file[name].nbytes)
+            shape, kind = file[name].shape, file[name].dtype.kind
+        if max(shape, default=0) < LONG or np.prod(shape) != max(shape) or kind not in "biuf":
+            return None
+        return LongSignal(max(shape), lambda start, stop: stretch(name, start, stop))
+
+    def stretch(name: str, start: int, stop: int) -> Array:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            values = file[name]
+            rows = tuple(slice(start, stop) if n == values.size else slice(None) for n in values.shape)
+            return np.asarray(values[rows], dtype=float).ravel()
+
+    return Source(path, names, load, long=long)
 
 
 def _own_array(file: Any, key: str) -> bool:

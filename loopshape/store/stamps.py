@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from loopshape.errors import BadSignalError
+from loopshape.stretches import LongSignal, Signal, stretches
 from loopshape.units import Array
 
 #: of a sample: what stamps on a grid may be off it
@@ -108,13 +109,28 @@ def _gaps(off: Array, limit: float, t_s: Array) -> tuple[int, int]:
     return int(starts.size), int(np.argmax(np.abs(np.diff(off[near])))) + near.start + 1
 
 
-def check_rate(t_s: Array, rate_hz: float, what: str = "the recording") -> str:
+def _on_grid(t_s: LongSignal, rate_hz: float) -> bool:
+    """Whether all stamps (n,) lie on the grid of a rate, within what rounding leaves."""
+    first = row = 0.0
+    for (part,) in stretches(t_s):
+        first = float(part[0]) if not row else first
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = np.abs(part - first - (row + np.arange(part.size)) / rate_hz)
+            if not np.all(off <= ON_GRID / rate_hz + 4.0 * np.finfo(float).eps * np.abs(part).max()):
+                return False
+        row += part.size
+    return bool(row)
+
+
+def check_rate(t_s: Signal, rate_hz: float, what: str = "the recording") -> str:
     """Refuse stamps (n,) in s that do not keep `rate_hz` (`BadSignalError`); gives a sentence where they only jitter.
 
     The rate is that of all stamps. Lost samples are named by their row (counted from 0) and step, a wrong rate by the
     rate that the stamps keep, a scatter of a sample or more by its size. Stamps rounded to more than a sample hide the
     loss of one.
     """
+    if isinstance(t_s, LongSignal) and _on_grid(t_s, rate_hz):
+        return ""
     t = np.asarray(t_s, dtype=float)
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size or not t.size:

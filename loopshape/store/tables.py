@@ -19,6 +19,7 @@ from loopshape.store.files import json_ready, reading, short, write_whole
 from loopshape.store.growth import check_growth
 from loopshape.store.provenance import file_sha256
 from loopshape.store.stamps import check_rate
+from loopshape.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.units import Array
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
@@ -85,7 +86,8 @@ class TableColumns(Mapping[str, Array]):
         if not self._rate_checked and self.sha256 is not None:
             check_sha256(self.path, self.sha256)
         if not self._rate_checked and self.rate_hz is not None and TIME in self:
-            check_rate(self._load(TIME), self.rate_hz, self.path.name)
+            long = LongSignal(self.rows, lambda start, stop: self._stretch(TIME, start, stop))
+            check_rate(long if self.rows >= LONG else self._load(TIME), self.rate_hz, self.path.name)
         self._rate_checked = True
 
     def _load(self, name: str) -> Array:
@@ -102,6 +104,41 @@ class TableColumns(Mapping[str, Array]):
             raise KeyError(name)
         self._check_rate_once()
         return self._load(name)
+
+    def stretch(self, name: str, start: int, stop: int) -> Array:
+        """Rows start to stop (exclusive) of a column; of Parquet only the groups of rows are read that hold them."""
+        self._check_rate_once()
+        return self._stretch(name, start, stop)
+
+    def _stretch(self, name: str, start: int, stop: int) -> Array:
+        if not self._is_parquet:
+            return self._load(name)[start:stop]
+        first = np.searchsorted(self._groups, start, side="right") - 1
+        last = np.searchsorted(self._groups, max(stop - 1, start), side="right") - 1
+        parts = [self._group(name, int(k)) for k in range(first, last + 1)]
+        at = int(self._groups[first])
+        whole = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        return np.asarray(whole[start - at : stop - at])
+
+    @cached_property
+    def _groups(self) -> np.ndarray:
+        """Rows at which the groups of a Parquet file start."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        with reading(self.path, "Parquet", pa.ArrowException):
+            footer = pq.read_metadata(self.path)
+            sizes = [footer.row_group(k).num_rows for k in range(footer.num_row_groups)]
+        return np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(int)
+
+    def _group(self, name: str, k: int) -> Array:
+        key = f"{name}\0{k}"
+        values: Array | None = self.loaded.get(key)
+        if values is None:
+            values = self.loaded[key] = _parquet_column(self.path, name, k)
+            values.setflags(write=False)
+        _RECENT.used(self, key, values.nbytes)
+        return values
 
     def __contains__(self, name: object) -> bool:
         return name in self._known
@@ -157,14 +194,15 @@ def _parquet_rows(path: Path) -> int:
         return int(pq.read_metadata(path).num_rows)
 
 
-def _parquet_column(path: Path, name: str) -> Array:
-    """A column as float64; missing values become NaN."""
+def _parquet_column(path: Path, name: str, group: int | None = None) -> Array:
+    """A column, or one group of its rows, as float64; missing values become NaN."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     with reading(path, "Parquet", pa.ArrowException), pq.ParquetFile(path) as file:
         check_growth(path, 8 * file.metadata.num_rows)
-        column = file.read(columns=[name]).column(name)
+        whole = file.read(columns=[name]) if group is None else file.read_row_group(group, columns=[name])
+        column = whole.column(name)
         kind = column.type
         numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
         values = np.array(column.cast(pa.float64(), safe=False).to_numpy() if numbers else [], dtype=float)
@@ -184,22 +222,32 @@ def check_sha256(path: Path, expected: str) -> None:
         )
 
 
-def write_table(path: Path, columns: Mapping[str, Array], about: Mapping[str, object] | None = None) -> None:
+def write_table(path: Path, columns: Mapping[str, Signal], about: Mapping[str, object] | None = None) -> None:
     """Write columns (n,) as Parquet, float64 bit for bit, whole or not at all; `about` goes into the file's metadata.
 
-    Refuses no columns, and columns that are not one-dimensional or differ in length.
+    Groups of rows are written as they are read. Refuses no columns, and columns that are not one-dimensional or differ
+    in length.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    arrays = {name: np.ascontiguousarray(values, dtype=float) for name, values in columns.items()}
-    shapes = {values.shape for values in arrays.values()}
+    signals = {
+        name: values if isinstance(values, LongSignal) else np.ascontiguousarray(values, dtype=float)
+        for name, values in columns.items()
+    }
+    shapes = {(values.size,) if isinstance(values, LongSignal) else values.shape for values in signals.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 1:
         raise WrongUseError(
             f"the columns of {path.name} must be equally long",
-            ", ".join(f"{name} {values.shape}" for name, values in arrays.items()) or "no columns",
+            ", ".join(f"{name} ({values.size},)" for name, values in signals.items()) or "no columns",
         )
-    table = pa.table({name: pa.array(values) for name, values in arrays.items()})
-    if about is not None:
-        table = table.replace_schema_metadata({"loopshape": json.dumps(json_ready(about), sort_keys=True)})
-    write_whole(path, lambda part: pq.write_table(table, part, compression="zstd"))
+    said = None if about is None else {"loopshape": json.dumps(json_ready(about), sort_keys=True)}
+    schema = pa.schema([(name, pa.float64()) for name in signals], metadata=said)
+
+    def write(part: Path) -> None:
+        with pq.ParquetWriter(part, schema, compression="zstd") as file:
+            for rows in stretches(*signals.values()):
+                table = pa.table([pa.array(np.ascontiguousarray(x)) for x in rows], schema=schema)
+                file.write_table(table, row_group_size=AT_ONCE)
+
+    write_whole(path, write)

@@ -20,6 +20,7 @@ from loopshape.store.journal import read_journal
 from loopshape.store.provenance import KEY, file_sha256
 from loopshape.store.run_folder import RUN_TOML, read_run
 from loopshape.store.tables import ENDINGS
+from loopshape.stretches import Signal, stretches
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ def _columns(recording: Recording) -> Finding:
     """Every column can be read, has as many rows as the others, and holds finite numbers."""
     columns, what = recording.columns, f"columns of {recording.info.file}"
     try:
-        sizes = {np.asarray(columns[name]).size for name in columns}
-        bad = [name for name in columns if not np.isfinite(columns[name]).all()]
+        sizes = {recording.stored(name).size for name in columns}
+        bad = [name for name in columns if not _finite(recording.stored(name))]
     except LoopshapeError as error:
         return Finding(what, False, str(error))
     if bad:
@@ -70,6 +71,10 @@ def _columns(recording: Recording) -> Finding:
     return Finding(
         what, True, short(f"ended early: {recording.info.ended_early}") if recording.info.ended_early else ""
     )
+
+
+def _finite(signal: Signal) -> bool:
+    return all(np.isfinite(part).all() for (part,) in stretches(signal))
 
 
 def _origin(words: object) -> Finding:
