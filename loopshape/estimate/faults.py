@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -100,10 +101,11 @@ def spikes(values: Array, rate_hz: float, name: str = "the signal", first_row: i
 
 def _excursions(x: Array, width: int, limit: float) -> list[tuple[int, float]]:
     """Starts and heights of stretches of `width` samples that lie beyond both neighbours by more than `limit`."""
-    windows = np.lib.stride_tricks.sliding_window_view(x[1:-1], width)
-    before, after = x[: windows.shape[0]], x[width + 1 :]
-    up = windows.min(axis=1) - np.maximum(before, after)
-    down = np.minimum(before, after) - windows.max(axis=1)
+    count = x.size - width - 1
+    within = [x[1 + k : 1 + k + count] for k in range(width)]
+    before, after = x[:count], x[width + 1 :]
+    up = reduce(np.minimum, within) - np.maximum(before, after)
+    down = np.minimum(before, after) - reduce(np.maximum, within)
     height = np.maximum(up, down)
     return [(int(k) + 1, float(height[k])) for k in np.flatnonzero(height > limit)]
 
