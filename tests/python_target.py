@@ -107,7 +107,7 @@ class Target:
         self.unsent, self.tag, self.received = 0, 0, 0
         self.again: deque[tuple[int, int]] = deque(maxlen=8)
         self.ended_until = self.ended_next = 0.0
-        self.now = self.heard = self.sent_at = 0.0
+        self.now = self.heard = self.came = self.sent_at = 0.0
         self.ticks_unheard = 0
         self.held = False
         self._last: tuple[bytes, bytes] | None = None
@@ -118,7 +118,25 @@ class Target:
     def connected(self) -> None:
         """A host came: what an earlier one left half is forgotten."""
         self.collector = Collector()
-        self._last = None
+        self._last, self.came = None, self.now
+
+    @property
+    def idle(self) -> bool:
+        """Whether the host has given up its place: nothing for a second, and no watchdog waits for it."""
+        watched = self.state in (ARMED, RUNNING) or self.held
+        return not watched and self.now - max(self.heard, self.came) >= 1.0
+
+    def overhear(self, collector: Collector, data: bytes, waited_s: float) -> bytes:
+        """Bytes of a host that waits for its place: its VENT is done. Answers."""
+        out = b""
+        for body in collector.take(data):
+            kind, tag = struct.unpack("<BH", body[:3])
+            if kind == VENT:
+                self.log.append((kind, body[3:]))
+                out += frame(OK, tag, self._vent(b""))
+            elif kind < 0x80 and waited_s >= 0.9:
+                out += frame(NO, tag, struct.pack("<H", 9) + text("it is connected to another host"))
+        return out
 
     def take(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -132,7 +150,7 @@ class Target:
         self.heard, self.ticks_unheard = self.now, 0
 
     def _once(self, body: bytes, kind: int, tag: int) -> bytes:
-        if self._last and self._last[0] == body:
+        if self._last and self._last[0] == body and kind != VENT:
             return self._last[1]
         self.log.append((kind, body[3:]))
         try:
@@ -179,7 +197,8 @@ class Target:
         flags = b.emulated + 2 * b.fast
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
-        return head + b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
+        words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
+        return head + words + b"".join(struct.pack("<dd", *one) for one in m.ranges)
 
     def _configure(self, payload: bytes) -> bytes:
         if len(payload) < 29:
@@ -216,6 +235,8 @@ class Target:
             raise RefusedError(2, "too short")
         loop, first, count = payload[:3]
         numbers = fields(f"{5 * count}d", payload[3:])
+        if not count:
+            raise RefusedError(2, "no section")
         inside(loop < s.loops and not s.limits, f"loop {loop} at this place")
         inside(first == len(s.sections[loop]) and not any(s.sections[loop + 1 :]), f"section {first} is out of order")
         inside(first + count <= self.board.most_sections, f"{first + count} sections")
@@ -230,6 +251,8 @@ class Target:
         places = len(self.machine.sensors) + len(self.machine.commands)
         inside(index == len(s.limits) and index < places, f"limit {index} is out of order")
         inside(math.isfinite(low) and math.isfinite(high) and low < high and rate > 0.0, f"{low} .. {high}, {rate}/s")
+        lowest, highest = self.machine.ranges[index]
+        inside(lowest <= low and high <= highest, f"{low} .. {high} is beyond {lowest} .. {highest}")
         s.limits.append((low, high, rate))
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
@@ -240,6 +263,8 @@ class Target:
         missing = len(self.machine.sensors) + len(self.machine.commands) - len(s.limits)
         if missing:
             raise RefusedError(4, f"{missing} sensors or commands have no limit")
+        if not all(s.sections):
+            raise RefusedError(4, "a loop has no section")
         s.ready = True
         return struct.pack("<I", s.digest)
 
@@ -317,7 +342,7 @@ class Target:
         return b""
 
     def _vent(self, payload: bytes) -> bytes:
-        fields("", payload)
+        """Whatever else is wrong with the request."""
         self.held = False
         if self.state != FAULT:
             self._fail(EMERGENCY)
@@ -557,7 +582,7 @@ class Target:
         else:
             self._ended(0, 0, reason, index, 0, value, limit)
         self.state, self.fault = FAULT, reason
-        self.held = closed and self._configured().hold
+        self.held = closed and self._configured().hold and reason != BY_WATCHDOG
         if self.held:
             self._start_from(y if y is not None else self._outputs(self.sensors))
 
@@ -565,11 +590,15 @@ class Target:
 
     def watch(self) -> None:
         """The watchdog: by ticks in real time, by the clock where the board is as fast as it can."""
-        if self.state not in (ARMED, RUNNING):
+        if self.state not in (ARMED, RUNNING) and not self.held:
             return
         real_ms = self.ticks_unheard / self.machine.rate_hz * 1000.0
         unheard_ms = (self.now - self.heard) * 1000.0 if self.board.fast else real_ms
-        if unheard_ms > self._configured().watchdog_ms:
+        if unheard_ms <= self._configured().watchdog_ms:
+            return
+        if self.held:  # its reason stays the limit's
+            self.held = False
+        else:
             self._fail(BY_WATCHDOG, NONE, unheard_ms, float(self._configured().watchdog_ms))
 
     def step(self, now: float, ticks: int) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from python_target import ENDED, RUNNING, SAMPLES, Target
-from python_target_frames import body_of, frame
+from python_target_frames import Collector, body_of, frame
 
 
 @dataclass(frozen=True)
@@ -110,24 +110,43 @@ def foreign(data: bytes) -> bytes:
     return frame(kind, (tag + 77) % 65535 + 1, body[3:])
 
 
+@dataclass
+class Waiting:
+    """A host that waits for its place."""
+
+    socket: socket.socket
+    collector: Collector = field(default_factory=Collector)
+    since: float = field(default_factory=time.monotonic)
+
+
 class Tcp:
-    """A listening socket; one host at a time."""
+    """A listening socket; one host at a time, others wait and may vent."""
 
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.server.setblocking(False)
         self.host: socket.socket | None = None
+        self.waiting: list[Waiting] = []
         self.came: Callable[[], None] = lambda: None
+        self.idle: Callable[[], bool] = lambda: False
+        self.overhear: Callable[[Collector, bytes, float], bytes] = lambda *_: b""
 
     @property
     def port(self) -> str:
         return f"tcp://127.0.0.1:{self.server.getsockname()[1]}"
 
     def receive(self, wait_s: float) -> bytes:
-        if self.host is None:
-            return self._accept(wait_s)
-        if not select.select([self.host], [], [], wait_s)[0]:
-            return b""
+        places = [self.server, *(w.socket for w in self.waiting), *([self.host] if self.host else [])]
+        ready = select.select(places, [], [], wait_s)[0]
+        data = self._read() if self.host in ready else b""
+        if self.server in ready:
+            self._accept()
+        self._give_place()
+        for one in [w for w in self.waiting if w.socket in ready]:
+            self._overhear(one)
+        return data
+
+    def _read(self) -> bytes:
         try:
             data = self.host.recv(65536)
         except OSError:
@@ -136,12 +155,31 @@ class Tcp:
             self.pull()
         return data
 
-    def _accept(self, wait_s: float) -> bytes:
-        if select.select([self.server], [], [], wait_s)[0]:
-            self.host = self.server.accept()[0]
-            self.host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def _accept(self) -> None:
+        host = self.server.accept()[0]
+        host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.waiting.append(Waiting(host))
+        if len(self.waiting) > 4:
+            self.waiting.pop(0).socket.close()
+
+    def _give_place(self) -> None:
+        if self.waiting and self.host is not None and self.idle():
+            self.pull()
+        if self.waiting and self.host is None:
+            self.host = self.waiting.pop(0).socket
             self.came()
-        return b""
+        while self.waiting and time.monotonic() - self.waiting[0].since > 2.0:
+            self.waiting.pop(0).socket.close()
+
+    def _overhear(self, one: Waiting) -> None:
+        try:
+            data = one.socket.recv(4096)
+            one.socket.sendall(self.overhear(one.collector, data, time.monotonic() - one.since))
+        except OSError:
+            data = b""
+        if not data:
+            one.socket.close()
+            self.waiting.remove(one)
 
     def send(self, data: bytes) -> None:
         if self.host is None:
@@ -159,6 +197,8 @@ class Tcp:
 
     def close(self) -> None:
         self.pull()
+        for one in self.waiting:
+            one.socket.close()
         self.server.close()
 
 
@@ -217,6 +257,8 @@ class Running:
 
     def __enter__(self) -> "Running":
         self.line.came = self._came
+        self.line.idle = lambda: self.target.idle
+        self.line.overhear = lambda *heard: self.target.overhear(*heard)
         self.thread.start()
         return self
 

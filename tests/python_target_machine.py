@@ -48,6 +48,11 @@ class Axes:
     def commands(self) -> list[str]:
         return [f"drive{i + 1}_v" for i in range(self.count)]
 
+    @property
+    def ranges(self) -> list[tuple[float, float]]:
+        """Lowest and highest value of each sensor, then of each command."""
+        return [(-7.0, 7.0)] * self.count + [(-100.0, 100.0)] * self.count
+
     def place(self, position: list[float]) -> None:
         """At rest there."""
         self.position, self.speed = list(position), [0.0] * self.count

@@ -87,17 +87,16 @@ def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out
     """A real machine that stopped at a limit is an error, though what it recorded is kept."""
     from loopshape.store.run_folder import finished
 
-    holds, done = settings.on_limit == "hold", finished(out)
+    way = "held at a limit and was vented after it" if settings.on_limit == "hold" else "vented at a limit"
+    done = finished(out)
     if left := [name for name in todo if name not in done]:
         raise StoppedAtLimitError(
-            f"the machine {'holds' if holds else 'vented'} at a limit, and {len(left)} of {len(todo)} recordings were "
-            "not made",
+            f"the machine {way}, and {len(left)} of {len(todo)} recordings were not made",
             ", ".join(left),
             _go_on(identity, port),
         )
     if not identity.emulated and (hit := _at_limit(out, todo[-1])):
-        way = "it holds there" if holds else "it vented"
-        raise StoppedAtLimitError(f"the last recording ended at a limit, {way}", hit, _go_on(identity, port))
+        raise StoppedAtLimitError(f"the machine {way} in the last recording", hit, _go_on(identity, port))
 
 
 def _go_on(identity: Identity, port: str) -> str:
@@ -179,7 +178,7 @@ def _show(
     output.say(f"target: {identity.board} {identity.version} at {port} ({kind}), {identity.rate_hz:g} Hz\n")
     columns = (*identity.sensors, *identity.commands)
     output.table(
-        f"Limits; on one of them the machine {'vents' if settings.on_limit == 'vent' else 'holds'}:",
+        f"Limits; on one of them the machine {'vents' if settings.on_limit == 'vent' else 'holds, while this runs'}:",
         ("column", "limits"),
         [(c, str(settings.limits[c])) for c in columns],
     )

@@ -55,16 +55,19 @@ def _interrupted(run: Path) -> str:
 
 def _through(port: str, baud: int, clear: bool) -> str:
     """Vent through a port of our own, and clear the fault that this is, if asked."""
-    from loopshape.rigs.frames import Frame
     from loopshape.rigs.link import open_link
-    from loopshape.rigs.messages import Ask
-    from loopshape.rigs.session import Session
+    from loopshape.rigs.messages import REFUSALS, Ask
+    from loopshape.rigs.session import NO_PLACE, RefusedError, Session
 
     with open_link(port, baud) as link:
-        link.write(b"\0" + Frame(Ask.VENT, 65535).encoded)  # before anything is asked
         session = Session(link)
-        session.ask(Ask.VENT)
-        if clear:
-            session.ask(Ask.CLEAR)
-        state = session.status().state
+        session.ask(Ask.VENT)  # before anything else is asked
+        try:
+            if clear:
+                session.ask(Ask.CLEAR)
+            state = session.status().state
+        except RefusedError as error:
+            if clear or error.code != NO_PLACE:
+                raise
+            return f"vented; {REFUSALS[NO_PLACE]}, which is told"
     return f"vented; the target is in state {state.name.lower()}"

@@ -71,7 +71,7 @@ class Reason(IntEnum):
 
 REFUSALS = {
     1: "not in this state", 2: "malformed", 3: "out of range", 4: "not configured", 5: "another configuration",
-    6: "no room", 7: "unknown run", 8: "not supported",
+    6: "no room", 7: "unknown run", 8: "not supported", 9: "another host is connected",
 }  # fmt: skip
 
 
@@ -115,7 +115,10 @@ class Payload:
 
 @dataclass(frozen=True)
 class Identity:
-    """What a target says of itself; `number` is numpy's type of its numbers, sensors and commands are columns."""
+    """What a target says of itself; `number` is numpy's type of its numbers, sensors and commands are columns.
+
+    `ranges` are the lowest and highest value of each sensor, then of each command; a target before version 1.1 says none.
+    """
 
     protocol: int
     number: str
@@ -131,6 +134,7 @@ class Identity:
     version: str
     sensors: tuple[str, ...]
     commands: tuple[str, ...]
+    ranges: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def read(cls, payload: bytes) -> Identity:
@@ -146,9 +150,14 @@ class Identity:
                 f"loopshape speaks version {PROTOCOL} with 4 or 8",
             )
         names = [p.text() for _ in range(sensors + commands)]
+        numbers = p.rest("<f8").tolist()
+        if len(numbers) not in (0, 2 * len(names)):
+            raise UnreadableInputError(
+                "the target does not say the range of each column", f"{len(numbers)} numbers", "look at its board"
+            )
         return cls(
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
-            board, version, tuple(names[:sensors]), tuple(names[sensors:]),
+            board, version, tuple(names[:sensors]), tuple(names[sensors:]), tuple(zip(numbers[::2], numbers[1::2], strict=True)),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:

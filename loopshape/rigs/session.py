@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import count
 
 from loopshape.errors import LoopshapeError, RigError
@@ -21,6 +22,7 @@ from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Payload
 ANSWER_S = 0.25
 TRIES = 5
 SHORTEST_S = 0.02
+NO_PLACE = 9  # refusal: another host is connected
 BUSY_S = 60.0  # a host that is busy for longer than this is as good as gone
 
 
@@ -36,7 +38,11 @@ class Session:
         self._awaited = 0
         self.unasked: Callable[[Frame], None] = lambda frame: None
         self.last_sent_s = clock()
-        self.identity = Identity.read(self.ask(Ask.IDENTIFY, messages.PROTOCOL.to_bytes(2, "little")))
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the target says of itself, asked once."""
+        return Identity.read(self.ask(Ask.IDENTIFY, messages.PROTOCOL.to_bytes(2, "little")))
 
     @property
     def bad_frames(self) -> int:

@@ -19,6 +19,7 @@ from loopshape.rigs import messages
 from loopshape.rigs.armed import Armed as Armed
 from loopshape.rigs.armed import arm as arm
 from loopshape.rigs.armed import beat_s, reason_words
+from loopshape.rigs.armed import vented as vented
 from loopshape.rigs.armed import vented_on_error as vented_on_error
 from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
 from loopshape.rigs.taking import KEPT, Taking
@@ -65,6 +66,14 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
             raise WrongUseError(
                 f"the study has not all {what} that the target needs", f"none for {', '.join(missing)}", "write them"
             )
+    for column, (low, high) in zip(identity.sensors + identity.commands, identity.ranges, strict=False):
+        limit = settings.limits[column]
+        if limit.low < low or limit.high > high:
+            raise WrongUseError(
+                f"the limits of {column} lie beyond what it can have, and limit nothing",
+                str(limit),
+                f"write limits within {limit.said(low)} to {limit.said(high)}",
+            )
     names = [loop.name for loop in loops]
     for column, parts in settings.commands.items():
         _known(f"loops of {column}", parts, names)
@@ -103,6 +112,8 @@ def drive(armed: Armed, experiments: Iterable[Experiment]) -> Generator[Recordin
             with armed.session.kept_alive(beat):
                 yield recording
             if ended.reason is not Reason.COMPLETE and not _again(armed):
+                if armed.configuration.hold:
+                    vented(armed.session)  # loops stay closed only while a host is there
                 return
         armed.session.ask(Ask.DISARM)
 

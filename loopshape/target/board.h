@@ -5,25 +5,36 @@
  *    safe, send bytes. boards/arm_emulator.c is a whole example; boards/scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
  *    configure.c, frames.c, loops.c, run.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
- * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 7 kB (two loops,
- *    five columns) to 10 kB (as target.h has them), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
+ * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,
+ *    five columns) to 11 kB (as target.h has them), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
  *    (3 TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) numbers: 535 kB as target.h has them, which is a PC's; 35 kB for one
  *    axis with one loop, sensor and command, 1024 rows, 1024 ticks, 4 bytes. The program is about 15 kB (x86-64, -Os). The line
  *    carries rate x (3 loops + sensors + commands) x bytes x 11 bit/s: an axis at 2 kHz with 4 bytes 440 kbaud.
  * 3. At power-up: hardware first (valves in the safe state), then target_init().
  * 4. A timer calls target_tick() at the board's rate. It reads the sensors, closes the loops, checks limits, and hands over
  *    pulses when a PWM period begins.
- * 5. The main loop hands every byte that arrives to target_receive() and calls target_poll(ms) again and again, at least every
- *    10 ms; it sends what is due, one frame a call.
- *    The whole program: hardware_init(); target_init(); for (;;) { if (flag) { flag = 0; target_tick(); }
- *    while ((c = uart_get()) >= 0) target_receive((uint8_t)c); target_poll(ms()); }
+ * 5. The main loop hands the bytes that arrive to target_receive() and calls target_poll(ms) again and again, at least every
+ *    10 ms; it sends what is due, one frame a call. Between two looks at the timer it serves TARGET_BYTES at most: a line that
+ *    never falls silent must not keep it from its ticks. The timer's interrupt counts `due` up and does nothing else, so that
+ *    no tick is lost. The whole program (a test floods it as it stands here):
+ *
+ *        hardware_init();
+ *        target_init();
+ *        for (;;) {
+ *            for (; done != due; done++)
+ *                target_tick();
+ *            for (int n = 0, c; n < TARGET_BYTES && (c = uart_get()) >= 0; n++)
+ *                target_receive((uint8_t)c);
+ *            target_poll(ms());
+ *        }
+ *
  *    `loopshape measure STUDY --port PORT --show` talks to it without moving anything.
- * 6. tick on one side and receive and poll on the other share everything. Call all from one loop (the timer sets a flag), or
+ * 6. tick on one side and receive and poll on the other share everything. Call all from one loop (the timer counts), or
  *    keep the tick's interrupt shut out while receive and poll run; a frame takes them some 10 000 instructions.
  * 7. Leave a hardware watchdog and an emergency stop that need no program where they are: this program replaces neither.
  *
- * The watchdog of the protocol counts ticks, so that it acts even if the main loop hangs; a board that runs as fast as it
- * can counts the milliseconds of target_poll instead. Numbers: f64 arithmetic, by software where the machine has none (a
+ * The watchdog of the protocol counts ticks, so that it acts even if the main loop hangs, and the milliseconds of target_poll,
+ * so that it acts in time where ticks come late; a board that runs as fast as it can goes by the milliseconds alone. Numbers: f64 arithmetic, by software where the machine has none (a
  * tick of two loops with eight sections is about 300 operations). No heap, no files, no operating system; <math.h> for
  * fabs, ceil and isfinite alone.
  */
@@ -40,6 +51,7 @@ struct board_info {
     const char *name, *version;   /* up to 60 bytes each */
     uint8_t sensors, commands;    /* up to TARGET_SENSORS, TARGET_COMMANDS */
     const char *const *columns;   /* names of the sensors, then of the commands, with their unit: `theta2_rad`, `u_a_v` */
+    const double (*ranges)[2];    /* lowest and highest value of each, in the same order: no limit lies beyond */
     double rate_hz;               /* ticks a second */
     double pwm_hz, dead_zone;     /* the board's own; 0 Hz: no PWM */
     uint8_t flags;

@@ -154,6 +154,10 @@ uint8_t ask_limit(struct reader *in, struct writer *out, const char **why)
         return refuse(NO_RANGE, why, "limits come once, in order: sensors, then commands");
     if (!(isfinite(limit.low) && isfinite(limit.high) && limit.low < limit.high && limit.rate > 0.0))
         return refuse(NO_RANGE, why, "low and high are numbers, low below high, a rate above 0");
+    if (!target.board->ranges)
+        return refuse(NO_CONFIGURED, why, "the board declares no ranges");
+    if (limit.low < target.board->ranges[index][0] || limit.high > target.board->ranges[index][1])
+        return refuse(NO_RANGE, why, "a limit lies within the range that the column can have");
     c->limit[index] = limit;
     c->limits = (uint8_t)(index + 1);
     taken(payload, size);

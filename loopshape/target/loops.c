@@ -105,7 +105,7 @@ void loops_fault(uint8_t reason, uint8_t index, double value, double limit, cons
 {
     run_end(reason, index, value, limit, sentence);
     target.fault = reason;
-    if (!target.c.hold) {
+    if (!target.c.hold || reason == WATCHDOG) {
         loops_vent(FAULT);
         return;
     }
@@ -115,6 +115,20 @@ void loops_fault(uint8_t reason, uint8_t index, double value, double limit, cons
     target.l.way = target.l.ways = 0;
     target.l.closed = 1;
     target.state = FAULT;
+}
+
+int loops_watched(void)
+{
+    return target.state == ARMED || target.state == RUNNING || target.l.closed;
+}
+
+/* The host has vanished: loops are closed no longer, those that a fault holds among them. */
+void loops_unheard(double passed_ms)
+{
+    if (target.l.closed)
+        loops_vent(FAULT);
+    else
+        loops_fault(WATCHDOG, NOBODY, passed_ms, (double)target.c.watchdog_ms, "nothing came from the host");
 }
 
 /* What a limit says of a value of now: a reason with what was found and set, or COMPLETE. */
@@ -292,11 +306,11 @@ static void closed_tick(void)
 static void watch_host(void)
 {
     const double passed_ms = 1e3 * (double)target.quiet_ticks / target.board->rate_hz;
-    if (target.state != ARMED && target.state != RUNNING)
+    if (!loops_watched())
         return;
     target.quiet_ticks++;
     if (!(target.board->flags & BOARD_FAST) && passed_ms >= (double)target.c.watchdog_ms)
-        loops_fault(WATCHDOG, NOBODY, passed_ms, (double)target.c.watchdog_ms, "nothing came from the host");
+        loops_unheard(passed_ms);
 }
 
 void target_tick(void)
@@ -308,7 +322,7 @@ void target_tick(void)
         run_start();
     board_read(l->measured);
     watch_host();
-    if (target.state == ARMED || target.state == RUNNING || l->closed)
+    if (loops_watched())
         closed_tick();
     l->phase = target.c.loops ? (l->phase + 1) % target.c.period_ticks : 0;
 }

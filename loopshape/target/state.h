@@ -26,7 +26,7 @@ typedef float number;
 #define NOBODY 255u                        /* no limit's index */
 
 enum { IDLE, ARMED, RUNNING, FAULT };
-enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT };
+enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT, NO_PLACE };
 enum { COMPLETE, STOPPED, LIMIT, RATE_LIMIT, WATCHDOG, UNDERRUN, EMERGENCY_STOP, MACHINE };
 enum { CONTROLLER_INPUT, PLANT_INPUT, CONTROL };
 
@@ -91,9 +91,10 @@ struct target {
     uint8_t again_count;
     uint16_t frames_sent;
     uint32_t quiet_ticks, heard_ms, now_ms, samples_ms; /* since and when a request came; when samples went */
-    uint8_t answer_waits, answer_known;
-    uint32_t answer_of; /* CRC of the request that was answered */
-    size_t answer_count;
+    uint8_t heard;                                      /* a request came since target_poll was told the time */
+    uint8_t answer_waits;
+    size_t answer_count, request_count; /* request_count 0: none is remembered */
+    uint8_t request[FRAME_BODY];        /* what was answered last, its CRC left out */
     uint8_t answer[FRAME_BODY], body[FRAME_BODY], encoded[FRAME_ENCODED];
     struct frame_decoder decoder;
     number excitation[TARGET_ROWS * 2 * TARGET_LOOPS]; /* a ring of rows */
@@ -137,6 +138,8 @@ void loops_start_here(double ramp_s);
 uint8_t loops_move(double ramp_s, const double *to);
 void loops_fault(uint8_t reason, uint8_t index, double value, double limit, const char *sentence);
 void loops_vent(uint8_t state);
+int loops_watched(void); /* whether the watchdog waits for a request */
+void loops_unheard(double passed_ms);
 
 /* The limit that a sensor or command passes now, or NOBODY. */
 uint8_t sensor_outside(void);

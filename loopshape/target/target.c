@@ -2,6 +2,8 @@
 #include "state.h"
 
 #define PROTOCOL 1
+#define VENT 0x0C
+#define IDLE_MS 1000u /* a host that is silent for so long may be replaced */
 
 struct target target;
 
@@ -38,6 +40,10 @@ static uint8_t ask_identify(struct reader *in, struct writer *out, const char **
     put_text(out, b->version);
     for (uint8_t k = 0; k < b->sensors + b->commands; k++)
         put_text(out, b->columns[k]);
+    for (uint8_t k = 0; b->ranges && k < b->sensors + b->commands; k++) {
+        put_f64(out, b->ranges[k][0]);
+        put_f64(out, b->ranges[k][1]);
+    }
     return 0;
 }
 
@@ -84,14 +90,21 @@ static uint8_t ask_stop(struct reader *in, struct writer *out, const char **why)
     return refused;
 }
 
-/* The emergency stop, whatever else is wrong with the request. */
+/* The emergency stop; a fault that is there keeps its reason. */
+static void emergency_stop(void)
+{
+    if (target.state != FAULT) {
+        run_end(EMERGENCY_STOP, NOBODY, 0.0, 0.0, "emergency stop by the host");
+        target.fault = EMERGENCY_STOP;
+    }
+    loops_vent(FAULT);
+}
+
+/* Whatever else is wrong with the request. */
 static uint8_t ask_vent(struct reader *in, struct writer *out, const char **why)
 {
     (void)out, (void)in, (void)why;
-    if (target.state == ARMED || target.state == RUNNING)
-        run_end(EMERGENCY_STOP, NOBODY, 0.0, 0.0, "emergency stop by the host");
-    target.fault = EMERGENCY_STOP;
-    loops_vent(FAULT);
+    emergency_stop();
     return 0;
 }
 
@@ -154,7 +167,7 @@ static const struct {
 
 static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer *out, const char **why)
 {
-    if (tag == 0)
+    if (tag == 0 && type != VENT)
         return refuse(NO_MALFORMED, why, "a request's tag is 1 or more");
     if (type == 0 || type > sizeof REQUESTS / sizeof REQUESTS[0])
         return refuse(NO_SUPPORT, why, "no such request");
@@ -163,31 +176,39 @@ static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer
     return REQUESTS[type - 1].ask(in, out, why);
 }
 
+static void answer(const uint8_t *body, size_t count)
+{
+    struct reader in = {body + FRAME_HEAD, count - FRAME_HEAD, 0};
+    const uint16_t tag = (uint16_t)(body[1] | body[2] << 8);
+    struct writer out = body_of(target.answer, 0x81, tag);
+    const char *why = "";
+    const uint8_t code = done(body[0], tag, &in, &out, &why);
+
+    if (code) {
+        out = body_of(target.answer, 0x82, tag);
+        put_u16(&out, code);
+        put_text(&out, why);
+    }
+    target.answer_count = out.count;
+    memcpy(target.request, body, count);
+    target.request_count = count;
+}
+
+/* Whether this is the request that was answered last, once more. An emergency stop never is: it is done each time. */
+static int known(const uint8_t *body, size_t count)
+{
+    return body[0] != VENT && count == target.request_count && memcmp(body, target.request, count) == 0;
+}
+
 /* A whole frame has come. */
 static void handle(const uint8_t *body, size_t count)
 {
-    struct reader in = {body + FRAME_HEAD, count - FRAME_HEAD, 0};
-    const uint8_t type = body[0];
-    const uint16_t tag = (uint16_t)(body[1] | body[2] << 8);
-    const uint32_t check = crc32_of(0, body, count);
-    const char *why = "";
-
-    if (type >= 0x80)
+    if (body[0] >= 0x80)
         return; /* an answer, perhaps our own by an echo: nothing is answered to it, and it is no sign of a host */
     target.quiet_ticks = 0;
-    target.heard_ms = target.now_ms;
-    if (!target.answer_known || target.answer_of != check) {
-        struct writer out = body_of(target.answer, 0x81, tag);
-        const uint8_t code = done(type, tag, &in, &out, &why);
-        if (code) {
-            out = body_of(target.answer, 0x82, tag);
-            put_u16(&out, code);
-            put_text(&out, why);
-        }
-        target.answer_count = out.count;
-        target.answer_of = check;
-        target.answer_known = 1;
-    }
+    target.heard = 1;
+    if (!known(body, count))
+        answer(body, count);
     target.answer_waits = 1;
     (void)stream_poll();
 }
@@ -211,7 +232,35 @@ void target_new_line(void)
 {
     target.decoder.count = 0;
     target.decoder.spoilt = 0;
-    target.answer_known = target.answer_waits = 0;
+    target.request_count = 0;
+    target.answer_waits = 0;
+    target.heard = 1;
+}
+
+int target_host_idle(void)
+{
+    return !loops_watched() && !target.heard && target.now_ms - target.heard_ms >= IDLE_MS;
+}
+
+size_t target_overhear(struct frame_decoder *decoder, uint8_t byte, int late, uint8_t *out)
+{
+    uint8_t body[64];
+    struct writer said = {body, 0, sizeof body - FRAME_CHECK};
+    const size_t count = frame_receive(decoder, byte);
+    const uint8_t *held = decoder->held;
+    const int vent = count > 0 && held[0] == VENT;
+
+    if (vent)
+        emergency_stop();
+    else if (count == 0 || held[0] >= 0x80 || !late)
+        return 0;
+    put_u8(&said, vent ? 0x81 : 0x82);
+    put_bits(&said, held[1] | (uint64_t)held[2] << 8, 2);
+    if (!vent) {
+        put_u16(&said, NO_PLACE);
+        put_text(&said, "it is connected to another host");
+    }
+    return frame_close(body, said.count, out);
 }
 
 int target_waits(void)
@@ -222,14 +271,14 @@ int target_waits(void)
     return run->tick - run->acknowledged >= TARGET_TICKS || (run->going && run->tick >= run->taken);
 }
 
-/* As fast as it can: a host that vanished is told by the clock, not by ticks. */
+/* A host that vanished is told by the clock too: ticks may come late, or as fast as they can. */
 static void watch_host_by_clock(void)
 {
-    const uint32_t passed_ms = target.now_ms - target.heard_ms;
-    if (!(target.board->flags & BOARD_FAST) || (target.state != ARMED && target.state != RUNNING))
-        return;
-    if (passed_ms >= target.c.watchdog_ms)
-        loops_fault(WATCHDOG, NOBODY, passed_ms, target.c.watchdog_ms, "nothing came from the host");
+    if (target.heard)
+        target.heard_ms = target.now_ms;
+    target.heard = 0;
+    if (loops_watched() && target.now_ms - target.heard_ms >= target.c.watchdog_ms)
+        loops_unheard(target.now_ms - target.heard_ms);
 }
 
 int target_poll(uint32_t now_ms)

@@ -2,7 +2,10 @@
 #ifndef LOOPSHAPE_TARGET_H
 #define LOOPSHAPE_TARGET_H
 
+#include <stddef.h>
 #include <stdint.h>
+
+struct frame_decoder;
 
 /* ---- sizes: a port sets its own on the compiler's command line ---- */
 #ifndef TARGET_LOOPS
@@ -26,7 +29,10 @@
 #ifndef TARGET_NUMBER_BYTES
 #define TARGET_NUMBER_BYTES 8 /* numbers on the line: 4 or 8 bytes */
 #endif
-#define TARGET_VERSION "1.0"
+#ifndef TARGET_BYTES
+#define TARGET_BYTES 256 /* bytes served between two looks at the timer */
+#endif
+#define TARGET_VERSION "1.1"
 
 /* At power-up: idle, the machine safe, nothing configured. */
 void target_init(void);
@@ -48,5 +54,14 @@ int target_state(void);
 
 /* The host went and another came (a new TCP connection): forgets half a frame and the last answer, nothing else. */
 void target_new_line(void);
+
+/* Whether the host has said nothing for so long that another one may take its place. */
+int target_host_idle(void);
+
+/*
+ * A byte of a host that waits for its place (a further TCP connection; `late`: for long). Its VENT is done. Gives the length of
+ * what it is answered, in `out` (a frame's room), or 0.
+ */
+size_t target_overhear(struct frame_decoder *decoder, uint8_t byte, int late, uint8_t *out);
 
 #endif

@@ -176,8 +176,35 @@ def test_an_armed_target_watches_its_host_by_ticks_or_by_the_clock(hold, fast):
     assert answers == 0
     status = bench.status()
     assert (status.state, status.fault) == (State.FAULT, Reason.WATCHDOG)
-    assert ("safe" in bench.said[1:]) == (not hold)
+    assert "safe" in bench.said[1:]  # loops stay closed only while a host is there, whatever on_limit says
     bench.close()
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_host_that_vanishes_while_a_fault_holds_leaves_no_closed_loops(fast):
+    bench = Bench(fast=fast)
+    bench.arm(STILL, watchdog_ms=50, hold=True, limits=limits(0, -0.3, 0.3))
+    bench.poll()
+    bench.tick(1, (0.31, 0.5, 0.5))
+    for _ in range(10):  # the host is there: it holds
+        bench.tick(40)
+        assert bench.status().state == State.FAULT
+    assert "safe" not in bench.said[1:]
+    bench.poll()
+    bench.tick(60)
+    assert bench.said[-1] == "safe"
+    given = len(bench.said)
+    bench.tick(60, (0.2, 0.5, 0.5))
+    assert bench.said[given:] == []
+    assert (bench.status().state, bench.status().fault) == (State.FAULT, Reason.LIMIT)
+    bench.close()
+
+
+def test_the_clock_tells_a_silent_host_where_ticks_come_late(bench):
+    bench.arm(STILL, watchdog_ms=50)
+    bench.poll()
+    bench.lines("t 5", f"p {bench.now_ms + 60}")
+    assert bench.said[-1] == "safe"
 
 
 def test_the_watchdog_acts_even_where_the_main_loop_hangs(bench):

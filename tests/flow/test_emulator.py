@@ -139,10 +139,12 @@ def test_it_listens_on_one_address_alone_and_to_one_host():
                 pass
         with open_link(port, 0) as link:
             session = Session(link)
-            with socket.create_connection(("127.0.0.1", number), timeout=2.0) as second:
+            with (
+                session.kept_alive(0.2),
+                socket.create_connection(("127.0.0.1", number), timeout=4.0) as second,
+            ):
                 assert second.recv(1) == b""  # sent away
             assert session.status().state is State.IDLE
-        time.sleep(0.05)
         with open_link(port, 0) as link:
             assert Session(link).status().state is State.IDLE
 

@@ -108,6 +108,11 @@ def test_a_study_that_does_not_fit_is_refused(study, old, new, sentence):
         ({"sensors": ("axis_rad", "p_bar")}, "not all limits that the target needs; received none for p_bar"),
         ({"commands": ("u_axis_v", "u_b_v")}, "not all commands that the target needs; received none for u_b_v"),
         ({"commands": ("u_b_v",)}, "no such commands; received u_axis_v"),
+        (
+            {"ranges": ((-1.0, 1.0), (-9.0, 9.0))},
+            "the limits of axis_rad lie beyond what it can have, and limit nothing",
+        ),
+        ({"ranges": ((-2.0, 2.0), (-5.0, 4.9))}, "write limits within -5 V to 4.9 V"),
         ({"most_loops": 0}, "closes up to 0 loops"),
         ({"most_sections": 0}, "more blocks than the target"),
     ],

@@ -21,10 +21,13 @@
 #include <unistd.h>
 
 #define BURST 100        /* ticks between two looks at the line, as fast as it can */
+#define READS 4          /* of the line between two looks at the clock, 2 kB each */
+#define LATE_MS 900      /* a host that has waited for so long is told why */
 #define STOP_SHARE 1.2   /* end stops, over the range's angle */
 
 static const char *const COLUMNS[] = {"theta2_rad", "p_a_bar", "p_b_bar", "u_a_v", "u_b_v"};
-static struct board_info info = {"arm-1dof emulator", TARGET_VERSION, 3, 2, COLUMNS, 0.0, 0.0, 0.0, BOARD_EMULATED};
+static const double RANGES[][2] = {{-3.2, 3.2}, {-10.0, 10.0}, {-10.0, 10.0}, {-100.0, 100.0}, {-100.0, 100.0}};
+static struct board_info info = {"arm-1dof emulator", TARGET_VERSION, 3, 2, COLUMNS, RANGES, 0.0, 0.0, 0.0, BOARD_EMULATED};
 static struct options options;
 static struct arm arm;
 static double tick_s;
@@ -176,17 +179,38 @@ static int64_t clock_us(void)
     return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
 }
 
+/* A host that waits: its emergency stop is heard all the same. */
+static void overhear(int k)
+{
+    static struct frame_decoder decoders[LINE_WAITING];
+    uint8_t bytes[1024], answer[FRAME_ENCODED];
+    int fresh = 0;
+    const size_t count = line_overhear(k, bytes, sizeof bytes, &fresh);
+
+    if (fresh)
+        memset(&decoders[k], 0, sizeof decoders[k]);
+    for (size_t at = 0; at < count; at++) {
+        const size_t said = target_overhear(&decoders[k], bytes[at], line_waited_ms(k) >= LATE_MS, answer);
+        if (said > 0)
+            line_answer(k, answer, said);
+    }
+}
+
 static void receive(void)
 {
     uint8_t bytes[8192];
     int fresh = 0;
-    for (size_t count = 1; count > 0;) {
+    size_t count = 1;
+    for (int reads = 0; reads < READS && count > 0; reads++) {
         count = line_receive(bytes, sizeof bytes, &fresh);
         if (fresh)
             target_new_line();
         for (size_t k = 0; k < count; k++)
             target_receive(bytes[k]);
     }
+    line_give_place(target_host_idle());
+    for (int k = 0; k < LINE_WAITING; k++)
+        overhear(k);
 }
 
 static void send(void)

@@ -14,10 +14,17 @@
 #include <string.h>
 #include <sys/socket.h>
 #include <termios.h>
+#include <time.h>
 #include <unistd.h>
 
 #define QUEUE 65536u
 #define FRAME 2048u
+#define WAIT_MS 2000 /* a host that has waited for so long is sent away */
+
+struct waiting {
+    int fd, fresh;
+    int64_t since_ms;
+};
 
 static struct {
     int fd, listener, terminal;  /* the host's bytes; who waits for one; our own end of the terminal */
@@ -27,7 +34,15 @@ static struct {
     uint8_t queue[QUEUE];        /* to the host */
     uint8_t frame[FRAME];        /* from the host, up to its zero */
     uint8_t passed[4 * FRAME];   /* frames as the line lets them through */
-} line = {.fd = -1, .listener = -1, .terminal = -1};
+    struct waiting waiting[LINE_WAITING];
+} line = {.fd = -1, .listener = -1, .terminal = -1, .waiting = {{.fd = -1}, {.fd = -1}, {.fd = -1}, {.fd = -1}}};
+
+static int64_t clock_ms(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
 
 static int not_blocking(int fd)
 {
@@ -157,28 +172,94 @@ void line_flush(void)
     }
 }
 
-/* One host at a time: another one is sent away. */
+static void send_away(struct waiting *one)
+{
+    close(one->fd);
+    one->fd = -1;
+}
+
+/* The place of the host that has waited longest, or NULL where nobody waits; `free`: a place where nobody waits, if any. */
+static struct waiting *longest_waiting(struct waiting **free)
+{
+    struct waiting *out = NULL;
+    for (struct waiting *one = line.waiting; one < line.waiting + LINE_WAITING; one++)
+        if (one->fd < 0)
+            *free = one;
+        else if (!out || one->since_ms < out->since_ms)
+            out = one;
+    return out;
+}
+
+/* One host at a time: another one waits. */
 static void greet(void)
 {
     const int yes = 1, fd = accept(line.listener, NULL, NULL);
+    struct waiting *place = NULL, *oldest = longest_waiting(&place);
+
     if (fd < 0)
         return;
-    if (line.fd >= 0 || not_blocking(fd)) {
+    if (not_blocking(fd)) {
         close(fd);
         return;
     }
     (void)setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-    line.fd = fd;
-    line.fresh = 1;
+    if (!place) {
+        send_away(oldest);
+        place = oldest;
+    }
+    *place = (struct waiting){fd, 1, clock_ms()};
+}
+
+void line_give_place(int idle)
+{
+    struct waiting *unused = NULL, *next = longest_waiting(&unused);
+
+    if (!next)
+        return;
+    if (line.fd >= 0 && idle)
+        hang_up();
+    if (line.fd < 0) {
+        line.fd = next->fd;
+        line.fresh = 1;
+        next->fd = -1;
+    } else if (clock_ms() - next->since_ms >= WAIT_MS) {
+        send_away(next);
+    }
+}
+
+size_t line_overhear(int k, uint8_t *bytes, size_t room, int *fresh)
+{
+    struct waiting *one = &line.waiting[k];
+    *fresh = one->fresh;
+    one->fresh = 0;
+    if (one->fd < 0)
+        return 0;
+    const ssize_t count = read(one->fd, bytes, room);
+    if (count == 0 || (count < 0 && errno != EAGAIN && errno != EINTR))
+        send_away(one);
+    return count > 0 ? (size_t)count : 0;
+}
+
+int line_waited_ms(int k)
+{
+    return (int)(clock_ms() - line.waiting[k].since_ms);
+}
+
+void line_answer(int k, const uint8_t *frame, size_t count)
+{
+    if (!line.muted && line.waiting[k].fd >= 0 && write(line.waiting[k].fd, frame, count) < 0)
+        send_away(&line.waiting[k]); /* a host that does not read its answers */
 }
 
 int line_wait(int ms, int until_eof)
 {
     const short out = line.queued > 0 ? POLLIN | POLLOUT : POLLIN;
-    struct pollfd all[3] = {{line.fd, out, 0}, {line.listener, POLLIN, 0}, {until_eof ? 0 : -1, POLLIN, 0}};
+    struct pollfd all[3 + LINE_WAITING] = {{line.fd, out, 0}, {line.listener, POLLIN, 0}, {until_eof ? 0 : -1, POLLIN, 0}};
     char ignored[256];
 
-    if (poll(all, 3, ms) <= 0)
+    for (int k = 0; k < LINE_WAITING; k++)
+        all[3 + k] = (struct pollfd){line.waiting[k].fd, POLLIN, 0};
+    if (poll(all, 3 + LINE_WAITING, ms) <= 0)
         return 1;
     if (all[1].revents & POLLIN)
         greet();

@@ -16,7 +16,8 @@
 #include <string.h>
 
 static const char *const COLUMNS[] = {"theta2_rad", "p_a_bar", "p_b_bar", "u_a_v", "u_b_v"};
-static struct board_info info = {"scripted", TARGET_VERSION, 3, 2, COLUMNS, 1000.0, 50.0, 0.01, 0};
+static const double RANGES[][2] = {{-1e6, 1e6}, {-1e6, 1e6}, {-1e6, 1e6}, {-1e6, 1e6}, {-1e6, 1e6}};
+static struct board_info info = {"scripted", TARGET_VERSION, 3, 2, COLUMNS, RANGES, 1000.0, 50.0, 0.01, 0};
 static double sensors[3];
 static char trouble[64];
 
