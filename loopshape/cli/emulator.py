@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from loopshape.cli.interrupts import interrupts
+
 
 def emulator(
     tcp: Annotated[int | None, typer.Option(help="Port of 127.0.0.1 (0: any) instead of a pseudo-terminal.")] = None,
@@ -23,16 +25,13 @@ def emulator(
 ) -> None:
     """The 1-DoF arm behind the target's protocol; prints the port for `loopshape measure --port`, runs until Ctrl-C."""
     from loopshape.plants.arm.emulated import plant_file
-    from loopshape.rigs.emulator import Emulator, start, stop
+    from loopshape.rigs.emulator import Emulator, running
 
     plant = plant_file(_changes(change or []), {"theta2_deg": theta2_deg, "p_ab_bar": p_ab_bar}, rate_hz)
-    process, port = start(Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed))
-    print(port, flush=True)
-    try:
-        with suppress(KeyboardInterrupt):
-            process.wait()
-    finally:
-        stop(process)
+    wanted = Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed)
+    with suppress(KeyboardInterrupt), interrupts(), running(wanted) as (process, port):
+        print(port, flush=True)
+        process.wait()
 
 
 def _changes(words: list[str]) -> dict[str, float]:

@@ -11,7 +11,8 @@ from contextlib import contextmanager
 def interrupts() -> Iterator[None]:
     """Ctrl-C, a request to terminate and a closed terminal raise `KeyboardInterrupt`, once: no second disturbs the end.
 
-    Also where a shell that started this in the background lets it ignore Ctrl-C's signal.
+    Also where a shell that started this in the background lets it ignore Ctrl-C's signal. A closed terminal is ignored
+    where it was to be (`nohup`).
     """
     told = False
 
@@ -21,7 +22,8 @@ def interrupts() -> Iterator[None]:
             told = True
             raise KeyboardInterrupt
 
-    which = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    which = [signal.SIGINT, signal.SIGTERM]
+    which += [signal.SIGHUP] if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN else []
     before = [signal.signal(one, interrupt) for one in which]
     try:
         yield

@@ -161,10 +161,17 @@ def stop(process: subprocess.Popen[str]) -> str:
 
 
 @contextmanager
-def emulated(emulator: Emulator) -> Iterator[str]:
-    """The port of a running emulator; it is stopped at the end."""
+def running(emulator: Emulator) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The process of an emulator and its port; it is stopped at the end."""
     process, port = start(emulator)
     try:
-        yield port
+        yield process, port
     finally:
         stop(process)
+
+
+@contextmanager
+def emulated(emulator: Emulator) -> Iterator[str]:
+    """The port of a running emulator; it is stopped at the end."""
+    with running(emulator) as (_, port):
+        yield port

@@ -117,7 +117,7 @@ class Payload:
 class Identity:
     """What a target says of itself; `number` is numpy's type of its numbers, sensors and commands are columns.
 
-    `ranges` are the lowest and highest value of each sensor, then of each command; a target before version 1.1 says none.
+    `ranges` are the lowest and highest value of each sensor, then of each command; an older target says none.
     """
 
     protocol: int
@@ -157,7 +157,8 @@ class Identity:
             )
         return cls(
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
-            board, version, tuple(names[:sensors]), tuple(names[sensors:]), tuple(zip(numbers[::2], numbers[1::2], strict=True)),
+            board, version, tuple(names[:sensors]), tuple(names[sensors:]),
+            tuple(zip(numbers[::2], numbers[1::2], strict=True)),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:

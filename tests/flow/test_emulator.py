@@ -1,6 +1,5 @@
 """The emulated target as a process: compiled once, started, spoken to over good and bad lines, and stopped."""
 
-import os
 import re
 import signal
 import socket
@@ -225,19 +224,29 @@ def test_vented_the_muscles_empty_and_idle_it_stands_again(arm_experiment):
         np.testing.assert_allclose(session.status().sensors, before, atol=0.02)
 
 
-def test_the_command_prints_the_port_and_runs_until_it_is_interrupted():
+@pytest.mark.parametrize("ignoring", [False, True])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_command_prints_the_port_and_runs_until_it_is_told_to_end(how, ignoring):
+    """Also where Ctrl-C's signal was ignored as it was started, as a shell does in the background."""
     needs_a_compiler()
     code = "import typer; from loopshape.cli.emulator import emulator; typer.run(emulator)"
     command = [sys.executable, "-c", code, "--tcp", "0", "--change", "payload_kg=0.1"]
-    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, env=environment, start_new_session=True
-    ) as process:
-        port = process.stdout.readline().strip()
-        with open_link(port, 0) as link:
-            assert Session(link).identity.board == "arm-1dof emulator"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN if ignoring else signal.default_int_handler)
+    try:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    with process:
+        try:
+            port = process.stdout.readline().strip()
+            with open_link(port, 0) as link:
+                assert Session(link).identity.board == "arm-1dof emulator"
+            process.send_signal(how)
+            assert process.wait(10) == 0
+        finally:
+            process.kill()
+    with pytest.raises(RigError, match="no target answers there"):
+        open_link(port, 0)
 
 
 def test_the_command_refuses_what_is_no_change():
