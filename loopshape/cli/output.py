@@ -60,11 +60,11 @@ class Output:
             print(f"warning: {line}", file=sys.stderr)
 
     def json(self, payload: Mapping[str, Any]) -> None:
-        """The JSON object of this command, where it was asked for."""
+        """The JSON object of this command, where it was asked for; what is not known is null, never nan."""
         if self.as_json:
             from loopshape.store.files import json_ready
 
-            print(json.dumps(json_ready(payload)))
+            print(json.dumps(json_ready(payload, unknown=None), allow_nan=False))
 
     @contextmanager
     def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:

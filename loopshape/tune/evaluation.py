@@ -92,7 +92,11 @@ class Evaluation:
         for i, (k, u) in enumerate(zip(p.integrators, p.unstable, strict=True)):
             # between passages of the real axis 1 + L turns by what its ends say
             mine = self.L[turning[cut[i] : cut[i + 1]]]
-            if count_unstable(mine, int(k), int(u), below[p.first_below[i] : p.first_below[i + 1]]) != 0:
+            before = below[p.first_below[i] : p.first_below[i + 1]]
+            poles = count_unstable(mine, int(k), int(u), before if p.fitted[i] else before[:0])
+            if poles is None and before.size and not p.fitted[i]:
+                poles = count_unstable(mine, int(k), int(u), before)
+            if poles != 0:
                 return False
         return True
 

@@ -38,7 +38,7 @@ def low_weights(p: Problem) -> Array:
     """Weights of the flat lines up to `disturbance_below_hz`: trapezia in ln f, summing to one at each point."""
     below = p.requirements.objective.disturbance_below_hz
     weights = np.zeros(p.f.size)
-    for a, b in zip(p.first[:-1], p.first[1:], strict=True):
+    for a, b in zip(p.first[:-1] + p.led, p.first[1:], strict=True):
         low = p.ln_f[a:b][p.f[a:b] <= (below or 0.0)]
         span = np.diff(low)
         share = 0.5 * (np.append(span, 0.0) + np.append(0.0, span)) if low.size > 1 else np.ones(low.size)

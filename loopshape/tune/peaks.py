@@ -141,16 +141,16 @@ def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
 def _ends(e: Evaluation) -> Iterator[Rows]:
     """Rows that keep both ends of L countable.
 
-    |L| is below 1 at the last lines; at the first ones, without a model that leads it on, above 1 and near the phase
-    of its integrators.
+    |L| is below 1 at the last lines; at the first ones, without a fit, above 1, and without any model that leads it on
+    near the phase of its integrators.
     """
-    p, first = e.p, e.p.first[:-1]
+    p, first = e.p, e.p.first[:-1] + e.p.led
     yield on_lines(SURE, p, -1e-3 - e.ln_L[e.last], e.last, np.full(p.points, -1.0))
-    blind = first[np.diff(p.first_below) == 0]
+    blind, unfitted = first[np.diff(p.first_below) == 0], first[~p.fitted]
     owner = p.owner[blind]
     swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
     yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
-    yield on_lines(SURE, p, e.ln_L[blind], blind, np.ones(blind.size))
+    yield on_lines(SURE, p, e.ln_L[unfitted], unfitted, np.ones(unfitted.size))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.check.controller_bandwidth import controller_grid_hz
+from loopshape.check.low_end import low_hz, low_models
 from loopshape.controller import Block, Controller, series_response
 from loopshape.loop import Loop, above_hz
 from loopshape.requirements import BlockTemplate, Requirements
@@ -25,10 +26,12 @@ class Problem:
     """Plants on flat lines, the structure, and the requirements of one loop.
 
     `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
-    flat line to its unique frequency, at which the controller is evaluated once. The arrays with `below` do
-    the same for the models' lines below the measured ones, which only the count of encirclements sees; those with
-    `beyond` for less sure lines above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle
-    of P at each flat line: -1 must lie outside that of L.
+    flat line to its unique frequency, at which the controller is evaluated once. `led` (points,) counts the lines
+    before the measured ones on which a model leads towards the negative real axis at 0 Hz. The arrays with `below` do
+    the same for the models' lines below the measured ones, which only the count of encirclements sees: the fit's where
+    `fitted` (points,), else those of a small model of the lowest lines. Those with `beyond` are for less sure lines
+    above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle of P at each flat line: -1
+    must lie outside that of L.
     """
 
     requirements: Requirements
@@ -41,11 +44,13 @@ class Problem:
     P: ComplexArray
     reach: Array
     first: np.ndarray
+    led: np.ndarray
     unique_f: Array
     unique_s: ComplexArray
     line: np.ndarray
     integrators: np.ndarray
     unstable: np.ndarray
+    fitted: np.ndarray
     P_below: ComplexArray
     s_below: ComplexArray
     first_below: np.ndarray
@@ -170,6 +175,8 @@ class Problem:
 
 #: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
 OUTSIDE = 0.05
+#: where L is led below its first line, as shares of its frequency
+DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
 
 
 def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, precision: str = "double") -> Problem:
@@ -179,10 +186,12 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     coefficients in double precision; controllers are made in `precision`.
     """
     refuse(loops, requirements)
-    f = np.concatenate([loop.frequency_hz for loop in loops])
+    lines = [_lines(loop) for loop in loops]
+    below = [_below(loop) for loop in loops]
+    f = np.concatenate([own for own, _, _ in lines])
     unique, line = np.unique(f, return_inverse=True)
     unit = replace(loops[0].controller, loop=requirements.loop, blocks=(Block("gain", {"gain": 1.0}),), rate_hz=rate_hz)
-    below_hz = np.concatenate([loop.below_hz for loop in loops])
+    below_hz = np.concatenate([own for own, _ in below])
     outside = unit.outside(below_hz) if unit.computation_delay_s or unit.added_hold else np.ones(below_hz.size)
     beyond = [_beyond(loop, rate_hz) for loop in loops]
     return Problem(
@@ -193,24 +202,51 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         precision=precision,
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
         f=f,
-        P=np.concatenate([loop.plant.siso for loop in loops]),
-        reach=np.concatenate([_reach(loop) for loop in loops]),
-        first=np.concatenate([[0], np.cumsum([loop.frequency_hz.size for loop in loops])]),
+        P=np.concatenate([P for _, P, _ in lines]),
+        reach=np.concatenate([reach for _, _, reach in lines]),
+        first=np.concatenate([[0], np.cumsum([own.size for own, _, _ in lines])]),
+        led=np.array([own.size - loop.frequency_hz.size for (own, _, _), loop in zip(lines, loops, strict=True)]),
         unique_f=unique,
         unique_s=unit.s_at(unique),
         line=line,
         integrators=np.array([loop.integrators or 0 for loop in loops])
         + sum(t.kind == "pi" for t in requirements.structure),
         unstable=np.array([loop.unstable_poles for loop in loops]),
-        P_below=np.concatenate([loop.P_below for loop in loops]) * outside,
+        fitted=np.array([loop.below_hz.size > 0 for loop in loops]),
+        P_below=np.concatenate([P for _, P in below]) * outside,
         s_below=unit.s_at(below_hz),
         f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),
-        first_below=np.concatenate([[0], np.cumsum([loop.below_hz.size for loop in loops])]),
+        first_below=np.concatenate([[0], np.cumsum([own.size for own, _ in below])]),
         f_beyond=np.concatenate([lines for lines, _ in beyond]),
         P_beyond=np.concatenate([P for _, P in beyond]),
         owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
         f_wide=_wide(requirements, rate_hz),
     )
+
+
+def _below(loop: Loop) -> tuple[Array, ComplexArray]:
+    """Frequencies below the first line and P there, by the fit, else by the likeliest model of the lowest lines."""
+    if loop.below_hz.size:
+        return loop.below_hz, loop.P_below
+    f, models = low_hz(loop), low_models(loop)
+    return (f, models[0].response(f)) if models else (np.zeros(0), np.zeros(0, dtype=complex))
+
+
+def _lines(loop: Loop) -> tuple[Array, ComplexArray, Array]:
+    """Frequencies, P and its reach on a loop's lines.
+
+    Without integrators P may start on the negative real axis at 0 Hz, and L pass -1 below the first line, where the
+    check reads margins too: then a model leads the lines down to there.
+    """
+    f, P, reach = loop.frequency_hz, loop.plant.siso, _reach(loop)
+    models = () if loop.integrators else low_models(loop)[:1]
+    down = f[0] * DOWN
+    for model in models:
+        led = model.response(down)
+        if led[0].real < 0.0:
+            relative = reach[0] / abs(P[0])
+            return np.append(down, f), np.append(led, P), np.append(relative * np.abs(led), reach)
+    return f, P, reach
 
 
 def _reach(loop: Loop) -> Array:

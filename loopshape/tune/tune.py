@@ -14,12 +14,13 @@ from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import Fit
 from loopshape.requirements import Requirements, Verdict
+from loopshape.tune.contained import raced, settled
 from loopshape.tune.problem import Problem, bounds_reached, problem
 from loopshape.tune.relax import Shortfall, shortfall
 from loopshape.tune.search import LARGEST, Found, begin, search
-from loopshape.tune.settle import UNSURE, Judge, Settled, settle
+from loopshape.tune.settle import Judge, Settled, settle
 from loopshape.tune.shifts import Copy, closer, copies_for, judged, shifted_loops
-from loopshape.tune.starts import race, random_starts
+from loopshape.tune.starts import random_starts
 from loopshape.tune.warm import warm_start
 from loopshape.units import Array, db
 
@@ -83,7 +84,9 @@ def tune(
 
     Maximises the requirements' objective (the lowest bandwidth, unless they say otherwise) over all FRFs subject to
     every requirement at every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts`
-    are followed a few steps, the best third of them further, and the best leaps from there. What comes out is checked
+    are followed a few steps, the best third of them further, and the best leaps from there. Structures that this one
+    contains, where a lead_lag or a notch does nothing, are searched first, and their optima are starts too. What comes
+    out is checked
     by `check` itself; limits are tightened by what its finer reading and its 95 % intervals ask for, and the search
     goes on. The requirements are then met as far as these data are sure.
 
@@ -104,26 +107,23 @@ def tune(
     p, judge_of = _problem(loops, requirements, unit, copies, start)
     judge = judge_of(requirements)
     candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
-    ends, steps = race(p, candidates, np.random.default_rng([seed, 1]))
-    settled = settle(p, ends[0], judge)
-    steps += settled.found.steps - ends[0].steps
-    if settled.rank[:2] == UNSURE:  # nothing is missed, and stability not decided: other ends may be surer
-        settled = min([settled, *(settle(p, end, judge) for end in ends[1:])], key=lambda one: one.rank)
+    run = raced(p, candidates, seed, draws, starts)
+    best, steps = settled(run, judge)
     why = None
-    if not settled.verdict.passed and explain:
-        settled, why = shortfall(p, settled, ends, judge_of)
+    if not best.verdict.passed and explain:
+        best, why = shortfall(p, best, run.ends, judge_of)
     if start is not None:
-        settled = _no_worse(p, settled, candidates[0].x, judge)
-    verdict, asked = check(frfs, p.controller(settled.found.x), requirements, fits), requirements
+        best = _no_worse(p, best, candidates[0].x, judge)
+    verdict, asked = check(frfs, p.controller(best.found.x), requirements, fits), requirements
     for _ in range(SHIFTED):
-        if not settled.verdict.passed or verdict.passed or requirements.detuning_percent is None:
+        if not best.verdict.passed or verdict.passed or requirements.detuning_percent is None:
             break
-        copies, asked = closer(copies, asked, loops, p.controller(settled.found.x), requirements, verdict)
+        copies, asked = closer(copies, asked, loops, p.controller(best.found.x), requirements, verdict)
         p, judge_of = _problem(loops, asked, unit, copies, start)
-        again = settle(p, search(p, begin(p, settled.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(asked))
-        steps, settled = steps + again.found.steps, again
-        verdict = check(frfs, p.controller(settled.found.x), requirements, fits)
-    return _tuning(p, settled, verdict, why, len(candidates), steps, moved)
+        again = settle(p, search(p, begin(p, best.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(asked))
+        steps, best = steps + again.found.steps, again
+        verdict = check(frfs, p.controller(best.found.x), requirements, fits)
+    return _tuning(p, best, verdict, why, len(candidates), steps, moved)
 
 
 def _problem(
@@ -166,33 +166,33 @@ def _candidates(
     return [begin(p, x), *others], moved
 
 
-def _no_worse(p: Problem, settled: Settled, x: Array, judge: Judge) -> Settled:
+def _no_worse(p: Problem, best: Settled, x: Array, judge: Judge) -> Settled:
     """What was found, or the start where that passes and is better."""
-    began = begin(p, x, steps=settled.found.steps)
+    began = begin(p, x, steps=best.found.steps)
     start = Settled(began, judge(p.controller(x)), {})
-    return start if start.verdict.passed and start.rank < settled.rank else settled
+    return start if start.verdict.passed and start.rank < best.rank else best
 
 
 def _tuning(
     p: Problem,
-    settled: Settled,
+    best: Settled,
     verdict: Verdict,
     why: Shortfall | None,
     starts: int,
     steps: int,
     moved: tuple[str, ...],
 ) -> Tuning:
-    m, wish = settled.found.measures, p.requirements.objective
+    m, wish = best.found.measures, p.requirements.objective
     return Tuning(
-        controller=p.controller(settled.found.x),
+        controller=p.controller(best.found.x),
         verdict=verdict,
         bandwidth_hz=float(min(m.bandwidth_hz for m in verdict.margins.values())),
-        binding=_binding(p, settled.found),
+        binding=_binding(p, best.found),
         feasible=verdict.passed,
         starts=starts,
         steps=steps,
-        converged=settled.found.converged,
-        bounds_reached=bounds_reached(p, settled.found.x),
+        converged=best.found.converged,
+        bounds_reached=bounds_reached(p, best.found.x),
         objective=m.objective(),
         rejection_db=float(db(np.exp(m.rejection.min()))) if wish.disturbance else None,
         shortfall=why,
