@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from loopshape.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 
 #: pictures that a report carries, together
-FIGURES_MB = 4.0
+FIGURES_MB = 0.7
 #: no page is to carry more
 MOST_MB = 1e6
 

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from loopshape.cli.report import gather
 from loopshape.controller import Block, Controller
+from loopshape.draw.frequency import frf_page
+from loopshape.draw.html.page import page
 from loopshape.draw.style import new_figure, png
 from loopshape.experiment import LoopSetup
 from loopshape.fit.fit import fit, structure_by_name
@@ -105,3 +108,23 @@ def controller() -> Controller:
 def many(count: int) -> list[FRF]:
     """FRFs of many operating points."""
     return [replace(frf(f"r{k:02d}", 20.0 + k, 0.01 * k, 120), recording=f"r{k:02d}") for k in range(count)]
+
+
+def page_of_points(folder: Path, count: int, note: str, date: str) -> str:
+    """The page of a run of so many operating points, checked, each with 240 lines, a note and a picture."""
+    names = [f"r{k:02d}" for k in range(count)]
+    loops = (LoopSetup("axis", "r_m", "n_m", "z_v", "y_m", None),)
+    made = tuple(recording(name, 0.01 * k) for k, name in enumerate(names))
+    write_run(folder, Run(RATE, loops, made))
+    frfs = [
+        replace(frf(name, 20.0 + k, 0.01 * k, 240), notes=(note.format(k),), recording=name)
+        for k, name in enumerate(names)
+    ]
+    write_frfs(folder, frfs)
+    (folder / "figures").mkdir()
+    picture = png(frf_page(frfs[0]))
+    for name in names:
+        (folder / "figures" / f"frf_axis_{name}.png").write_bytes(picture)
+    (folder.parent / "controller.toml").write_text(CONTROLLER)
+    (folder.parent / "require.toml").write_text(REQUIRE.format(bandwidth=2.0))
+    return page(gather(folder, folder.parent / "controller.toml", folder.parent / "require.toml", date))

@@ -263,6 +263,34 @@ def test_the_command_writes_the_page_and_says_where(run: Path, tmp_path: Path) -
     assert out.read_text().startswith('<!DOCTYPE html>\n<html lang="en">')
 
 
+NOTE = "on {} of 240 lines a resonance is narrower than lines resolve"
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Page of 24 operating points, pictures of each among them."""
+    return report_run.page_of_points(tmp_path_factory.mktemp("points") / "run", 24, NOTE, DATE)
+
+
+def test_a_report_of_24_points_is_small_and_says_a_warning_once(campaign: str) -> None:
+    assert len(campaign.encode("utf-8")) <= 3_000_000
+    heads = re.findall(r"<li><p>(24 recordings alike.*?)</p>", campaign)
+    assert len(heads) == 1
+    assert all(f"r{k:02d}" in heads[0] for k in range(24))
+    assert NOTE.format(0) in heads[0]
+    assert all(f"r{k:02d}: {NOTE.format(k)}" in campaign for k in range(24))  # folded, and none lost
+
+
+@needs_browser
+def test_a_report_of_24_points_prints_on_ten_pages(campaign: str, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(campaign, encoding="utf-8")
+    printed = tmp_path / "page.pdf"
+    command = [str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'user'}"]
+    command += ["--no-pdf-header-footer", f"--print-to-pdf={printed}", (tmp_path / "page.html").as_uri()]
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    assert 1 <= len(re.findall(rb"/Type\s*/Page\b(?!s)", printed.read_bytes())) <= 10
+
+
 def test_colours_have_enough_contrast(whole: str) -> None:
     """WCAG 2.1 AA: 4.5 for text, in light and dark."""
     style = whole[whole.index("<style>") : whole.index("</style>")]

@@ -309,7 +309,7 @@
   document.querySelectorAll(".plots").forEach(function (box, k) { enhance(box, data.loops[k]); });
   document.querySelectorAll("table.sortable").forEach(sorting);
   window.addEventListener("beforeprint", function () {
-    document.querySelectorAll("details").forEach(function (part) { part.open = true; });
+    document.querySelectorAll("details:not(.screen)").forEach(function (part) { part.open = true; });
   });
   window.addEventListener("resize", measure);
   measure();

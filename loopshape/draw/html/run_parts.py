@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.draw.html.markup import Content, Markup, joined, tag
-from loopshape.draw.html.tables import Cell, details, figure, table
+from loopshape.draw.html.tables import Cell, details, figure, table, together
 from loopshape.draw.html.words import DASH, count, named, number, point
 from loopshape.frf import FRF
 from loopshape.run_report import Envelope, Missing, RecordingSheet
@@ -38,8 +38,8 @@ def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
     every = [*frfs, *matrices]
     methods = [tag("li", method) for method in dict.fromkeys(one.method for one in every)]
     parts += [tag("p", "Estimated by:"), tag("ul", *methods)] if methods else []
-    notes = [tag("li", f"{one.recording}: {note}") for one in every for note in one.notes]
-    parts += [tag("p", "Notes and warnings of the estimates:"), tag("ul", *notes)] if notes else []
+    notes = [(one.recording, note) for one in every for note in one.notes]
+    parts += [tag("p", "Notes and warnings of the estimates:"), tag("ul", *together(notes))] if notes else []
     return joined(parts)
 
 
@@ -86,7 +86,11 @@ def recordings(sheets: Sequence[RecordingSheet], notes: Sequence[str]) -> Markup
     if drawn:
         sheetsful = tag("div", *(_sparks(one) for one in drawn), class_="sparks")
         words = "Signals over time: the least and greatest value in each of the strip's columns"
-        parts.append(details(f"{words} ({count(len(drawn), 'recording')})", sheetsful, open_=len(drawn) <= 4))
+        parts.append(
+            details(
+                f"{words} ({count(len(drawn), 'recording')})", sheetsful, open_=(few := len(drawn) <= 4), print_=few
+            )
+        )
     return joined(parts)
 
 

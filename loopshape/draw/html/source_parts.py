@@ -44,7 +44,7 @@ def pictures(report: RunReport) -> Markup:
     parts: list[Content] = [tag("p", words, class_="quiet"), tag("div", *map(_picture, shown), class_="pictures")]
     if pages:
         inside = tag("div", *map(_picture, pages), class_="pictures")
-        parts.append(details(f"Pages of single recordings ({len(pages)})", inside))
+        parts.append(details(f"Pages of single recordings ({len(pages)})", inside, print_=len(pages) <= 4))
     if report.figures_left_out:
         left = [tag("li", f"{name}: {why}") for name, why in report.figures_left_out.items()]
         parts += [tag("p", "Left out:"), tag("ul", *left)]
@@ -75,8 +75,14 @@ def provenance(report: RunReport) -> Markup:
     ]
     parts: list[Content] = [definitions(facts)]
     inputs = table(f"Inputs ({count(len(rows), 'file')})", ["file", "bytes", "SHA-256"], rows)
-    parts.append(details(f"Inputs and their SHA-256 ({count(len(rows), 'file')})", inputs, open_=len(rows) <= 20))
+    parts.append(
+        details(
+            f"Inputs and their SHA-256 ({count(len(rows), 'file')})", inputs, open_=(few := len(rows) <= 20), print_=few
+        )
+    )
     for one in report.texts:
         shown = tag("pre", tag("code", one.text), tabindex="0", aria_label=f"{one.what} {one.name}")
-        parts.append(details(f"{one.what}: {one.name}, verbatim", shown, open_=one.what != "run"))
+        parts.append(
+            details(f"{one.what}: {one.name}, verbatim", shown, open_=(given := one.what != "run"), print_=given)
+        )
     return joined(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isnan
@@ -75,6 +76,30 @@ def definitions(pairs: Iterable[tuple[Content, Content]]) -> Markup:
     return tag("dl", joined(joined([tag("dt", name), tag("dd", what)]) for name, what in pairs))
 
 
-def details(summary: Content, *inside: Content, open_: bool = False) -> Markup:
-    """A part that opens on demand; printing opens all."""
-    return tag("details", tag("summary", summary), *inside, open=open_)
+def details(summary: Content, *inside: Content, open_: bool = False, print_: bool = True) -> Markup:
+    """A part that opens on demand; printing opens all but those with `print_` False, which it leaves out."""
+    return tag("details", tag("summary", summary), *inside, open=open_, class_=None if print_ else "screen")
+
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
+
+
+def together(notes: Sequence[tuple[str, str]], *, named: bool = True) -> list[Markup]:
+    """Items of a list of notes, each with the recording that it is of ("" for none): those that differ by the recording
+    and by numbers alone are one item, which names them all and holds each one's words folded away.
+
+    `named` says that the recording stands in front of each note.
+    """
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, note in dict.fromkeys(notes):
+        groups.setdefault(_NUMBER.sub("0", note.replace(name, "", 1) if name else note), []).append((name, note))
+    return [_item(group, named) for group in groups.values()]
+
+
+def _item(group: Sequence[tuple[str, str]], named: bool) -> Markup:
+    words = [f"{name}: {note}" if named and name else note for name, note in group]
+    if len(group) == 1:
+        return tag("li", words[0])
+    names = [name for name, _ in group if name]
+    head = f"{len(group)} recordings alike ({', '.join(dict.fromkeys(names))}); the first: {words[0]}"
+    return tag("li", tag("p", head), details("all of them", tag("ul", *(tag("li", x) for x in words)), print_=False))

@@ -18,7 +18,7 @@ from loopshape.loop import Loop
 from loopshape.units import Array, ComplexArray, db, deg
 
 #: lines that one operating point's curves keep, and all of them together
-MOST_LINES, MOST_TOGETHER = 600, 9600
+MOST_LINES, MOST_TOGETHER = 600, 5400
 DASHES = ("", "7 3", "2 2.5", "9 3 2 3", "4 2", "12 4", "6 2 2 2 2 2", "1 4", "14 3 3 3", "3 6")
 #: whose relative error a response has: its own factor on that of P, to first order
 REACH_OF = {"P": "P", "L": "P", "S": "S", "CS": "S", "T": "T", "PS": "T"}

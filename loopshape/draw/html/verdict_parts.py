@@ -9,7 +9,7 @@ import numpy as np
 from loopshape.check.words import reach_text
 from loopshape.detuning import Reach
 from loopshape.draw.html.markup import Content, Markup, joined, tag
-from loopshape.draw.html.tables import Cell, figure, table
+from loopshape.draw.html.tables import Cell, figure, table, together
 from loopshape.draw.html.words import (
     DASH,
     LIMIT_OF,
@@ -292,7 +292,9 @@ def certificate(one: CheckedLoop) -> Markup:
     )
     made = table(caption, ["closed loop", "reason", "band to measure", "points", "recordings"], rows, cards=True)
     poles = _poles(one)
-    notes, head = [tag("li", note) for note in one.verdict.warnings], "Assumed, and to be noted:"
+    names = sorted(one.verdict.margins, key=len, reverse=True)
+    said = [(next((name for name in names if name in note), ""), note) for note in one.verdict.warnings]
+    notes, head = together(said, named=False), "Assumed, and to be noted:"
     return joined(
         [
             made,

@@ -1,0 +1,83 @@
+"""A recording of hours is imported, looked at and estimated in the memory of a stretch of it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from memory_limit import in_a_child
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
+
+MAP = """
+format = "loopshape-map/1"
+rate_hz = 10000.0
+[columns]
+n_v = { from = "n", unit = "V" }
+u_v = { from = "u", unit = "V" }
+y_m = { from = "y", unit = "m" }
+[[loop]]
+name = "axis"
+injected = "n_v"
+control = "u_v"
+output = "y_m"
+[recording]
+kind = "noise"
+injection = "controller_input"
+excites = "axis"
+"""
+BEFORE = """
+from loopshape import stretches
+from loopshape.store import sources, tables
+from loopshape.cli.frf import estimate_and_report
+from loopshape.cli.import_file import import_run
+from loopshape.cli.output import Output
+file, given, out = map(Path, sys.argv[1:4])
+from loopshape.estimate import faults
+stretches.LONG = sources.LONG = tables.LONG = sources.LONG_TEXT = int(sys.argv[4])
+tables.KEPT_BYTES = int(sys.argv[5])
+stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.argv[6])
+import pandas, pyarrow.parquet, numpy as np
+import scipy.linalg
+import loopshape.estimate.frequency_response
+from loopshape.kernels.spectra import cross_spectra
+square = np.eye(300) * 2.0
+np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve once
+cross_spectra([np.ones(64)] * 3, 16, 8)
+"""
+IMPORT = "import_run(file, given, out, Output(False, True))"
+FRF = "estimate_and_report(out, Output(False, True), figures=False, settings={'resolution_hz': RESOLUTION})"
+
+
+def recorded(folder, rows, distinct):
+    """A CSV of 3 columns of so many rows, `distinct` of them over and over, and its map."""
+    rng = np.random.default_rng(0)
+    n = rng.standard_normal(distinct)
+    y = np.convolve(n, 0.9 ** np.arange(60))[:distinct] + 0.01 * rng.standard_normal(distinct)
+    text = "\n".join(f"{a:.3f},{b:.4f},{c:.4f}" for a, b, c in zip(n, n - 0.1 * y, y, strict=True)) + "\n"
+    with (folder / "r.csv").open("w") as file:
+        file.write("n,u,y\n")
+        for _ in range(rows // distinct):
+            file.write(text)
+    (folder / "map.toml").write_text(MAP)
+    return folder / "r.csv", folder / "map.toml", folder / "run"
+
+
+@pytest.mark.parametrize("long_rows", [200_000, pytest.param(10**10, marks=pytest.mark.xfail(strict=True))])
+def test_minutes_in_the_memory_of_seconds(tmp_path, long_rows):
+    """1.6 million rows of 3 columns and a time are 51 MB; held whole, which must fail, they need several times that."""
+    files = recorded(tmp_path, 1_600_000, 100_000)
+    given = (*files, long_rows, 10_000_000, 1 << 16)
+    in_a_child(BEFORE, IMPORT, 110_000_000, *given, timeout_s=200.0)
+    in_a_child(BEFORE, FRF.replace("RESOLUTION", "10.0"), 110_000_000, *given, timeout_s=200.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1500)
+def test_two_hours_at_10_khz_within_one_and_a_half_gigabytes(tmp_path):
+    files = recorded(tmp_path, 72_000_000, 1_000_000)
+    given = (*files, 8_000_000, 192_000_000, 1 << 20)
+    most = in_a_child(BEFORE, IMPORT, 1_200_000_000, *given, timeout_s=900.0)
+    files[0].unlink()
+    assert most < 1.5e9
+    assert in_a_child(BEFORE, FRF.replace("RESOLUTION", "None"), 1_200_000_000, *given, timeout_s=900.0) < 1.5e9
+    (files[2] / "r.parquet").unlink()
