@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from hashlib import sha256
 from pathlib import Path
 
 from loopshape.run_report import GivenText, InputFile, StoredFigure
 from loopshape.store.files import PART, reading
+from loopshape.store.provenance import file_sha256
 
 FIGURES = "figures"
 #: what a report never reads: reports, and what a killed write left
@@ -40,8 +40,8 @@ def _stays(path: Path, folder: Path) -> bool:
 
 def _input(name: str, path: Path) -> InputFile:
     with reading(path, "a file of a run"):
-        data = path.read_bytes()
-    return InputFile(name, len(data), sha256(data).hexdigest())
+        size = path.stat().st_size
+    return InputFile(name, size, file_sha256(path))
 
 
 def stored_figures(
