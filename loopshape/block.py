@@ -162,6 +162,10 @@ class Block:
         values = {name: _finite(self.kind, name, self.parameters[name]) for name in wanted}
         object.__setattr__(self, "parameters", MappingProxyType(values))
 
+    def __reduce__(self) -> tuple[type, tuple[str, dict[str, float]]]:
+        """As another process is sent it."""
+        return type(self), (self.kind, dict(self.parameters))
+
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Block:
         """Block from a TOML table such as `{ kind = "low_pass", order = 1, f_hz = 10.0 }`."""

@@ -35,6 +35,30 @@ class Machine:
     hidden: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class Part:
+    """The part k of n of a campaign: recordings that follow each other, every one in one part, none larger by over one.
+
+    Refuses a part that is none of 1 to n.
+    """
+
+    number: int
+    of: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.of:
+            raise WrongUseError("a campaign has no such part", f"{self.number}/{self.of}", "write 1/8 to 8/8")
+
+    def recordings(self, count: int) -> range:
+        """Numbers of its recordings of `count`, from 0."""
+        return range((self.number - 1) * count // self.of, self.number * count // self.of)
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"part-{self.number}-of-{self.of}"
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """A study, factors on its amplitudes, sets of effects, and how many machines of the ordinary spread are drawn.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopshape.errors import WrongUseError
 from loopshape.excitation_parts import (
@@ -126,9 +126,8 @@ class Multisine:
         lines = self.lines()
         check_below_half_rate(self.kind, float(lines[-1]), rate_hz)
         n = samples(self.period_s, rate_hz)
-        bins = np.round(lines * self.period_s).astype(int)
-        sizes = np.asarray(self.levels or 1.0)
-        spectrum, peak = _low_crest(bins, sizes, n, self.seed, self.crest_iterations, self.turns)
+        bins = tuple(np.round(lines * self.period_s).astype(int).tolist())
+        spectrum, peak = _low_crest(bins, tuple(self.levels), n, self.seed, self.crest_iterations, self.turns)
         one = _turned(spectrum, self.turn, n) / peak
         return self.amplitude * repeated(one, self.periods, self.ramp_s, rate_hz)
 
@@ -141,14 +140,16 @@ def _turned(spectrum: ComplexArray, turn: float, n: int) -> Array:
     return np.asarray(np.fft.irfft(np.exp(1j * TWO_PI * part) * spectrum, n))
 
 
+@lru_cache(maxsize=16)  # the machines of a campaign are excited alike
 def _low_crest(
-    bins: NDArray[np.int64], sizes: Array, n: int, seed: int, iterations: int, turns: int
+    lines: tuple[int, ...], levels: tuple[float, ...], n: int, seed: int, iterations: int, turns: int
 ) -> tuple[ComplexArray, float]:
-    """Spectrum (n // 2 + 1,) of `sizes` in `bins`, its phases iterated towards a low crest, and its signals' peak.
+    """Spectrum (n // 2 + 1,) of `levels` in bins, its phases iterated towards a low crest, and its signals' peak.
 
     The peak is the largest of all signals that its `turns` give; those half a cycle apart have the same.
     """
     rng = np.random.default_rng(seed)
+    bins, sizes = np.array(lines), np.asarray(levels or 1.0)
     spectrum = np.zeros(n // 2 + 1, dtype=complex)
     spectrum[bins] = sizes * np.exp(1j * TWO_PI * rng.random(bins.size))
     unlike = [k / turns for k in range(turns // 2 if turns % 2 == 0 else turns)]
@@ -161,6 +162,7 @@ def _low_crest(
         peak = _peak(signals)
         if peak < best_peak:
             best, best_peak = spectrum.copy(), peak
+    best.setflags(write=False)
     return best, best_peak
 
 

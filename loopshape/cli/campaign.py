@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,9 +15,11 @@ from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.campaign import Campaign, Machine
+    from loopshape.campaign import Campaign, Machine, Part
     from loopshape.rigs.many import Job
     from loopshape.rigs.simulated import Rig
+    from loopshape.run import Run
+    from loopshape.study import Study
 
 
 def campaign(
@@ -23,50 +27,81 @@ def campaign(
     out: Annotated[Path, typer.Option(help="The folder of run folders to write; an interrupted campaign goes on.")],
     workers: Annotated[int, typer.Option(help="Processes on this machine; 0 for one a core.")] = 0,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, in place of processes.")] = None,
+    part: Annotated[
+        str | None, typer.Option(metavar="K/N", help="Record one of N parts, in a folder of its own.")
+    ] = None,
+    merge: Annotated[bool, typer.Option("--merge", help="Join the parts, which are then all recorded.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Do a study to many simulated machines: draws of the ordinary spread, amplitudes, effects."""
     import time
 
-    from loopshape import registry
     from loopshape.rigs.many import check_workers
-    from loopshape.rigs.simulated import plan
     from loopshape.store.campaigns import write_index
     from loopshape.store.files import make_folder
     from loopshape.store.run_folder import alone
 
     check_workers(workers)
     output = Output(as_json, quiet)
-    asked, study_file = _read(file)
-    plant = registry.plant(asked.study.plant)
-    machines = list(asked.machines(getattr(plant, "spread", ()), plant.parameters))
-    for machine in machines[: len(asked.amplitudes) * len(asked.effects)]:
-        plan(machine.study, plant)  # refuses before anything is written
-    make_folder(out)
+    planned = _planned(file)
+    of = _part(part, merge)
+    folder = out / of.name if of else out
+    make_folder(folder)
     started = time.monotonic()
-    with alone(out), interrupts():
-        write_index(out, machines)
+    with alone(folder), interrupts():
+        write_index(folder, planned.machines)
         try:
-            todo = [job for machine in machines for job in _todo(out, machine, plant, study_file)]
-            _record(out, todo, plant, (workers, cluster), output)
+            made = _merge(out, planned) if merge else _record(folder, planned, of, (workers, cluster), output)
         except KeyboardInterrupt:
             output.warn(["interrupted; what the runs list is kept, the same command goes on"])
             raise typer.Exit(130) from None
     wall_s = time.monotonic() - started
-    output.say(f"{len(machines)} machines, {len(todo)} recordings made in {wall_s:.1f} s, in {out}")
-    output.json({"machines": len(machines), "recordings": len(todo), "wall_s": wall_s})
+    done = "merged" if merge else "made"
+    output.say(f"{len(planned.machines)} machines, {made} recordings {done} in {wall_s:.1f} s, in {folder}")
+    output.json({"machines": len(planned.machines), "recordings": made, "wall_s": wall_s})
 
 
-def _record(out: Path, todo: Sequence[Job], plant: Rig, by: tuple[int, str | None], output: Output) -> None:
-    """Do all jobs and write what comes, in order."""
-    from loopshape.rigs.many import carried_out
-    from loopshape.store.run_folder import add_recording
+def _part(text: str | None, merge: bool) -> Part | None:
+    """The part that is asked for, K/N."""
+    from loopshape.campaign import Part
+    from loopshape.errors import WrongUseError
 
-    with output.progress("campaign", len(todo)) as step, closing(carried_out(plant, todo, *by)) as made:
-        for job, recording in made:
-            add_recording(out / job.machine, recording)
-            step(f"{job.machine} {recording.info.name}")
+    if text is None:
+        return None
+    number, _, of = text.partition("/")
+    if merge or not (number.isdecimal() and of.isdecimal()):
+        raise WrongUseError("a part is K/N, and merged without it", text, "write --part 1/8 to 8/8, then --merge alone")
+    return Part(int(number), int(of))
+
+
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """A campaign that was checked: its machines, each with the recordings of `names`, in order."""
+
+    machines: Sequence[Machine]
+    plant: Rig
+    origin: Mapping[str, Any]
+    names: tuple[str, ...]
+
+    @property
+    def recordings(self) -> int:
+        """Number of all."""
+        return len(self.machines) * len(self.names)
+
+
+def _planned(file: Path) -> _Planned:
+    """Read and check a campaign; refuses what its machines cannot do, before anything is written."""
+    from loopshape import registry
+    from loopshape.rigs.simulated import plan
+    from loopshape.store.provenance import file_sha256
+
+    asked, study_file = _read(file)
+    plant = registry.plant(asked.study.plant)
+    machines = list(asked.machines(getattr(plant, "spread", ()), plant.parameters))
+    for machine in machines[: len(asked.amplitudes) * len(asked.effects)]:
+        names = tuple(one.name for one in plan(machine.study, plant))
+    return _Planned(machines, plant, {"study": study_file.name, "study_sha256": file_sha256(study_file)}, names)
 
 
 def _read(file: Path) -> tuple[Campaign, Path]:
@@ -81,18 +116,120 @@ def _read(file: Path) -> tuple[Campaign, Path]:
     return read_campaign(file, of)
 
 
-def _todo(out: Path, machine: Machine, plant: Rig, study_file: Path) -> Iterator[Job]:
-    """What is missing of a machine's run, which is begun where it is not there."""
+def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], output: Output) -> int:
+    """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
+    from loopshape.rigs.many import carried_out
+    from loopshape.store.run_folder import adopt
+
+    wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
+    work = partial(_make, out.resolve(), planned.plant, planned.origin)
+    made = 0
+    with (
+        output.progress("campaign", len(wanted)) as step,
+        closing(carried_out(work, _todo(out, planned, wanted, step), *by)) as results,
+    ):
+        for job, entry in results:
+            run = _run(job.study, job.machine, planned.plant, planned.origin)
+            adopt(out / job.machine, run, [entry], planned.names)
+            made += 1
+            step(f"{job.machine} {job.planned.name}")
+    return made
+
+
+def _todo(out: Path, planned: _Planned, wanted: range, step: Any) -> Iterator[Job]:
+    """What is missing of the recordings with the numbers `wanted`; runs that are there are looked into."""
     from loopshape.rigs.many import Job
-    from loopshape.rigs.simulated import header, plan
-    from loopshape.store.provenance import KEY, file_sha256, versions
+    from loopshape.rigs.simulated import listed
     from loopshape.store.run_folder import finished, start_run
 
-    provenance = {**versions(), "study": study_file.name, "seed": machine.study.seed, "machine": machine.name}
-    start_run(
-        out / machine.name, header(machine.study, plant, {"study_sha256": file_sha256(study_file), KEY: provenance})
-    )
-    have = finished(out / machine.name)
-    for planned in plan(machine.study, plant):
-        if planned.name not in have:
-            yield Job(machine.name, machine.study, planned, machine.hidden)
+    count = len(planned.names)
+    there = {path.name for path in out.iterdir()}
+    for k, machine in enumerate(planned.machines):
+        mine = range(max(wanted.start - k * count, 0), min(wanted.stop - k * count, count))
+        if not mine:
+            continue
+        have: set[str] = set()
+        if machine.name in there:
+            run = _run(machine.study, machine.name, planned.plant, planned.origin)
+            start_run(out / machine.name, run, [f"{name}.parquet" for name in planned.names])
+            have = finished(out / machine.name)
+        for one in listed(machine.study, planned.plant)[mine.start : mine.stop]:
+            if one.name in have:
+                step(f"{machine.name} {one.name}")
+            else:
+                yield Job(machine.name, machine.study, one, machine.hidden)
+
+
+def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> dict[str, Any]:
+    """What a worker does with a job: leave the table in its run's folder, whole, and say what it is."""
+    from loopshape.errors import RigError
+    from loopshape.rigs.many import done
+    from loopshape.store.campaigns import INDEX
+    from loopshape.store.run_folder import read_unlisted, write_unlisted
+
+    if not (out / INDEX).is_file():
+        raise RigError(
+            "a worker does not see the campaign's folder",
+            str(out),
+            "put it on a disk that all workers mount, or use --part",
+        )
+    run = _run(job.study, job.machine, plant, origin)
+    there = read_unlisted(out / job.machine, run, job.planned.name)
+    return there or write_unlisted(out / job.machine, run, done(plant, job))
+
+
+def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> Run:
+    """The run of a machine, without recordings."""
+    from loopshape.rigs.simulated import header
+    from loopshape.store.provenance import KEY, versions
+
+    provenance = {**versions(), "study": origin["study"], "seed": study.seed, "machine": machine}
+    return header(study, plant, {"study_sha256": origin["study_sha256"], KEY: provenance})
+
+
+def _merge(out: Path, planned: _Planned) -> int:
+    """Join the recordings of all parts in the runs of a whole campaign, and remove the parts."""
+    from loopshape.store.campaigns import parts, remove_parts, write_index
+    from loopshape.store.run_folder import adopt, finished
+
+    folders = parts(out)
+    for folder in folders:
+        write_index(folder, planned.machines)  # refuses another campaign's
+    made = 0
+    for machine in planned.machines:
+        run = _run(machine.study, machine.name, planned.plant, planned.origin)
+        have = finished(out / machine.name)
+        entries = _gathered([folder / machine.name for folder in folders], out / machine.name, run, have)
+        adopt(out / machine.name, run, entries, planned.names)
+        made += len(entries)
+        _refuse_incomplete(machine.name, finished(out / machine.name), planned.names)
+    remove_parts(folders)
+    return made
+
+
+def _gathered(sources: Iterable[Path], target: Path, run: Run, have: set[str]) -> list[Mapping[str, Any]]:
+    """Put the tables of a machine's parts into its run's folder, which does not list them yet; gives their words."""
+    from loopshape.store.campaigns import same_file
+    from loopshape.store.files import make_folder
+    from loopshape.store.run_folder import entries_of, has_run
+
+    make_folder(target)
+    found = {}
+    for source in sources:
+        if source.is_dir() and has_run(source):
+            for name, entry in entries_of(source, run).items():
+                if name not in have:
+                    same_file(source / str(entry["file"]), target / str(entry["file"]))
+                    found[name] = entry
+    return list(found.values())
+
+
+def _refuse_incomplete(machine: str, have: set[str], names: Sequence[str]) -> None:
+    from loopshape.errors import WrongUseError
+
+    if missing := [name for name in names if name not in have]:
+        raise WrongUseError(
+            "the parts do not hold the whole campaign",
+            f"{machine} lacks {', '.join(missing[:5])}" + (" and more" if len(missing) > 5 else ""),
+            "let all parts come to their end, then merge again",
+        )

@@ -49,32 +49,41 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
     Refuses what the plant cannot do before anything moves. Seeds of sensor noise follow from the study's
     seed and the place in this list, so a resumed or a partial campaign gives the same recordings.
     """
-    out: list[Planned] = []
     if study.solver not in plant.solvers:
         raise WrongUseError("a solver is not known", f"{study.solver!r}", f"use {' or '.join(plant.solvers)}")
-    controllers = _controllers(study, plant)
     _check_solver(study, plant)
+    out = listed(study, plant)
+    for template in study.experiments:
+        mine = [planned for planned in out if planned.template is template]
+        _check_units(study, template, mine[0].loops)
+        changes = {f"pwm_{k}": float(v) for k, v in study.pwm.items()} | dict(study.changes) | dict(template.parameters)
+        changes |= moves(plant, study.effects, tuple(changes))
+        plant.check_settings(study.rate_hz, changes)
+        for planned in mine:
+            plant.check_operating_point(planned.operating_point, changes)
+        experiment(study, plant, mine[-1])  # refuses signals that cannot be made, before anything is written
+    names = [planned.name for planned in out]
+    if len(set(names)) != len(names):
+        raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
+    return out
+
+
+def listed(study: Study, plant: Rig) -> list[Planned]:
+    """`plan` of a study that was checked before, or differs from one by its seed alone."""
+    out: list[Planned] = []
+    controllers = _controllers(study, plant)
     for template in study.experiments:
         points = study.operating_points if template.operating_points is None else template.operating_points
         if not points:
             raise WrongUseError(
                 f"experiment {template.name!r} has no operating point", "", "give operating_points in the study"
             )
-        loops = plant.loop_setups(controllers, template.injection)
-        _check_units(study, template, loops)
-        changes = {f"pwm_{k}": float(v) for k, v in study.pwm.items()} | dict(study.changes) | dict(template.parameters)
-        changes |= moves(plant, study.effects, tuple(changes))
-        plant.check_settings(study.rate_hz, changes)
         if "." in template.name:
             raise WrongUseError("the name of an experiment holds no dot", repr(template.name), "use - or _")
+        loops = plant.loop_setups(controllers, template.injection)
         for k, point in enumerate(points):
-            plant.check_operating_point(point, changes)
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
             out.append(Planned(name, template, dict(point), loops, study.seed * 100_003 + len(out)))
-        experiment(study, plant, out[-1])  # refuses signals that cannot be made, before anything is written
-    names = [planned.name for planned in out]
-    if len(set(names)) != len(names):
-        raise WrongUseError("two experiments of the study share a name", ", ".join(sorted(names)))
     return out
 
 
@@ -207,7 +216,7 @@ def _periodic(template: ExperimentTemplate) -> tuple[float | None, float | None]
 
 def header(study: Study, plant: Rig, extra: Mapping[str, object] | None = None) -> Run:
     """The run that the study's recordings belong to, without recordings; `extra` keys go along."""
-    first = plan(study, plant)[0]
+    first = listed(study, plant)[0]
     pwm = {
         key: float(study.pwm.get(key, plant.parameters.rows[plant.parameters.index(f"pwm_{key}")].value))
         for key in ("frequency_hz", "dead_zone")

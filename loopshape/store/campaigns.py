@@ -12,17 +12,21 @@ from __future__ import annotations
 
 import csv
 import io
+import os
+import re
+import shutil
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from loopshape.campaign import Campaign, Machine
+from loopshape.campaign import Campaign, Machine, Part
 from loopshape.errors import WrongUseError
-from loopshape.store.files import PART, inside, reading, short, write_text_whole
+from loopshape.store.files import PART, inside, reading, short, write_text_whole, write_whole
 from loopshape.store.study import read_study
 from loopshape.store.words import read_words
 
 FORMAT = "loopshape-campaign/1"
 INDEX = "index.csv"
+_PART_FOLDER = re.compile(r"part-(\d{1,6})-of-(\d{1,6})")
 Asked = Callable[[str, Iterable[str]], Mapping[str, float]]
 
 
@@ -92,7 +96,9 @@ def _index_there(folder: Path) -> list[list[str]]:
     """The table in a folder, [] in an empty one; refuses a folder that is no campaign's."""
     path = folder / INDEX
     with reading(path, "a table of machines", csv.Error):
-        foreign = sorted(p.name for p in folder.iterdir() if not p.name.endswith(PART))
+        foreign = sorted(
+            p.name for p in folder.iterdir() if not (p.name.endswith(PART) or _PART_FOLDER.fullmatch(p.name))
+        )
         if INDEX in foreign:
             rows = [row for row in csv.reader(path.read_text(encoding="utf-8").splitlines()) if row]
             if not rows or rows[0][:1] != ["machine"]:
@@ -105,3 +111,39 @@ def _index_there(folder: Path) -> list[list[str]]:
             "choose a new or an empty folder",
         )
     return []
+
+
+def parts(folder: Path) -> list[Path]:
+    """Folders of a campaign's parts in order; refuses none, parts of different divisions, and missing ones."""
+    with reading(folder, "a campaign's folder"):
+        found = [match for path in folder.iterdir() if (match := _PART_FOLDER.fullmatch(path.name))]
+    divisions = sorted({int(match[2]) for match in found})
+    if len(divisions) != 1:
+        raise WrongUseError(
+            "all parts of one division are merged",
+            f"{folder}, which holds parts of {' and of '.join(map(str, divisions)) or 'none'}",
+            "record them with --part 1/8 to 8/8, and keep those of one division",
+        )
+    wanted = [Part(k + 1, divisions[0]) for k in range(divisions[0])]
+    if missing := [part.name for part in wanted if not (folder / part.name).is_dir()]:
+        raise WrongUseError("parts of the campaign are missing", short(", ".join(missing)), "record or copy them")
+    return [folder / part.name for part in wanted]
+
+
+def same_file(source: Path, target: Path) -> None:
+    """Put a table where a merged campaign has it: a further name of the file, a copy where that cannot be."""
+    try:
+        target.unlink(missing_ok=True)
+        os.link(source, target)
+    except OSError:
+        write_whole(target, lambda part: _copy(source, part))
+
+
+def _copy(source: Path, part: Path) -> None:
+    shutil.copyfile(source, part)
+
+
+def remove_parts(folders: Iterable[Path]) -> None:
+    """Remove the folders of parts that were merged."""
+    for folder in folders:
+        shutil.rmtree(folder)

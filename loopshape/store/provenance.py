@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -19,6 +20,7 @@ def versions() -> dict[str, str]:
     return {"loopshape": __version__, "python": platform.python_version()} | {n: _version(n) for n in _LIBRARIES}
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return version(name)

@@ -7,7 +7,7 @@ not named yet is written again when the work resumes.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from hashlib import file_digest
 from pathlib import Path
@@ -27,7 +27,7 @@ from loopshape.store.journal import note, read_journal
 from loopshape.store.provenance import KEY, file_sha256, versions
 from loopshape.store.run_signals import check_recordings as check_recordings
 from loopshape.store.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
-from loopshape.store.tables import TIME, TableColumns, check_rate, write_table
+from loopshape.store.tables import TIME, TableColumns, check_rate, read_about, write_table
 from loopshape.store.toml_text import toml_text
 from loopshape.store.words import Words, read_words, refuse_doubles
 from loopshape.stretches import LongSignal, Signal, equal
@@ -163,19 +163,23 @@ def _removing(path: Path) -> Iterator[None]:
         ) from None
 
 
-def start_run(folder: Path, run: Run) -> None:
+def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
     """Make a run folder without recordings, or resume one whose header is the same.
 
-    `run.recordings` are not written. Refuses a folder that holds other things, one that another process is writing,
-    and a run whose loops, rate, plant, outputs or further keys differ (`extra["notes"]` may: new notes are added).
+    `run.recordings` are not written; `tables` may lie there before the run does. Refuses a folder that holds other
+    things, one that another process is writing, and a run whose loops, rate, plant, outputs or further keys differ
+    (`extra["notes"]` may: new notes are added).
     """
     header = _header(run)
     make_folder(folder)
     with held(folder):
+        for left in folder.glob(f".*{PART}"):  # of a write that was killed
+            with suppress(OSError):
+                left.unlink()
         if has_run(folder):
             _resume(folder, header)
             return
-        ours = (PART, "figures", "frf", JOURNAL)
+        ours = (PART, "figures", "frf", JOURNAL, *tables)
         if foreign := [p.name for p in folder.iterdir() if not p.name.endswith(ours)]:
             raise WrongUseError(
                 "a folder that is no run is not written into",
@@ -190,12 +194,18 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
     _check_extra(words)
     old = dict(words.table)
     _refuse_lost(folder, words)
-    for left in folder.glob(f".*{PART}"):  # of a write that was killed
-        with suppress(OSError):
-            left.unlink()
     if not old.get("recording"):  # nothing was recorded under the old header
         write_toml(folder / RUN_TOML, dict(header))
         return
+    _refuse_other(folder, words, header)
+    notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
+    if notes:
+        write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
+
+
+def _refuse_other(folder: Path, words: Words, header: Mapping[str, Any]) -> None:
+    """Refuse a folder that has the run of another header."""
+    old = words.table
     differing = sorted(
         key
         for key in (set(old) | set(header)) - {"recording", "notes", KEY}
@@ -207,15 +217,12 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
             f"different {short(', '.join(differing))}",
             "choose another folder, or delete this one",
         )
-    notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
-    if notes:
-        write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
 
 
 def _refuse_lost(folder: Path, words: Words) -> None:
     """Refuse a run that no longer lists what its journal calls finished: going on would write over it."""
     lines, _ = read_journal(folder)
-    listed = {str(entry.table.get("file", "")).split(".")[0] for entry in words.tables("recording")}
+    listed = _listed(words)
     done = dict.fromkeys(str(line.get("recording")) for line in lines if line["event"] == "finished")
     if lost := [name for name in done if name not in listed]:
         raise UnreadableInputError(
@@ -242,11 +249,78 @@ def add_recording(folder: Path, recording: Recording) -> None:
     rate, a file that does not end in `.parquet`, and words that `read_run` would refuse.
     """
     with held(folder):
-        _add_recording(folder, recording)
+        words = _read_words(folder)
+        if recording.info.name in _listed(words):
+            raise WrongUseError(
+                f"{folder} already holds a recording of this name", repr(recording.info.name), "give it another"
+            )
+        _list(folder, words.table, [_written(folder, words, recording)])
 
 
-def _add_recording(folder: Path, recording: Recording) -> None:
+def write_unlisted(folder: Path, run: Run, recording: Recording) -> dict[str, Any]:
+    """Write a recording's table into the folder of a run, whole, and give its words; `adopt` names it in `run.toml`.
+
+    Needs no hold on the folder, and no `run.toml`. Refuses what `add_recording` refuses of a recording.
+    """
+    make_folder(folder)
+    return _written(folder, Words(_header(run), "the run"), recording)
+
+
+def read_unlisted(folder: Path, run: Run, name: str) -> dict[str, Any] | None:
+    """The words of a table that `write_unlisted` left whole, made by these versions for this run; None without one."""
+    path = folder / f"{name}.parquet"
+    if not path.is_file():
+        return None
+    with suppress(UnreadableInputError):
+        about = read_about(path)
+        entry = about.get("recording")
+        if isinstance(entry, dict) and about == _about(Words(_header(run), "the run"), entry):
+            return entry | {"sha256": file_sha256(path)}
+    return None
+
+
+def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: Sequence[str]) -> None:
+    """Name tables of `write_unlisted` in a run's `run.toml`, in the `order` of names, and begin it where it is missing.
+
+    Refuses a run that another process is writing, and one whose header differs. What is named is not named again.
+    """
+    with held(folder):
+        words = _read_words(folder) if has_run(folder) else Words(_header(run), "the run")
+        _refuse_other(folder, words, _header(run))
+        there = _listed(words)
+        _list(folder, words.table, [entry for entry in entries if _name(entry) not in there], order)
+
+
+def entries_of(folder: Path, run: Run) -> dict[str, dict[str, Any]]:
+    """The words of a run's recordings by name, for another folder's `adopt`; refuses a run of another header."""
     words = _read_words(folder)
+    _refuse_other(folder, words, _header(run))
+    for entry in words.tables("recording"):
+        _existing(folder, entry.text("file"))
+    return {_name(entry.table): dict(entry.table) for entry in words.tables("recording")}
+
+
+def _name(entry: Mapping[str, Any]) -> str:
+    return str(entry.get("file", "")).split(".")[0]
+
+
+def _listed(words: Words) -> set[str]:
+    return {_name(entry.table) for entry in words.tables("recording")}
+
+
+def _list(
+    folder: Path, table: Mapping[str, Any], entries: Sequence[Mapping[str, Any]], order: Sequence[str] = ()
+) -> None:
+    """Name tables that are whole in `run.toml`, and in the journal."""
+    place = {name: k for k, name in enumerate(order)}
+    both = sorted([*table.get("recording", []), *entries], key=lambda entry: place.get(_name(entry), len(place)))
+    write_toml(folder / RUN_TOML, dict(table) | {"recording": both})
+    for entry in entries:
+        note(folder, "finished", recording=_name(entry), sha256=entry["sha256"], ended_early=entry.get("ended_early"))
+
+
+def _written(folder: Path, words: Words, recording: Recording) -> dict[str, Any]:
+    """Write a table of the run that `words` begin; gives its words for `run.toml`."""
     rate_hz = words.positive("rate_hz")
     entry = _entry(recording)
     info = read_recording(Words(entry, f"recording {recording.info.name!r}"), read_loops(words, rate_hz))
@@ -254,13 +328,13 @@ def _add_recording(folder: Path, recording: Recording) -> None:
         raise WrongUseError(
             f"a recording of this run is a .parquet file at {rate_hz:g} Hz", f"{info.file} at {recording.rate_hz:g} Hz"
         )
-    if info.name in {str(r.table.get("file", "")).split(".")[0] for r in words.tables("recording")}:
-        raise WrongUseError(f"{folder} already holds a recording of this name", repr(info.name), "give it another")
     path = inside(folder, info.file, "the file of a recording")
-    write_table(path, _timed(recording), {"made_by": versions(), "recording": entry, **_origin(words)})
-    entry["sha256"] = file_sha256(path)
-    write_toml(folder / RUN_TOML, dict(words.table) | {"recording": [*words.table.get("recording", []), entry]})
-    note(folder, "finished", recording=info.name, sha256=entry["sha256"], ended_early=info.ended_early)
+    return entry | {"sha256": write_table(path, _timed(recording), _about(words, entry))}
+
+
+def _about(words: Words, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What a table says of itself."""
+    return {"made_by": versions(), "recording": entry, **_origin(words)}
 
 
 def _origin(words: Words) -> dict[str, Any]:

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.errors import LoopshapeError, WrongUseError
+from loopshape.campaign import Part
+from loopshape.errors import LoopshapeError, RigError
 from loopshape.plants.arm.arm1 import Arm1
 from loopshape.rigs.effects import asked
 from loopshape.store.campaigns import read_campaign
 from loopshape.store.run_folder import read_run
+from loopshape.store.verify import verify
 
 STUDY = """
 format = "loopshape-study/1"
@@ -116,25 +118,56 @@ def test_a_campaign_that_was_killed_goes_on_to_the_same_result(campaign, alone):
 def workers_of(pid):
     """The worker processes of a campaign, which are its children."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return [int(c) for c in children if b"popen_loky" in Path(f"/proc/{c}/cmdline").read_bytes()]
+    return [int(c) for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
-@pytest.mark.parametrize("recordings", [1, 4, 9])
-def test_a_worker_that_is_killed_ends_in_a_sentence_and_the_work_goes_on(tmp_path, recordings):
-    (tmp_path / "study.toml").write_text(STUDY.replace("periods = 2", "periods = 25"))
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace("draws = 2", "draws = 3"))
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        command(tmp_path / "campaign.toml", out, "--workers", "2"), stderr=subprocess.PIPE, text=True
-    )
-    wait_for(out, recordings, process)
+def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, alone):
+    out = campaign.parent / "robbed"
+    process = subprocess.Popen(command(campaign, out, "--workers", "2"), stderr=subprocess.PIPE, text=True)
+    wait_for(out, 2, process)
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("angle*.parquet")}
     os.kill(workers_of(process.pid)[0], signal.SIGKILL)
     _, said = process.communicate(timeout=120)
-    assert process.returncode == (2 if "a worker process ended unasked" in said else 0), said
-    assert recordings > 4 or process.returncode == 2  # later the workers may have done all of their part
-    subprocess.run(command(tmp_path / "campaign.toml", out, "--workers", "2"), check=True, capture_output=True)
-    assert sum(len(read_run(toml.parent).recordings) for toml in out.glob("*/run.toml")) == 3 * 2 * 2 * 2
+    assert process.returncode == 0, said
+    assert content(out) == content(alone)
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
+def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
+    from loopshape.rigs.many import carried_out
+
+    with pytest.raises(RigError, match="a worker process ended unasked"):
+        list(carried_out(os._exit, [7], 1))
+
+
+def test_parts_that_were_recorded_apart_are_merged_to_the_same_bytes(campaign, alone):
+    out = campaign.parent / "parts"
+    at_once = [subprocess.Popen(command(campaign, out, "--part", f"{k}/3", "--workers", "1")) for k in (1, 3)]
+    assert [process.wait(timeout=120) for process in at_once] == [0, 0]
+    early = subprocess.run(command(campaign, out, "--merge"), capture_output=True, text=True, check=False)
+    assert early.returncode == 2
+    assert "parts of the campaign are missing; received part-2-of-3" in early.stderr
+    subprocess.run(command(campaign, out, "--part", "2/3", "--workers", "1"), check=True)
+    before = {path.name for path in out.glob("part-2-of-3/d*")}
+    assert 0 < len(before) < 8
+    subprocess.run(command(campaign, out, "--merge"), check=True)
+    assert content(out) == content(alone)
+    assert not list(out.glob("part-*"))
+    assert all(finding.sound is not False for toml in out.glob("*/run.toml") for finding in verify(toml.parent))
+
+
+def test_parts_that_are_not_whole_are_not_merged(campaign):
+    out = campaign.parent / "not-whole"
+    for k in (1, 2):
+        subprocess.run(command(campaign, out, "--part", f"{k}/2", "--workers", "1"), check=True)
+    toml = out / "part-2-of-2" / "d000001-x1" / "run.toml"
+    toml.write_text(toml.read_text().partition("[[recording]]")[0])
+    done = subprocess.run(command(campaign, out, "--merge"), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "d000001-x1 lacks angle-01, angle-02" in done.stderr
+    assert len(list(out.glob("part-*"))) == 2
 
 
 def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, alone):
@@ -190,9 +223,25 @@ def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
     assert asked_for.effects[0]["gas_law"] > 0.0
 
 
-def test_a_cluster_that_is_not_there_is_said(campaign):
+def test_a_cluster_that_is_not_there_is_said():
     from loopshape.rigs.many import carried_out
 
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    with pytest.raises((LoopshapeError, WrongUseError), match="no cluster answers there"):
-        list(carried_out(Arm1(), [], cluster="tcp://127.0.0.1:9"))
+    with pytest.raises(RigError, match="no cluster answers there"):
+        list(carried_out(print, [], cluster="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.parametrize("part", ["0/3", "4/3", "1", "a/b", "-1/3"])
+def test_a_part_that_a_campaign_does_not_have_is_refused(campaign, part):
+    words = command(campaign, campaign.parent / "none", "--part", part)
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "1/8 to 8/8" in done.stderr
+
+
+def test_every_recording_is_in_one_part_and_parts_are_of_one_size():
+    for count in (0, 1, 7, 1000):
+        for of in (1, 2, 3, 8):
+            parts = [Part(k, of).recordings(count) for k in range(1, of + 1)]
+            assert [number for part in parts for number in part] == list(range(count))
+            assert max(map(len, parts)) - min(map(len, parts)) <= 1

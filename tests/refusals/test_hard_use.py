@@ -229,7 +229,7 @@ def test_a_folder_that_is_no_campaigns_is_left_alone(files, tmp_path, there):
 @pytest.mark.parametrize("workers", [-1, 1000, 10**9])
 def test_workers_that_no_machine_has_are_refused(workers):
     with pytest.raises(WrongUseError, match="the number of workers"):
-        list(carried_out(Arm1(), [], workers))
+        list(carried_out(print, [], workers))
 
 
 def campaign(files, out):
@@ -257,7 +257,7 @@ def test_however_a_campaign_ends_no_process_is_left_and_nothing_finished_is_lost
     with (files / "said").open("w") as said:
         process = subprocess.Popen(campaign(files, out), stdout=said, stderr=said, start_new_session=True)
     until = time.monotonic() + 60.0
-    while len(list(out.rglob("a*.parquet"))) < 2:
+    while len(list(out.rglob("run.toml"))) < 2:  # which comes with its first recording
         assert process.poll() is None, (files / "said").read_text()
         assert time.monotonic() < until
         time.sleep(0.02)
