@@ -119,25 +119,29 @@ def _read(file: Path) -> tuple[Campaign, Path]:
 def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], output: Output) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
     from loopshape.rigs.many import carried_out
-    from loopshape.store.run_folder import adopt
+    from loopshape.store.run_folder import adopt, sweep
 
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
-    made = 0
-    with (
-        output.progress("campaign", len(wanted)) as step,
-        closing(carried_out(work, _todo(out, planned, wanted, step), *by)) as results,
-    ):
-        for job, entry in results:
-            run = _run(job.study, job.machine, planned.plant, planned.origin)
-            adopt(out / job.machine, run, [entry], planned.names)
-            made += 1
-            step(f"{job.machine} {job.planned.name}")
+    made, begun = 0, set[str]()
+    try:
+        with (
+            output.progress("campaign", len(wanted)) as step,
+            closing(carried_out(work, _todo(out, planned, wanted, step, begun), *by)) as results,
+        ):
+            for job, entry in results:
+                run = _run(job.study, job.machine, planned.plant, planned.origin)
+                adopt(out / job.machine, run, [entry], planned.names)
+                made += 1
+                step(f"{job.machine} {job.planned.name}")
+    finally:
+        for machine in begun:
+            sweep(out / machine)
     return made
 
 
-def _todo(out: Path, planned: _Planned, wanted: range, step: Any) -> Iterator[Job]:
-    """What is missing of the recordings with the numbers `wanted`; runs that are there are looked into."""
+def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str]) -> Iterator[Job]:
+    """What is missing of the recordings with the numbers `wanted`; notes of which machines."""
     from loopshape.rigs.many import Job
     from loopshape.rigs.simulated import listed
     from loopshape.store.run_folder import finished, start_run
@@ -157,6 +161,7 @@ def _todo(out: Path, planned: _Planned, wanted: range, step: Any) -> Iterator[Jo
             if one.name in have:
                 step(f"{machine.name} {one.name}")
             else:
+                begun.add(machine.name)
                 yield Job(machine.name, machine.study, one, machine.hidden)
 
 

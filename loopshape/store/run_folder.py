@@ -173,9 +173,7 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
     header = _header(run)
     make_folder(folder)
     with held(folder):
-        for left in folder.glob(f".*{PART}"):  # of a write that was killed
-            with suppress(OSError):
-                left.unlink()
+        sweep(folder)
         if has_run(folder):
             _resume(folder, header)
             return
@@ -187,6 +185,13 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
                 "choose a new or an empty folder",
             )
         write_toml(folder / RUN_TOML, header)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what writes that were killed left in a folder."""
+    for left in folder.glob(f".*{PART}"):
+        with suppress(OSError):
+            left.unlink()
 
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:

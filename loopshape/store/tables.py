@@ -250,7 +250,7 @@ def write_table(path: Path, columns: Mapping[str, Signal], about: Mapping[str, o
 
     def write(part: Path) -> None:
         with (
-            part.open("wb") as plain,
+            part.open("wb", buffering=1 << 22) as plain,
             pq.ParquetWriter(_Hashed(plain, digest.update), schema, **_packing(signals)) as file,
         ):
             for rows in stretches(*signals.values()):

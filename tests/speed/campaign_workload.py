@@ -44,3 +44,23 @@ def seconds(draws: int, workers: int) -> float:
 def per_recording(workers: int) -> float:
     """Wall time of a further recording of 100 s, start-up taken off."""
     return (seconds(RECORDINGS, workers) - seconds(2, workers)) / (RECORDINGS - 2)
+
+
+def simulation_alone() -> float:
+    """Processor time of making such a recording in memory: signals, simulation, columns."""
+    from loopshape import registry
+    from loopshape.rigs.many import Job, done
+    from loopshape.rigs.simulated import listed
+    from loopshape.store.study import read_study
+
+    with tempfile.TemporaryDirectory() as name:
+        (Path(name) / "study.toml").write_text(STUDY)
+        study = read_study(Path(name) / "study.toml")
+    plant = registry.plant(study.plant)
+    job = Job("one", study, listed(study, plant)[0], {})
+    times = []
+    for _ in range(10):
+        begun = time.process_time()
+        done(plant, job)
+        times.append(time.process_time() - begun)
+    return min(times)
