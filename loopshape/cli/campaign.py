@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from loopshape.run import Run
     from loopshape.study import Study
 
+NAMED_S = 1.0  # so long may tables that are whole wait to be named in run.toml: naming them together costs it once
+
 
 def campaign(
     file: Annotated[Path, typer.Argument(help="A campaign (TOML).", show_default=False)],
@@ -118,23 +120,39 @@ def _read(file: Path) -> tuple[Campaign, Path]:
 
 def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], output: Output) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
+    import time
+
     from loopshape.rigs.many import carried_out
     from loopshape.store.run_folder import adopt, sweep
 
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
-    made, begun = 0, set[str]()
+    begun, written, made = set[str](), dict[str, list[dict[str, Any]]](), 0
+    studies: dict[str, Study] = {}
+
+    def name_written() -> None:
+        for machine, entries in written.items():
+            run = _run(studies[machine], machine, planned.plant, planned.origin)
+            adopt(out / machine, run, entries, planned.names)
+        written.clear()
+        studies.clear()
+
     try:
         with (
             output.progress("campaign", len(wanted)) as step,
             closing(carried_out(work, _todo(out, planned, wanted, step, begun), *by)) as results,
         ):
+            last = time.monotonic()
             for job, entry in results:
-                run = _run(job.study, job.machine, planned.plant, planned.origin)
-                adopt(out / job.machine, run, [entry], planned.names)
+                written.setdefault(job.machine, []).append(entry)
+                studies[job.machine] = job.study
                 made += 1
+                if time.monotonic() - last > NAMED_S:
+                    name_written()
+                    last = time.monotonic()
                 step(f"{job.machine} {job.planned.name}")
     finally:
+        name_written()
         for machine in begun:
             sweep(out / machine)
     return made
