@@ -39,18 +39,20 @@ SEPARATE = 2.0
 PLAIN = 1.02
 #: turns over a window before the sweep passes (an answer that rings on is no noise), and what is clearly louder there
 LOUD = 2.0
-BEFORE = np.array([-6.0, -5.0, -4.0, -3.0, -2.0])
+BEFORE = np.arange(-8.0, -1.0)
+#: what Hann's taper makes of the power of noise that a quadratic's kernel weighs
+TAPERED = 2.63
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and each answer's noise (n, m)
-    just before the sweep passes."""
+    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and by how much noise is louder
+    while the sweep passes than over the record, in power (n,): 1 where that is not clear."""
 
     left: np.ndarray
     right: np.ndarray
     rational: np.ndarray
-    before: Array
+    louder: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class Transient:
 def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int) -> tuple[Chosen, Transient]:
     """Windows within [low, high] for `lines` (n,) of z (nf, 2 + m): an instrument, 1, and answers, outputs first."""
     few = lines[::EVERY]
-    transient, before, loud, separate = _reference(z, few, low, high, outputs)
+    transient, louder, loud, separate = _reference(z, few, low, high, outputs)
     left, right = _windows(few, low, high)
     M = window_moments(z, few, left, right, RATIONAL.powers)
     count, ridge = (right - left + 1).astype(float), transient.ridge(left, right)
@@ -90,7 +92,7 @@ def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
     nearest = np.minimum(np.searchsorted(0.5 * (few[1:] + few[:-1]), lines), few.size - 1)
     half = (0.5 * (right - left)[rows, taken]).astype(int)[nearest]
     middle = np.clip(lines, low + half, high - half)
-    return Chosen(middle - half, middle + half, rational[nearest], before[nearest]), transient.select(nearest)
+    return Chosen(middle - half, middle + half, rational[nearest], louder[nearest]), transient.select(nearest)
 
 
 def _windows(lines: np.ndarray, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
@@ -147,8 +149,9 @@ def _pooled(x: Array) -> Array:
 def _reference(
     z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
 ) -> tuple[Transient, Array, Array, np.ndarray]:
-    """From fits over a fixed share of the frequency: the transient, each answer's noise power (n, m) just before the
-    sweep passes, and that of what is sought (n, k), zero where it is not clearly above the whole record's."""
+    """From fits over a fixed share of the frequency: the transient, by how much noise is louder (n,) while the sweep
+    passes, what is sought's noise (n, k) there, zero where it is not clearly louder, and which lines (n,) tell a
+    transient from the response."""
     half = np.minimum(np.maximum(8, (0.1 * lines).astype(int)), (high - low) // 2)
     middle = np.clip(lines, low + half, high - half)
     left, right = middle - half, middle + half
@@ -161,23 +164,35 @@ def _reference(
     parts = zip(*(_around(z, lines, left, right, *x, outputs) for x in both), strict=True)
     better = np.all(sharp.power < PAYS * fits.power, axis=1, keepdims=True)
     before, after, power, noise = (_pooled(np.asarray(np.where(better, b, a))) for a, b in parts)
-    before = np.where((separate < SEPARATE)[:, None], before, power)
-    loud = before.sum(axis=1, keepdims=True) > LOUD * power.sum(axis=1, keepdims=True)
-    before = np.where(loud, np.maximum(before, after), before)
-    louder = before.sum(axis=1, keepdims=True) / power.sum(axis=1, keepdims=True)
-    return _expected(fits, lines, half, separate), before, np.where(loud, louder, 0.0) * noise, separate < PLAIN
+    ratio, later = before[:, 0] / power[:, 0], after[:, 0] / power[:, 0]
+    clear = (ratio > LOUD) & (separate < SEPARATE)
+    louder = np.where(clear, np.maximum(ratio, later), 1.0)
+    loud = np.where(clear, louder, 0.0)[:, None] * noise
+    return _expected(fits, lines, half, separate), louder, loud, separate < PLAIN
 
 
 def _around(
     z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, fits: Fits, shape: Shape, outputs: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Noise power of each answer (n, m) just before and after the sweep passes, and over the record."""
-    gates = np.concatenate([BEFORE, -BEFORE])
-    total, gated, _ = influences(z, lines, left, right, shape.order, fits, gates)
+    """Noise power over all answers (n, 1) just before and after the sweep passes, over the record, and of what is sought
+    (n, k)."""
+    total, gated, _ = influences(z, lines, left, right, shape.order, fits, np.concatenate([BEFORE, -BEFORE]))
     share = fits.power / np.maximum(np.einsum("nii->ni", total).real, 1e-300)
-    gated = np.abs(gated) ** 2
-    before, after = share * gated[:, : BEFORE.size].mean(axis=1), share * gated[:, BEFORE.size :].mean(axis=1)
-    return before, after, fits.power, _sought(fits, outputs)[1]
+    before, after = (
+        (share * _tapered(part)).sum(axis=1, keepdims=True)
+        for part in (gated[:, : BEFORE.size], gated[:, BEFORE.size :])
+    )
+    return before, after, fits.power.sum(axis=1, keepdims=True), _sought(fits, outputs)[1]
+
+
+def _tapered(gated: ComplexArray) -> Array:
+    """Mean power (n, m) in neighbouring gates (n, gates, m) with Hann's taper over the window's lines.
+
+    What a polynomial rounds off of a resonance stands where the sweep passes, is far above the noise there, and without
+    a taper leaks into every other gate.
+    """
+    tapered = gated[:, 1:-1] - 0.5 * (gated[:, :-2] + gated[:, 2:])
+    return np.asarray((np.abs(tapered) ** 2).mean(axis=1) / TAPERED)
 
 
 def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) -> Transient:

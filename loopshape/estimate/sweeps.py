@@ -17,7 +17,7 @@ from loopshape.estimate.answers import Answers
 from loopshape.estimate.averages import smoothed
 from loopshape.estimate.local_models import Fits, influences, solve, window_moments
 from loopshape.estimate.settings import Settings
-from loopshape.estimate.sweep_windows import HALVES, LOUD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
+from loopshape.estimate.sweep_windows import HALVES, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
 from loopshape.estimate.transforms import FLOOR, fast_length
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
@@ -157,8 +157,7 @@ def _estimated(
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
         total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
     noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
-    louder = chosen.before.sum(axis=1) / np.maximum(np.einsum("nii->n", noise).real, 1e-300)
-    louder = np.where(louder > LOUD, louder, 1.0) * gain
+    louder = chosen.louder * gain
     width = chosen.right - chosen.left + 1.0
     freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
     return response, np.asarray(noise * louder[:, None, None] + held), power, float(np.median(freedom))
