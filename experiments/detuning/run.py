@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -12,39 +12,28 @@ import numpy as np
 
 from loopshape.check.verdict import check
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit, structure_by_name
+from loopshape.fit.fit import fit
 from loopshape.fit.structures import Rational
 from loopshape.frf import FRF
 from loopshape.model import Fit
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.requirements import BlockTemplate, Requirements, Verdict
-from loopshape.rigs.simulated import header, measure
+from loopshape.requirements import Requirements, Verdict
 from loopshape.store.import_file import import_file
 from loopshape.store.requirements import read_requirements
-from loopshape.store.study import read_study
 from loopshape.tune.tune import tune
 from loopshape.units import TWO_PI
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent.parent / "examples"
+sys.path[:0] = [str(HERE.parent / "how_far"), str(HERE.parent.parent / "tests" / "truth")]
+from arm_frfs import measured, write  # noqa: E402
+from detuned_plants import ASKED, CANCELLED, polynomials  # noqa: E402
+
 COLUMNS = (
     "plant", "required_percent", "bandwidth_hz", "share", "found_percent", "low_percent", "high_percent", "notch_hz",
     "damping1", "damping2", "outcome", "seconds",
 )  # fmt: skip
-#: a structure and limits for the plant by formula
-FORMULA = Requirements(
-    "axis", sensitivity_peak_db=6.0, phase_margin_deg=40.0, gain_margin_db=5.0, unstable_poles=0,
-    structure=tuple(
-        BlockTemplate.from_table(table)
-        for table in (
-            {"kind": "gain", "gain": {"min": 0.001, "max": 10.0}},
-            {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 30.0}, "f2_hz": {"min": 10.0, "max": 200.0}},
-            {"kind": "notch", "f1_hz": {"min": 30.0, "max": 90.0}, "f2_hz": "f1_hz",
-             "damping1": {"min": 0.002, "max": 1.0}, "damping2": {"min": 0.05, "max": 5.0}},
-            {"kind": "low_pass", "order": 2, "f_hz": {"min": 50.0, "max": 500.0}, "damping": {"min": 0.4, "max": 1.2}},
-        )
-    ),
-)  # fmt: skip
+#: limits for the plant by formula
+FORMULA = replace(ASKED, gain_margin_db=5.0)
 #: what is required of each plant, 0: nothing
 BENCH_PERCENT, ARM_PERCENT = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0), (0.0, 1.0, 2.0, 3.0, 5.0)
 
@@ -52,9 +41,10 @@ BENCH_PERCENT, ARM_PERCENT = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0), (0.0, 1.0, 2.
 def main() -> None:
     """Tune both plants for rising shifts, and shift a plant under a notch that cancels its mode; two tables."""
     columns = ("tuned_for_percent", "shift_percent", "stable", "gain_margin_db", "phase_margin_deg")
-    write("cancelled.csv", (*columns, "sensitivity_peak_db", "bandwidth_hz"), cancelled())
-    bench, arm = motor_bench(), arms()
-    write("cost.csv", COLUMNS, [*cost("motor bench", *bench, BENCH_PERCENT), *cost("arm", *arm, ARM_PERCENT)])
+    write(HERE / "cancelled.csv", (*columns, "sensitivity_peak_db", "bandwidth_hz"), cancelled())
+    bench = motor_bench()
+    arm = (*measured(), read_requirements(EXAMPLES / "arm" / "requirements.toml")[0])
+    write(HERE / "cost.csv", COLUMNS, [*cost("motor bench", *bench, BENCH_PERCENT), *cost("arm", *arm, ARM_PERCENT)])
 
 
 def cost(
@@ -96,8 +86,8 @@ def cancelled() -> Iterator[tuple]:
 def by_formula(percent: float = 0.0) -> FRF:
     """k/s² (1 + 3 w²/(s² + 2 zeta w s + w²)) with a mode at 58.84 Hz of damping 0.0039, on a stretched axis."""
     f = np.concatenate([np.arange(2.0, 45.0), np.arange(45.0, 75.0, 0.05), np.geomspace(75.0, 900.0, 70)])
-    s, w = TWO_PI * 1j * f / (1.0 + 0.01 * percent), TWO_PI * 58.84
-    P = 4000.0 / s**2 * (1.0 + 3.0 * w**2 / (s**2 + 2.0 * 0.0039 * w * s + w**2))
+    num, den = polynomials(CANCELLED, (0.0,), 0.01 * percent)
+    P = np.polyval(num, TWO_PI * 1j * f) / np.polyval(den, TWO_PI * 1j * f)
     return FRF(
         frequency_hz=f, response=P[:, None, None], covariance=(1e-6 * np.abs(P) ** 2 + 0j)[:, None, None],
         trusted=np.ones(f.size, dtype=bool), inputs=("u",), outputs=("y",), method="by formula", recording="formula",
@@ -112,26 +102,6 @@ def motor_bench() -> tuple[list[FRF], list[Fit], Requirements]:
     frf = estimate_frf(run.recordings[0], run.loops[0])
     model = fit(frf, Rational(2, 4, delay=True), weighting="relative")
     return [frf], [model], read_requirements(folder / "requirements.toml")[0]
-
-
-def arms() -> tuple[list[FRF], list[Fit], Requirements]:
-    """The 24 FRFs of the arm's angle loop in the example study, their fits and requirements."""
-    folder, plant = EXAMPLES / "arm", Arm1()
-    study = read_study(folder / "identify.toml")
-    study = replace(study, experiments=tuple(e for e in study.experiments if e.excites == "theta2"))
-    loop = header(study, plant).loop("theta2")
-    frfs = [estimate_frf(recording, loop) for recording in measure(study, plant)]
-    fits = [fit(frf, structure_by_name("third_order")) for frf in frfs]
-    return frfs, fits, read_requirements(folder / "requirements.toml")[0]
-
-
-def write(name: str, columns: Sequence[str], rows: Sequence[tuple] | Iterator[tuple]) -> None:
-    """A small table, also shown."""
-    rows = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows]
-    with (HERE / name).open("w", newline="") as file:
-        csv.writer(file).writerows([columns, *rows])
-    for line in (columns, *rows):
-        print("  ".join(str(cell) for cell in line))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,17 +12,12 @@ import numpy as np
 from loopshape.check.verdict import check, loops_of
 from loopshape.draw.schedule import schedule_page
 from loopshape.draw.style import png
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit, structure_by_name
 from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import Fit
-from loopshape.plants.arm.arm1 import Arm1
 from loopshape.requirements import BlockTemplate, Requirements
-from loopshape.rigs.simulated import header, measure
 from loopshape.store.files import write_bytes_whole
 from loopshape.store.requirements import read_requirements
-from loopshape.store.study import read_study
 from loopshape.tune import bound as bound_module
 from loopshape.tune import bound_regions
 from loopshape.tune.bound import bound, excluded
@@ -33,7 +28,9 @@ from loopshape.units import TWO_PI, ComplexArray
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-EXAMPLES = ROOT / "examples" / "arm"
+sys.path.insert(0, str(HERE))
+from arm_frfs import EXAMPLES, measured, write  # noqa: E402
+
 FREE_NOTCH = {
     "kind": "notch",
     "f1_hz": {"min": 1.0, "max": 15.0},
@@ -50,17 +47,17 @@ def main() -> None:
     robust = tune(frfs, asked, fits).controller
     found = schedule(frfs, asked, robust, fits, step=print)
     columns = ("recording", "theta2_deg", "p_ab_bar", "own_hz", "robust_hz", "cost_hz", "ratio", "bound_hz")
-    write("results.csv", (*columns, "own_to_bound"), (
+    write(HERE / "results.csv", (*columns, "own_to_bound"), (
         (p.recording, *p.operating_point.values(), p.own_hz, p.robust_hz, p.cost_hz, p.ratio, p.bound_hz,
          p.own_hz / p.bound_hz)
         for p in found.points
     ))  # fmt: skip
     write_bytes_whole(ROOT / "figures" / "how_far" / "schedule.png", png(schedule_page(found)))
-    write("together.csv", ("case", "robust_hz", "bound_hz", "ratio", "bound_by", "least_alone_hz", "reached_hz", "at"),
-          cases(frfs, fits, asked))  # fmt: skip
+    columns = ("case", "robust_hz", "bound_hz", "ratio", "bound_by", "least_alone_hz", "reached_hz", "at")
+    write(HERE / "together.csv", columns, cases(frfs, fits, asked))
     loops, _ = loops_of(frfs, robust, asked, fits)
     weakest = min(found.points, key=lambda p: p.bound_hz).recording
-    write("settling.csv", ("what", "setting", "hz"), settling(loops, asked, weakest))
+    write(HERE / "settling.csv", ("what", "setting", "hz"), settling(loops, asked, weakest))
 
 
 def cases(frfs: list[FRF], fits: list[Fit], asked: Requirements) -> Iterable[tuple]:
@@ -106,24 +103,6 @@ def settling(loops: Sequence[Loop], asked: Requirements, weakest: str) -> Iterab
 def directions(sides: int) -> ComplexArray:
     """Unit vectors."""
     return np.exp(1j * TWO_PI * np.arange(sides) / sides)
-
-
-def measured() -> tuple[list[FRF], list[Fit]]:
-    """The 24 FRFs of the angle loop in the example study, and their third-order fits."""
-    study, plant = read_study(EXAMPLES / "identify.toml"), Arm1()
-    study = replace(study, experiments=tuple(e for e in study.experiments if e.excites == "theta2"))
-    loop = header(study, plant).loop("theta2")
-    frfs = [estimate_frf(recording, loop) for recording in measure(study, plant)]
-    return frfs, [fit(frf, structure_by_name("third_order")) for frf in frfs]
-
-
-def write(name: str, columns: Sequence[str], rows: Iterable[Sequence]) -> None:
-    """A small table, also shown."""
-    rows = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows]
-    with (HERE / name).open("w", newline="") as file:
-        csv.writer(file).writerows([columns, *rows])
-    for line in (columns, *rows):
-        print("  ".join(str(cell) for cell in line))
 
 
 if __name__ == "__main__":

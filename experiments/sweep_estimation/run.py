@@ -4,28 +4,26 @@ and how many errors 95 % intervals hold."""
 from __future__ import annotations
 
 import csv
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import cont2discrete, csd, freqz, lfilter
-from scipy.stats import f as f_distribution
 
 from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.experiment import LoopSetup
 from loopshape.frf import FRF
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.units import Array, ComplexArray
 
 HERE = Path(__file__).parent
-LOW, HIGH = 0.5, 80.0
-LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
+sys.path.insert(0, str(HERE.parent.parent / "tests" / "truth"))
+from swept_loop import HIGH, LOOP, LOW, measured, median_error, peer_errors, share_inside, sweep  # noqa: E402
+
 COLUMNS = (
     "ways", "spacing", "seconds", "rate_hz", "place", "drift", "records", "valid_share", "valid_octaves",
     "median_error", "best_peer_error", "over_best", "peer", "coverage",
 )  # fmt: skip
 #: length in s, rate in Hz, records of each
-LENGTHS = ((10.0, 1000.0, 4), (20.0, 1000.0, 4), (60.0, 1000.0, 2), (180.0, 1000.0, 1), (1200.0, 250.0, 1))
+LENGTHS = ((10.0, 1000.0, 16), (20.0, 1000.0, 16), (60.0, 1000.0, 8), (180.0, 1000.0, 6), (1200.0, 250.0, 3))
 
 
 def main() -> None:
@@ -69,101 +67,11 @@ def measures(place: str, n: Array, rate_hz: float, drift: float, records: int) -
     return [*(f"{x:.3g}" for x in numbers), best, f"{np.mean(inside):.3f}"]
 
 
-def loop(rate_hz: float) -> tuple[Array, Array, Array, Array]:
-    """B, A of the plant: 3 Hz lag, zeros at 10 and poles at 14 Hz of damping 0.02, two samples; D, F of a PI."""
-    a, b = TWO_PI * 10.0, TWO_PI * 14.0
-    numerator = np.polymul([1.0 / a**2, 0.04 / a, 1.0], [2.0])
-    denominator = np.polymul([1.0 / (TWO_PI * 3.0), 1.0], [1.0 / b**2, 0.04 / b, 1.0])
-    B, A, _ = cont2discrete((numerator, denominator), 1.0 / rate_hz)
-    D, F, _ = cont2discrete(([1.2 / (TWO_PI * 4.0), 1.2], [1.0 / (TWO_PI * 4.0), 0.0]), 1.0 / rate_hz, "bilinear")
-    return np.pad(np.ravel(B), (2, 0)), A, np.ravel(D), F
-
-
-def plant(f_hz: Array, rate_hz: float) -> ComplexArray:
-    """The truth."""
-    B, A, _, _ = loop(rate_hz)
-    return np.asarray(freqz(B, A, worN=TWO_PI * f_hz / rate_hz)[1])
-
-
-def sweep(seconds: float, rate_hz: float, spacing: str, both_ways: bool) -> Array:
-    """A sine of amplitude 1 from 0.5 to 80 Hz, and back if asked, without ramps."""
-    t = np.arange(round(seconds * rate_hz)) / rate_hz
-    end = 0.5 * seconds if both_ways else seconds
-
-    def cycles(x: Array) -> Array:
-        if spacing == "linear":
-            return LOW * x + 0.5 * (HIGH - LOW) * x**2 / end
-        growth = np.log(HIGH / LOW) / end
-        return np.asarray(LOW * np.expm1(growth * x) / growth)
-
-    there, back = cycles(np.minimum(t, end)), 2.0 * cycles(np.array(end)) - cycles(2.0 * end - t)
-    return np.asarray(np.sin(TWO_PI * np.where(t > end, back, there)))
-
-
-def run_loop(place: str, n: Array, v: Array, rate_hz: float) -> tuple[Array, Array]:
-    """z and y with n at `place` and v on the sensor."""
-    B, A, D, F = loop(rate_hz)
-    into = -v if place == "plant_input" else n - v
-    own, around = np.convolve(A, F), np.convolve(B, D)
-    closed = np.pad(own, (0, around.size - own.size)) + around
-    z, y = lfilter(np.convolve(D, A), closed, into), lfilter(around, closed, into) + v
-    if place == "plant_input":
-        z, y = z - lfilter(around, closed, n), y + lfilter(np.convolve(B, F), closed, n)
-    return z, y
-
-
-def measured(place: str, n: Array, rate_hz: float, seed: int, drift: float) -> Recording:
-    """A recording with noise 40 dB below the output's rms, and a drift of that rms times `drift`."""
-    clean = float(run_loop(place, n, np.zeros(n.size), rate_hz)[1].std())
-    t = np.linspace(-0.5, 0.5, n.size)
-    v = 0.01 * clean * np.random.default_rng(seed).standard_normal(n.size)
-    z, y = run_loop(place, n, v + drift * clean * (t + 0.3 * np.sin(7.0 * t)), rate_hz)
-    columns = {"z_v": z, "y_rad": y, "r_rad": np.zeros(n.size), "n_rad": n}
-    return Recording(RecordingInfo("r1.parquet", "sweep", place, excites="axis"), rate_hz, columns)
-
-
-def peer_errors(record: Recording, place: str) -> dict[str, float]:
-    """Median error of each known estimator: whole-record ratios and Welch's against the injection, and Welch's H1."""
-    n, z, y = (record.column(k) for k in ("n_rad", "z_v", "y_rad"))
-    u, rate = (z + n if place == "plant_input" else z), record.rate_hz
-    N, U, Y = (np.fft.rfft(x - x.mean()) for x in (n, u, y))
-    f, found = np.fft.rfftfreq(n.size, 1.0 / rate), {}
-    for lines in (1, 5, 15, 45, 161, 501):
-        ones = np.ones(lines)
-        P = np.convolve(Y * N.conj(), ones, "same") / np.convolve(U * N.conj(), ones, "same")
-        found[f"whole record, {lines} lines"] = median_error(f, P, rate)
-    for seconds in (1.0, 2.0, 4.0):
-        length = round(seconds * rate)
-        g, (ny, nu, uy, uu) = spectra(((n, y), (n, u), (u, y), (u, u)), rate, length)
-        found[f"Welch, injection, {seconds:g} s"] = median_error(g, ny / nu, rate)
-        found[f"Welch, H1, {seconds:g} s"] = median_error(g, uy / uu, rate)
-    return found
-
-
-def spectra(pairs: tuple[tuple[Array, Array], ...], rate_hz: float, length: int) -> tuple[Array, list[ComplexArray]]:
-    """Cross-spectra of pairs, Hann, 75 % overlap."""
-    all_of_them = [csd(a, b, rate_hz, "hann", length, 3 * length // 4) for a, b in pairs]
-    return all_of_them[0][0], [x[1] for x in all_of_them]
-
-
 def between(frf: FRF) -> tuple[Array, ComplexArray]:
     """The estimate every 0.1 Hz, by straight lines between its valid lines."""
     f, H = frf.frequency_hz[frf.trusted], frf.siso[frf.trusted]
     at = np.arange(max(LOW, f[0]), min(HIGH, f[-1]), 0.1)
     return at, np.interp(at, f, H.real) + 1j * np.interp(at, f, H.imag)
-
-
-def median_error(f_hz: Array, P: ComplexArray, rate_hz: float) -> float:
-    """Median relative error within the band."""
-    inside = (f_hz > LOW) & (f_hz < HIGH)
-    return float(np.median(np.abs(P[inside] / plant(f_hz[inside], rate_hz) - 1.0)))
-
-
-def share_inside(frf: FRF, rate_hz: float) -> float:
-    """Share of errors within 95 % of an F distribution with the stated freedom."""
-    error = np.abs(frf.siso - plant(frf.frequency_hz, rate_hz)) ** 2
-    reach = f_distribution.ppf(0.95, 2, frf.variance_freedom)
-    return float(np.mean(error < reach * frf.variance[:, 0, 0]))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,21 +11,18 @@ import numpy as np
 
 from loopshape.check.verdict import check
 from loopshape.controller import Controller
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit, structure_by_name
 from loopshape.frf import FRF
 from loopshape.model import Fit
-from loopshape.plants.arm.arm1 import Arm1
 from loopshape.plants.arm.published import angle_controller
 from loopshape.requirements import Requirements, Verdict
-from loopshape.rigs.simulated import header, measure
 from loopshape.store.requirements import read_requirements
-from loopshape.store.study import read_study
 from loopshape.tune.tune import tune
 from loopshape.units import db
 
 HERE = Path(__file__).parent
-EXAMPLES = HERE.parent.parent / "examples" / "arm"
+sys.path.insert(0, str(HERE.parent / "how_far"))
+from arm_frfs import EXAMPLES, measured, write  # noqa: E402
+
 COLUMNS = ("controller", "peak_cs_db", "lowest_bandwidth_hz", "ratio", "passes", "seconds", "blocks")
 
 
@@ -47,19 +44,7 @@ def main() -> None:
         found = tune(frfs, wished, fits)
         name = f"tuned, {factor:g} times its peak |CS|"
         rows.append(row(name, found.controller, found.verdict, base, time.perf_counter() - begun))
-    with (HERE / "results.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([COLUMNS, *rows])
-    for line in (COLUMNS, *rows):
-        print("  ".join(str(cell) for cell in line))
-
-
-def measured() -> tuple[list[FRF], list[Fit]]:
-    """The 24 FRFs of the angle loop in the example study, and their third-order fits."""
-    study, plant = read_study(EXAMPLES / "identify.toml"), Arm1()
-    study = replace(study, experiments=tuple(e for e in study.experiments if e.excites == "theta2"))
-    loop = header(study, plant).loop("theta2")
-    frfs = [estimate_frf(recording, loop) for recording in measure(study, plant)]
-    return frfs, [fit(frf, structure_by_name("third_order")) for frf in frfs]
+    write(HERE / "results.csv", COLUMNS, rows)
 
 
 def source_controller(gain: float) -> Controller:

@@ -38,7 +38,7 @@ TRIED = 4
 #: what is bent by less than this between two lines, relative to itself, counts as straight
 SEEN = 1e-3
 #: lines fitted at a time times their windows' lengths, which bounds memory
-CHUNK = 60_000
+CHUNK = 12_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +245,7 @@ def _all_lines(lines: Lines, at: np.ndarray, window: Window) -> tuple[tuple[Comp
     """Response, its noise's covariance, what a narrower window says otherwise beyond noise, cross-powers, (n, ...), and
     how many residuals the covariance rests on.
     """
-    narrow = _narrower(window, lines.R.shape[0])
+    narrow, both = _narrower(window, lines.R.shape[0]), np.concatenate([lines.X, lines.R])
     found: list[tuple[ComplexArray, ...]] = []
     independent = []
     for part in _chunks(at, window):
@@ -254,8 +254,8 @@ def _all_lines(lines: Lines, at: np.ndarray, window: Window) -> tuple[tuple[Comp
         if narrow is not None:
             apart = _apart(fit, fit_lines(lines.X, lines.R, part, lines.low, lines.high, narrow))
         rows = fit.first[:, None] + np.arange(2 * window.half + 1)
-        both = np.concatenate([lines.X, lines.R])[:, rows]
-        power = np.einsum("anw,bnw->nab", both, both.conj()) * (lines.density / rows.shape[1])
+        near = both[:, rows].transpose(1, 0, 2)
+        power = near @ near.conj().transpose(0, 2, 1) * (lines.density / rows.shape[1])
         found.append((fit.response, fit.spread, apart, power))
         independent.append(fit.independent)
     return tuple(np.concatenate(x) for x in zip(*found, strict=True)), float(np.median(independent))
@@ -272,11 +272,12 @@ def _narrower(window: Window, instruments: int) -> Window | None:
 
 def _apart(wide: LocalFit, narrow: LocalFit) -> ComplexArray:
     """d d^H less the covariance that noise gives d, the difference (n, m nr) of both fits' responses."""
-    weights = np.array(wide.weights)
+    alike = slice(0, 1) if wide.residual is None else slice(None)  # polynomials weigh all answers alike
+    weights = np.array(wide.weights[:, alike])
     n, _, _, short = narrow.weights.shape
     columns = (narrow.first - wide.first)[:, None] + np.arange(short)
     rows = np.arange(n)[:, None]
-    weights.transpose(0, 3, 1, 2)[rows, columns] -= narrow.weights.transpose(0, 3, 1, 2)
+    weights.transpose(0, 3, 1, 2)[rows, columns] -= narrow.weights[:, alike].transpose(0, 3, 1, 2)
     d = (wide.response - narrow.response).transpose(0, 2, 1).reshape(n, -1)
     return np.einsum("na,nb->nab", d, d.conj()) - wide.spread_of(weights, narrow.scatter)
 

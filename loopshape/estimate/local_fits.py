@@ -62,7 +62,7 @@ class LocalFit:
     def spread_of(self, weights: ComplexArray, scatter: ComplexArray) -> ComplexArray:
         """Covariance of other sums over the same windows: by the residuals where they are kept, else by `scatter`."""
         if self.residual is None:
-            return covariance_of(weights, scatter)
+            return covariance_of(weights[:, 0], scatter)
         n, m, nr, w = weights.shape
         moved = (weights * self.residual[:, :, None]).transpose(0, 2, 1, 3).reshape(n, nr * m, w)
         return np.asarray(moved @ moved.conj().transpose(0, 2, 1))
@@ -77,10 +77,11 @@ class LocalFit:
 
 
 def covariance_of(weights: ComplexArray, scatter: ComplexArray) -> ComplexArray:
-    """Covariance (n, m nr, m nr) of sums weights (n, m, nr, w) . V with V of power (n, m, m), alike over the window."""
-    n, m, nr, w = weights.shape
-    flat = weights.transpose(0, 2, 1, 3).reshape(n, nr * m, w)
-    return np.asarray((flat @ flat.conj().transpose(0, 2, 1)) * np.tile(scatter, (1, nr, nr)))
+    """Covariance (n, m nr, m nr) of sums weights (n, nr, w) . V with V of power (n, m, m), alike over the window."""
+    n, nr, _ = weights.shape
+    m = scatter.shape[1]
+    power = weights @ weights.conj().transpose(0, 2, 1)
+    return np.asarray((power[:, :, None, :, None] * scatter[:, None, :, None, :]).reshape(n, nr * m, nr * m))
 
 
 def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, high: int, window: Window) -> LocalFit:
@@ -92,35 +93,44 @@ def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, hig
     centre = np.clip(lines, low + half, high - half)
     rows = centre[:, None] + np.arange(-half, half + 1)
     at = (rows - lines[:, None]) / half
-    powers = np.stack([at**s for s in range(window.order + 1)], axis=-1)
-    shared = [R[a][rows][:, :, None] * powers for a in range(R.shape[0])] + [powers.astype(complex)]
+    shared = _columns(R, rows, at if (centre != lines).any() else at[:1], window)
     here = lines - centre + half
     data = X[:, rows]  # (m, n, w)
     if window.poles == 0:
-        parts = [_solve(np.concatenate(shared, axis=-1), data, R.shape[0], window, here)]
+        parts = [_solve(shared, data, R.shape[0], window, here)]
         weights = np.broadcast_to(parts[0][0][:, None], (lines.size, m, R.shape[0], rows.shape[1]))
     else:
         degrees = np.arange(1, window.poles + 1)
         denominators = [-data[i][:, :, None] * at[:, :, None] ** degrees for i in range(m)]
         parts = [
-            _solve(np.concatenate([*shared, d], axis=-1), data[i : i + 1], R.shape[0], window, here)
+            _solve(np.concatenate([shared, d], axis=-1), data[i : i + 1], R.shape[0], window, here)
             for i, d in enumerate(denominators)
         ]
         weights = np.stack([p[0] for p in parts], axis=1)
-    residual = np.concatenate([p[1] for p in parts], axis=0)
-    leverages = np.stack([p[3] for p in parts], axis=1)
+    residual = np.concatenate([p[1] for p in parts], axis=-1).transpose(0, 2, 1)  # (n, m, w)
+    leverages = np.stack([p[2] for p in parts], axis=1)
     freedom = rows.shape[1] - window.unknowns(R.shape[0])
+    n = np.arange(lines.size)
     return LocalFit(
-        response=np.einsum("niaw,inw->nia", weights, data),
+        response=(data.transpose(1, 0, 2)[:, :, None] @ weights.swapaxes(-1, -2))[:, :, 0],
         weights=weights,
         first=rows[:, 0],
-        scatter=np.einsum("inw,jnw->nij", residual, residual.conj()) / freedom,
+        scatter=residual @ residual.conj().swapaxes(-1, -2) / freedom,
         freedom=freedom,
-        left_out=np.concatenate([p[2] for p in parts], axis=1),
-        residual=np.asarray(residual.transpose(1, 0, 2) / np.sqrt(1.0 - leverages), dtype=complex)
-        if window.poles
-        else None,
+        left_out=residual[n, :, here] / (1.0 - leverages[n, :, here if window.poles else 0]),
+        residual=np.asarray(residual / np.sqrt(1.0 - leverages), dtype=complex) if window.poles else None,
     )
+
+
+def _columns(R: ComplexArray, rows: np.ndarray, at: Array, window: Window) -> ComplexArray:
+    """Columns (n, w, p) of the polynomials of every instrument (nr, nf) and of the transient; `at` (n or 1, w)."""
+    terms = window.order + 1
+    powers = np.cumprod(np.stack([np.ones_like(at), *[at] * window.order], axis=-1), axis=-1)
+    out = np.empty((*rows.shape, (R.shape[0] + 1) * terms), dtype=complex)
+    for a in range(R.shape[0]):
+        np.multiply(R[a][rows][:, :, None], powers, out=out[:, :, a * terms : (a + 1) * terms])
+    out[:, :, -terms:] = powers
+    return out
 
 
 def predicted(
@@ -163,22 +173,52 @@ def _leverage(fits: Fits, tops: np.ndarray, here: ComplexArray) -> Array:
 
 def _solve(
     A: ComplexArray, data: ComplexArray, instruments: int, window: Window, here: np.ndarray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, Array]:
-    """Weights (n, nr, w) of the responses, residuals (m, n, w), left-out residuals (n, m) at the line itself, and
-    leverages (n, w)."""
-    Q, triangle = _qr(A)
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """Weights (n, nr, w) of the responses, residuals (n, w, m), and leverages: (n, w), or (n, 1) those of the line
+    itself where there is no denominator."""
     tops = [a * (window.order + 1) for a in range(instruments)]
+    stacked, inverse = data.transpose(1, 2, 0), _inverse(A)
+    wanted = slice(None) if window.poles else here[:, None]
+    if inverse is None:
+        return _by_reflections(A, stacked, tops, wanted)
+    adjoint = A.conj().transpose(0, 2, 1)
+    residual = stacked - A @ (inverse @ (adjoint @ stacked))
+    own = A[np.arange(here.size)[:, None], wanted] if window.poles == 0 else A
+    leverage = np.einsum("nwp,nwp->nw", own @ inverse, own.conj()).real
+    return inverse[:, tops] @ adjoint, residual, np.minimum(leverage, 1.0 - 1e-9)
+
+
+#: a column of which this share or less is its own makes normal equations lose half their digits
+OWN = 1e-2
+
+
+def _inverse(A: ComplexArray) -> ComplexArray | None:
+    """Inverses (n, p, p) of A^H A for A (n, w, p), None where a column of one of them is nearly the others' sum."""
+    G = A.conj().transpose(0, 2, 1) @ A
+    size = np.sqrt(np.maximum(np.einsum("npp->np", G).real, TINY))
+    try:
+        root = np.linalg.cholesky(G / (size[:, :, None] * size[:, None, :]))
+    except np.linalg.LinAlgError:
+        return None
+    if np.einsum("npp->np", root).real.min() < OWN:
+        return None
+    inverse = np.linalg.inv(root) / size[:, None, :]
+    return np.asarray(inverse.conj().transpose(0, 2, 1) @ inverse)
+
+
+def _by_reflections(
+    A: ComplexArray, stacked: ComplexArray, tops: list[int], wanted: slice | np.ndarray
+) -> tuple[ComplexArray, ComplexArray, Array]:
+    """`_solve` where columns nearly depend on each other."""
+    Q, triangle = _qr(A)
     adjoint = Q.conj().transpose(0, 2, 1)
     try:
         weights = np.linalg.inv(triangle)[:, tops] @ adjoint
     except np.linalg.LinAlgError:
         weights = np.linalg.pinv(triangle)[:, tops] @ adjoint
-    stacked = data.transpose(1, 2, 0)  # (n, w, m)
-    residual = stacked - Q @ (adjoint @ stacked)
-    n = np.arange(here.size)
     leverage = np.minimum((np.abs(Q) ** 2).sum(-1), 1.0 - 1e-9)
-    left_out = residual[n, here] / (1.0 - leverage[n, here])[:, None]
-    return weights, residual.transpose(2, 0, 1), left_out, leverage
+    own = leverage if isinstance(wanted, slice) else np.take_along_axis(leverage, wanted, axis=1)
+    return weights, stacked - Q @ (adjoint @ stacked), own
 
 
 def _qr(A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

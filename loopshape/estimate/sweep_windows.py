@@ -46,8 +46,8 @@ TAPERED = 2.63
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and by how much noise is louder
-    while the sweep passes than over the record, in power (n,): 1 where that is not clear."""
+    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and by how much in power noise
+    is louder while the sweep passes than over the record (n,): 1 where that is not clear."""
 
     left: np.ndarray
     right: np.ndarray
@@ -174,8 +174,8 @@ def _reference(
 def _around(
     z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, fits: Fits, shape: Shape, outputs: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Noise power over all answers (n, 1) just before and after the sweep passes, over the record, and of what is sought
-    (n, k)."""
+    """Noise power over all answers (n, 1) just before and after the sweep passes, over the record, and of what is
+    sought (n, k)."""
     total, gated, _ = influences(z, lines, left, right, shape.order, fits, np.concatenate([BEFORE, -BEFORE]))
     share = fits.power / np.maximum(np.einsum("nii->ni", total).real, 1e-300)
     before, after = (

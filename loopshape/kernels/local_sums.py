@@ -12,7 +12,7 @@ import numpy as np
 from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.kernels.types import Array, ComplexArray
 
-#: from so many lines on a window's leverages are small, and their mean is taken for each
+#: beyond so many lines a window's leverages are small, and their mean is taken for each
 NARROW = 100
 
 
@@ -81,53 +81,20 @@ def influence(
     the window, which is the same window some time earlier or later; into `effective` (n,) how many residuals that is.
     """
     rows, q, m = theta.shape
-    poles, terms = denominator.shape[1] - 1, order + 1
     b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
-    residual, moved = np.empty(m, dtype=np.complex128), np.empty(m, dtype=np.complex128)
-    change = np.empty(max(poles, 1), dtype=np.complex128)
+    moved = np.empty(m, dtype=np.complex128)
+    change = np.empty(denominator.shape[1], dtype=np.complex128)
     turns, cycles = np.empty(gates.size, dtype=np.complex128), np.empty(gates.size, dtype=np.complex128)
     for i in range(rows):
-        scale = 2.0 / (right[i] - left[i])
-        turns[:] = np.exp(2j * np.pi * gates / (right[i] - left[i] + 1))
+        width = right[i] - left[i] + 1
+        turns[:] = np.exp(2j * np.pi * gates / width)
         cycles[:] = 1.0
         second, fourth = 0.0, 0.0
         for j in range(left[i], right[i] + 1):
-            t = (j - lines[i]) * scale
-            power = 1.0
-            for s in range(terms):
-                b[s], b[terms + s] = z[j, 0] * power, power
-                power *= t
-            leverage = 0.0
-            for k in range(q if right[i] - left[i] < NARROW else 1):
-                a[k] = 0.0
-                for n in range(q):
-                    a[k] += inverse[i, k, n] * np.conj(b[n])
-                leverage += (b[k] * a[k]).real
-            if right[i] - left[i] >= NARROW:
-                leverage = q / (right[i] - left[i] + 1.0)
-            root = 1.0 / np.sqrt(max(1.0 - leverage, 1e-3))
-            change[:] = 0.0
-            for x in range(m):
-                value, power = 0.0j, 1.0
-                for p in range(poles + 1):
-                    value += denominator[i, p] * power
-                    power *= t
-                value *= z[j, 2 + x]
-                for k in range(q):
-                    value -= b[k] * theta[i, k, x]
-                residual[x] = value * root
-                power = 1.0
-                for p in range(poles):
-                    power *= t
-                    across = z[j, 2 + x] * power
-                    for k in range(q):
-                        across -= b[k] * bends[i, p, k, x]
-                    for n in range(poles):
-                        change[n] += pull[i, n, p, x] * np.conj(across) * residual[x]
-            for x in range(m):
-                moved[x] = a[0] * residual[x]
-                for p in range(poles):
-                    moved[x] += bends[i, p, 0, x] * change[p]
+            t = (j - lines[i]) * 2.0 / (width - 1)
+            _columns(z[j, 0], t, order + 1, b)
+            root = 1.0 / np.sqrt(max(1.0 - _leverage(inverse[i], b, width, a), 1e-3))
+            _moved(z[j], t, root, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
             for x in range(m):
                 for y in range(m):
                     total[i, x, y] += moved[x] * np.conj(moved[y])
@@ -139,3 +106,63 @@ def influence(
             second += weight
             fourth += weight * weight
         effective[i] = second * second / fourth
+
+
+@compiled_in_line
+def _columns(instrument: complex, t: float, terms: int, b: ComplexArray) -> None:
+    """What a line's equations multiply: powers of t times the instrument, then powers of t, into b (2 terms,)."""
+    power = 1.0
+    for s in range(terms):
+        b[s], b[terms + s] = instrument * power, power
+        power *= t
+
+
+@compiled_in_line
+def _leverage(inverse: ComplexArray, b: ComplexArray, width: int, a: ComplexArray) -> float:
+    """A line's leverage, and into a (q,) what coefficients answer to its residual: all in narrow windows, else N(0)."""
+    q = b.size
+    leverage = 0.0
+    for k in range(q if width <= NARROW else 1):
+        a[k] = 0.0
+        for n in range(q):
+            a[k] += inverse[k, n] * np.conj(b[n])
+        leverage += (b[k] * a[k]).real
+    return leverage if width <= NARROW else q / width
+
+
+@compiled_in_line
+def _moved(
+    z: ComplexArray,
+    t: float,
+    root: float,
+    b: ComplexArray,
+    a: ComplexArray,
+    theta: ComplexArray,
+    denominator: ComplexArray,
+    bends: ComplexArray,
+    pull: ComplexArray,
+    change: ComplexArray,
+    moved: ComplexArray,
+) -> None:
+    """What a line's residuals, times `root`, move each response by, into moved (m,): directly and by the denominator."""
+    q, poles = b.size, denominator.size - 1
+    change[:] = 0.0
+    for x in range(moved.size):
+        value, power = z[2 + x] * denominator[0], 1.0
+        for p in range(poles):
+            power *= t
+            value += z[2 + x] * denominator[p + 1] * power
+        for k in range(q):
+            value -= b[k] * theta[k, x]
+        residual, power = value * root, 1.0
+        moved[x] = a[0] * residual
+        for p in range(poles):
+            power *= t
+            across = z[2 + x] * power
+            for k in range(q):
+                across -= b[k] * bends[p, k, x]
+            for n in range(poles):
+                change[n] += pull[n, p, x] * np.conj(across) * residual
+    for x in range(moved.size):
+        for p in range(poles):
+            moved[x] += bends[p, 0, x] * change[p]

@@ -10,6 +10,7 @@ import numpy as np
 
 from loopshape.controller import Block, Controller
 from loopshape.frf import FRF
+from loopshape.requirements import BlockTemplate, Requirements
 
 RATE_HZ = 20000.0
 TWO_PI = 2.0 * np.pi
@@ -28,7 +29,22 @@ class Mode:
 
 #: a mode of little damping beyond a double integrator, and what is added to it: (1 + sum of modes)/s² k
 BENCH = (Mode(58.84, 0.0039, 0.6),)
+CANCELLED = (Mode(58.84, 0.0039, 3.0),)
 TWO_MODES = (Mode(58.84, 0.0039, 0.6), Mode(140.0, 0.01, -0.05))
+#: a structure that may cancel the mode, and limits of its loop
+ASKED = Requirements(
+    "axis", sensitivity_peak_db=6.0, phase_margin_deg=40.0, unstable_poles=0,
+    structure=tuple(
+        BlockTemplate.from_table(table)
+        for table in (
+            {"kind": "gain", "gain": {"min": 0.001, "max": 10.0}},
+            {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 30.0}, "f2_hz": {"min": 10.0, "max": 200.0}},
+            {"kind": "notch", "f1_hz": {"min": 30.0, "max": 90.0}, "f2_hz": "f1_hz",
+             "damping1": {"min": 0.002, "max": 1.0}, "damping2": {"min": 0.05, "max": 5.0}},
+            {"kind": "low_pass", "order": 2, "f_hz": {"min": 50.0, "max": 500.0}, "damping": {"min": 0.4, "max": 1.2}},
+        )
+    ),
+)  # fmt: skip
 
 
 def polynomials(modes, shifts, whole=0.0, k=4000.0):
