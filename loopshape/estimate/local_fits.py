@@ -117,7 +117,7 @@ def fit_lines(X: ComplexArray, R: ComplexArray, lines: np.ndarray, low: int, hig
         first=rows[:, 0],
         scatter=residual @ residual.conj().swapaxes(-1, -2) / freedom,
         freedom=freedom,
-        left_out=residual[n, :, here] / (1.0 - leverages[n, :, here if window.poles else 0]),
+        left_out=np.asarray(residual[n, :, here] / (1.0 - leverages[n, :, here if window.poles else 0]), dtype=complex),
         residual=np.asarray(residual / np.sqrt(1.0 - leverages), dtype=complex) if window.poles else None,
     )
 

@@ -144,7 +144,7 @@ def _moved(
     change: ComplexArray,
     moved: ComplexArray,
 ) -> None:
-    """What a line's residuals, times `root`, move each response by, into moved (m,): directly and by the denominator."""
+    """What a line's residuals times `root` move each response by, into moved (m,): directly and by the denominator."""
     q, poles = b.size, denominator.size - 1
     change[:] = 0.0
     for x in range(moved.size):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled
+from loopshape.kernels.compiled import compiled, compiled_in_line
 from loopshape.kernels.types import Array, ComplexArray, Sliced
 
 
@@ -117,6 +117,12 @@ def _means(part: Array, segments: Array, step: int) -> Array:
     return np.asarray(np.convolve(shared, np.full(length // step, 1.0 / length), "valid"))
 
 
+@compiled_in_line
+def _product(x: complex, y: complex) -> complex:
+    """x y*."""
+    return complex(x.real * y.real + x.imag * y.imag, x.imag * y.real - x.real * y.imag)
+
+
 @compiled
 def add_products(block: ComplexArray, weigh: int, total: ComplexArray, weighted: ComplexArray, squares: Array) -> None:
     """Add x x^H of `block` (s, k, nf) to `total` (s, s, nf), upper triangle; weighted by |x[weigh]|² too if asked."""
@@ -126,13 +132,18 @@ def add_products(block: ComplexArray, weigh: int, total: ComplexArray, weighted:
         for a in range(signals):
             for b in range(a, signals):
                 into = total[a, b, low:high]
-                for k in range(segments):
-                    x, y = block[a, k, low:high], block[b, k, low:high]
+                for k in range(0, segments - 3, 4):  # four at a time: half as many loads and stores
+                    x0, y0 = block[a, k, low:high], block[b, k, low:high]
+                    x1, y1 = block[a, k + 1, low:high], block[b, k + 1, low:high]
+                    x2, y2 = block[a, k + 2, low:high], block[b, k + 2, low:high]
+                    x3, y3 = block[a, k + 3, low:high], block[b, k + 3, low:high]
                     for f in range(high - low):
-                        into[f] += complex(
-                            x[f].real * y[f].real + x[f].imag * y[f].imag,
-                            x[f].imag * y[f].real - x[f].real * y[f].imag,
-                        )
+                        two = _product(x0[f], y0[f]) + _product(x1[f], y1[f])
+                        into[f] += two + (_product(x2[f], y2[f]) + _product(x3[f], y3[f]))
+                for k in range(segments - segments % 4, segments):
+                    x0, y0 = block[a, k, low:high], block[b, k, low:high]
+                    for f in range(high - low):
+                        into[f] += _product(x0[f], y0[f])
     if weigh < 0:
         return
     for k in range(segments):
