@@ -1,4 +1,4 @@
-"""Curves over frequency: trusted lines drawn, untrusted ones hinted at, axes that read well."""
+"""Curves over frequency: the valid band drawn, the rest hinted at, axes that read well."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ UNTRUSTED = "untrusted"  # mark of the faint dots
 
 
 def unwrapped_deg(response: ComplexArray, trusted: np.ndarray | None = None) -> Array:
-    """Phase (nf,) in degrees, continuous over the trusted lines, the first of them in (-270, 90].
+    """Phase (nf,) in degrees, continuous over the valid band, the first of them in (-270, 90].
 
     That branch lets a plant with an integrator start at -90 and go down. Untrusted lines take the branch
-    nearest to the trusted phase around them, so noise there cannot shift the rest by a turn.
+    nearest to the valid phase around them, so noise there cannot shift the rest by a turn.
     """
     raw = deg(np.angle(response))
     use = np.ones(raw.size, dtype=bool) if trusted is None or not np.any(trusted) else np.asarray(trusted, dtype=bool)
@@ -86,7 +86,7 @@ def hide_inner(*axes: Axes) -> None:
 
 
 def shown_band_hz(*frfs: FRF) -> tuple[float, float]:
-    """Band to show: all trusted bands, and the lines within a factor 1.6 around them."""
+    """Band to show: all valid bands, and the frequencies within a factor 1.6 around them."""
     low, high = frfs[0].frequency_hz[[0, -1]]
     bands = np.array([frf.trusted_band_hz for frf in frfs])
     positive = min(float(frf.frequency_hz[frf.frequency_hz > 0.0][0]) for frf in frfs)

@@ -79,7 +79,7 @@ def deviations(frf: FRF, *, ax: Axes) -> Axes:
 
 @styled()
 def phase(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
-    """Phase in degrees of a 1 x 1 FRF, continuous, its first trusted line in (-270, 90]."""
+    """Phase in degrees of a 1 x 1 FRF, continuous, its first valid frequency in (-270, 90]."""
     ax = axes_or_new(ax)
     draw_trusted(
         ax, frf.frequency_hz, unwrapped_deg(frf.siso, frf.trusted), frf.trusted, **({"color": COLOURS[0]} | look)
@@ -151,7 +151,7 @@ def _absent(ax: Axes, text: str) -> None:
 
 @styled()
 def shade_band(frf: FRF, *, ax: Axes) -> Axes:
-    """Shade from the lowest to the highest trusted line; nothing where no line is trusted."""
+    """Shade the valid band, from its lowest to its highest frequency; nothing where it is empty."""
     low, high = frf.trusted_band_hz
     if np.isfinite(low):
         ax.axvspan(low, high, **_SHADE)
@@ -181,7 +181,7 @@ def _beside(phase_deg: Array, f_hz: Array, frf: FRF) -> Array:
 def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
     """One FRF on a page: magnitude and phase at the left, power spectra and coherence at the right.
 
-    The layout is that of figure 4.12 of van den Brink, DCT 2007.002; the trusted band is shaded.
+    The layout is that of figure 4.12 of van den Brink, DCT 2007.002; the valid band is shaded.
     """
     figure = new_figure(2, 2, (FULL_WIDTH_IN, 4.9), sharex=True)
     a, c, b, d = figure.axes

@@ -1,4 +1,4 @@
-"""How far a gap shrinks: before and after for each path, over the floor that noise and ordinary spread leave."""
+"""How far a gap shrinks: before and after for each path, relative to noise and manufacturing tolerance."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rms(values: Iterable[float | None]) -> float | None:
 
 @styled()
 def distances(report: GapReport, *, ax: Axes | None = None) -> Axes:
-    """For each path the rms over its floor: nominal, with the effect (arrow), with the rival; the floor is 1.
+    """For each path the rms relative to its noise floor: nominal, with the effect (arrow), with the rival.
 
     Large marks are the rms over recordings, small ones each recording.
     """
@@ -53,7 +53,12 @@ def distances(report: GapReport, *, ax: Axes | None = None) -> Axes:
         path: [s for s in rows if s.path == path] for path in dict.fromkeys(s.path for s in rows)
     }
     ax.axvline(
-        1.0, color="0.25", linewidth=1.0, linestyle=(0, (4, 2)), gid="floor", label="floor: noise, ordinary spread"
+        1.0,
+        color="0.25",
+        linewidth=1.0,
+        linestyle=(0, (4, 2)),
+        gid="floor",
+        label="noise floor, manufacturing tolerance",
     )
     for k, mine in enumerate(groups.values()):
         _dumbbell(ax, float(k), mine, small=k > 0, named=report if k == 0 else None)
@@ -109,4 +114,4 @@ def _distance_axes(ax: Axes, names: Sequence[str], rows: Sequence[Submodel]) -> 
     ax.tick_params(axis="y", length=0.0)
     ax.axhline(0.5, color="0.6", linewidth=0.6)
     ax.grid(visible=False, axis="y")
-    ax.set_xlabel("measured − simulated, rms over floor")
+    ax.set_xlabel("measured − simulated, rms relative to the noise floor")

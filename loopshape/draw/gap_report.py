@@ -61,11 +61,11 @@ def balanced(sentence: str) -> str:
 
 
 def _distance(report: GapReport) -> str:
-    """The held-out gap in floors."""
+    """The held-out gap relative to the noise floor."""
     if report.gap is None:
         return "fitted recordings, none held out"
     after = f" to {report.gap.after:.1f}" if any(s.after is not None for s in compared(report)) else ""
-    return f"held-out gap {report.gap.before:.1f}{after} floors"
+    return f"held-out gap {report.gap.before:.1f}{after} × noise floor"
 
 
 def _headed(ax: Axes, letter: str, word: str, rest: str) -> None:

@@ -30,7 +30,7 @@ from loopshape.requirements import Requirements, Verdict
 def loop_page(loops: Sequence[Loop], requirements: Requirements | None, *, verdict: Verdict | None = None) -> Figure:
     """Plant, controller, open loop with their phases, |S| and |T| with limits; as figure 5.3 of DCT 2007.002.
 
-    The worst operating point is thick and has its 95 % bands. The wished bandwidth is a red line; with a verdict the
+    The worst operating point is thick and has its 95 % bands. The required bandwidth is a red line; with a verdict the
     span of the bandwidths found is shaded. Of one loop `bode_page` shows more.
     """
     needs_loops(loops)

@@ -105,7 +105,7 @@ def _share(above: np.ndarray, below: np.ndarray) -> None:
 def matrix_overview(frf: FRF) -> Figure:
     """Magnitudes of many elements as maps, one for each input: frequency across, outputs down, colour in dB.
 
-    Each output has its own unit; what is within its 95 % interval of zero, or not trusted, is left white. Phase is
+    Each output has its own unit; what is within its 95 % interval of zero, or outside the valid band, is white. Phase is
     not shown.
     """
     ny, nu = frf.response.shape[1:]
@@ -133,12 +133,13 @@ def matrix_overview(frf: FRF) -> Figure:
     label = decibel("|P|", units.pop()) if len(units) == 1 else "|P| [dB re each element's unit]"
     if mesh is not None:
         figure.colorbar(mesh, ax=figure.axes[:nu], label=label, fraction=0.04, pad=0.02)
-    head(figure, _title(frf), point(frf.operating_point), frf.method, "white: within 95 % of zero, or not trusted")
+    white = "white: within 95 % of zero, or outside the valid band"
+    head(figure, _title(frf), point(frf.operating_point), frf.method, white)
     return figure
 
 
 def _known_db(frf: FRF) -> Array:
-    """Magnitude in dB (nf, ny, nu), nan where it may be zero or is not trusted."""
+    """Magnitude in dB (nf, ny, nu), nan where it may be zero or outside the valid band."""
     known = (np.abs(frf.response) > _KNOWN * np.sqrt(frf.variance)) & frf.trusted[:, None, None]
     return np.where(known, db(np.where(known, frf.response, 1.0)), np.nan)
 

@@ -57,7 +57,7 @@ class _Curve:
 def nichols(
     loops: Sequence[Loop], requirements: Requirements | None, *, verdict: Verdict | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Open loops, phase against magnitude, with the region that |S|'s limit forbids and the margins wished.
+    """Open loops, phase against magnitude, with the region that |S|'s limit forbids and the required margins.
 
     Curves of a stable loop keep the critical point (-180 degrees, 0 dB) and its repeats on their left as frequency
     rises. Grey contours are of constant |S| (solid) and |T| (dashed). The worst operating point is thick and named, by

@@ -1,4 +1,4 @@
-"""What a Nichols chart holds curves against: contours of |S| and |T|, what is forbidden, the margins wished."""
+"""What a Nichols chart holds curves against: contours of |S| and |T|, what is forbidden, the required margins."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _label(ax: Axes, x: float, y: float, text: str) -> None:
 
 
 def forbidden(ax: Axes, crowd: Crowd, wished: Requirements, closest: float | None) -> None:
-    """The regions that limits of |S| and |T| forbid, and crosses of the margins wished, at every critical point."""
+    """The regions that limits of |S| and |T| forbid, and crosses of the required margins, at every critical point."""
     t_limit = wished.complementary_peak_db
     for shift in turns(*ax.get_xlim()):
         if closest is not None:
@@ -95,7 +95,7 @@ def _shifted(open_loop: ComplexArray, shift_deg: float) -> tuple[Array, Array]:
 
 
 def _cross(ax: Axes, wished: Requirements, phase_deg: float) -> None:
-    """Margins wished as a cross at a critical point: left and right the phase, down the gain, up its reduction."""
+    """Required margins as a cross at a critical point: left and right the phase, down the gain, up its reduction."""
     style: dict[str, Any] = {"color": LIMIT, "linewidth": 1.8, "solid_capstyle": "butt", "zorder": 2.6}
     free: dict[str, Any] = {"scalex": False, "scaley": False}
     pm, gm, up = wished.phase_margin_deg, wished.gain_margin_db, wished.gain_reduction_margin_db
@@ -118,7 +118,7 @@ def _cross_text(wished: Requirements) -> str:
 
 
 def centre_marks(ax: Axes) -> None:
-    """Critical points alone, where nothing is wished."""
+    """Critical points alone, where nothing is required."""
     for shift in turns(*ax.get_xlim()):
         style: dict[str, Any] = {"color": "black", "markersize": 7.0, "zorder": 2.7, "gid": "critical point"}
         ax.plot([shift - 180.0], [0.0], "+", scalex=False, scaley=False, **style)

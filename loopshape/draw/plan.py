@@ -15,7 +15,7 @@ from loopshape.estimate.plan_nouns import Plan
 
 @styled()
 def accuracy(plan: Plan, *, ax: Axes | None = None) -> Axes:
-    """Relative std of |G| in percent: of the first record, predicted for the plan's lines, wished; the crossover."""
+    """Relative std of |G| in percent: of the first record, predicted for the plan, required; the crossover."""
     ax = axes_or_new(ax)
     ax.plot(
         plan.before_hz, 100.0 * plan.before_std, color=QUIET, linewidth=0.9, label=f"first record: {plan.recording}"
@@ -28,7 +28,7 @@ def accuracy(plan: Plan, *, ax: Axes | None = None) -> Axes:
             plan.lines_hz, floor, color=COLOURS[1], linewidth=0.9, linestyle=":",
             label="of which distortion", gid="floor",
         )  # fmt: skip
-    ax.axhline(100.0 * plan.wish.std, color=LIMIT, linewidth=1.0, linestyle="--", label="wished", gid="wish")
+    ax.axhline(100.0 * plan.wish.std, color=LIMIT, linewidth=1.0, linestyle="--", label="required", gid="wish")
     crossover_line(plan, ax)
     _percent_axis(ax)
     frequency_axis(ax, *_band(plan))

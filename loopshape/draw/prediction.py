@@ -105,7 +105,7 @@ def comparison_grid(
     _legend(figure, [("predicted, 95 %", _PREDICTED), ("measured, 95 %", _MEASURED)])
     held = sum(c.outcome == "held" for c in comparisons)
     head(
-        figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {held} of {len(comparisons)} predictions held",
+        figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {held} of {len(comparisons)} confirmed",
         f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
         " shaded: the band that contradicts most",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Pictures of a verdict: what each operating point has, against what is wished."""
+"""Pictures of a verdict: what each operating point has, against what is required."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _span(found: Array, ends: Array, wished: float) -> tuple[float, float]:
 
 @styled()
 def margins_map(verdict: Verdict) -> Figure:
-    """Every wished quantity of a verdict over the recordings, one panel each."""
+    """Every required quantity of a verdict over the recordings, one panel each."""
     rows = max(len(verdict.lines), 1)
     figure = new_figure(rows, 1, (FULL_WIDTH_IN, 1.1 + 1.35 * rows), sharex=True)
     for ax, line in zip(figure.axes, verdict.lines, strict=False):

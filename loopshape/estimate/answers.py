@@ -53,10 +53,10 @@ DROWNED = 0.3
 
 @dataclass(frozen=True, eq=False)
 class PlantEstimate:
-    """P (nf, ny, nu), covariance of its vec, noise's part of it or None, and where it drowns.
+    """P (nf, ny, nu), covariance of its vec, noise's part of it or None, and where loop noise exceeds the excitation.
 
     `drowned` (nf,) is the relative deviation of what the plant inputs answer to the instruments. The covariance holds
-    to first order in it; towards 1 the instrument drowns in noise that goes round the loop, P becomes -1/C, and no
+    to first order in it; towards 1 loop noise exceeds the excitation, P becomes -1/C, and no
     residual shows it.
     """
 

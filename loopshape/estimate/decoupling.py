@@ -17,13 +17,13 @@ from loopshape.units import db, from_db
 
 Bands = Sequence[tuple[float, float]]
 
-#: ratio of frequencies over which no trusted line leaves a hole in a band
+#: ratio of frequencies over which no valid frequency leaves a hole in a band
 HOLE = 1.1
 _MORE = np.geomspace(1.1, 1000.0, 40)  # times the averages that are tried
 
 
 def octaves(frf: FRF) -> tuple[tuple[float, float], ...]:
-    """Octaves between whole powers of two Hz, cut to the trusted band; refuses a FRF without trusted lines."""
+    """Octaves between whole powers of two Hz, cut to the valid band; refuses a FRF without one."""
     low, high = frf.trusted_lines().trusted_band_hz
     whole = 2.0 ** np.arange(np.floor(np.log2(low)) + 1.0, np.ceil(np.log2(high)))
     edges = [low, *whole[(whole > low) & (whole < high)].tolist(), high]
@@ -33,7 +33,7 @@ def octaves(frf: FRF) -> tuple[tuple[float, float], ...]:
 def band_verdicts(pair: LoopPair, loops: tuple[str, str], limit_db: float, bands: Bands) -> tuple[BandVerdict, ...]:
     """A verdict on each closed band in Hz; refuses bands that do not rise.
 
-    decoupled: every trusted line's upper 95 % bound is below the limit. That all must pass makes the test stricter,
+    decoupled: every valid frequency's upper 95 % bound is below the limit. That all must pass makes the test stricter,
     not looser, so no correction is needed. coupled: some line's lower bound is above it, with the probability 2.5 %
     beyond it shared by all n lines, 1 - 0.975^(1/n) each (Sidak): chance alone then finds one in 2.5 % of bands.
     n is not divided by `line_overlap`: the largest of n errors that overlap by two lines is hardly smaller than of n
@@ -99,7 +99,7 @@ def _more_averages(pair: LoopPair, lines: np.ndarray, limit: float) -> float:
 
 
 def _hole(pair: LoopPair, lines: np.ndarray, band: tuple[float, float]) -> tuple[float, float] | None:
-    """Widest stretch (by ratio) of a band that trusted lines leave out; None where neighbours follow each other."""
+    """Widest stretch (by ratio) of a band that valid frequencies leave out; None where neighbours follow each other."""
     f, last = pair.frequency_hz, pair.frequency_hz.size - 1
     gaps = [(float(f[a]), float(f[b])) for a, b in pairwise(lines) if b > a + 1]
     first, end = int(lines[0]), int(lines[-1])

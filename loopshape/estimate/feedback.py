@@ -87,7 +87,7 @@ def controller_note(frequency_hz: Array, lines: np.ndarray) -> tuple[str, ...]:
         return ()
     f = frequency_hz[lines]
     return (
-        f"on {f.size} of {frequency_hz.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, the direct estimate is -1/C of the"
-        " loop's own controller within its uncertainty, or biased towards it by more than 10 %: these lines are outside"
-        " the valid band; use the reference estimator, or excite more",
+        f"at {f.size} of {frequency_hz.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, the direct estimate is -1/C of"
+        " the loop's own controller within its uncertainty, or biased towards it by more than 10 %: these"
+        " frequencies are outside the valid band; use the reference estimator, or excite more",
     )

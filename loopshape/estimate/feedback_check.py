@@ -211,7 +211,7 @@ def _orthonormal(columns: Array) -> Array:
 def _nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, foretold: bool) -> FeedbackCheck:
     """The answer where an input holds nothing that noise could have put there, or an output no noise."""
     who, told = name or "the input", periodic and foretold
-    words = f"{who} is foretold by its own past: the record cannot tell whether it answers noise of its output"
+    words = f"{who} is predictable from its own past: the record cannot tell whether it answers noise of its output"
     if told:
         words = f"{who} repeats exactly from period to period: it does not answer noise of its output"
     elif not foretold:

@@ -1,4 +1,4 @@
-"""Run or recording -> FRF of a loop, with variance, coherence, spectra and trusted lines."""
+"""Run or recording -> FRF of a loop, with variance, coherence, spectra and valid band."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def excited_recordings(run: Run) -> list[Recording]:
 
 
 def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FRF:
-    """FRF (1 x 1) from what enters the plant to the loop's output, with variance and trusted lines.
+    """FRF (1 x 1) from what enters the plant to the loop's output, with variance and valid band.
 
     The reference-based estimator H = Phi_yn/Phi_un is consistent in closed loop; with n in front of the
     controller it is the source's -(Phi_e1n)/(C Phi_e2n) (4.9, H.6). `direct` takes Phi_yu/Phi_uu, which
@@ -202,19 +202,19 @@ def _valid(
     return trusted, notes
 
 
-#: share of the lines from which on it is said that they drown; fewer lie at the excitation's ends
+#: share of the frequencies from which on loop noise above the excitation is reported; fewer lie at its ends
 DROWNING = 0.1
 
 
 def drowned_note(frequency_hz: Array, sound: np.ndarray) -> tuple[str, ...]:
-    """A warning where the injected signal drowns in what noise sends round the loop."""
+    """A warning where loop noise exceeds the excitation at the plant input."""
     if np.mean(~sound) < DROWNING:
         return ()
     f = frequency_hz[~sound]
     return (
-        f"on {f.size} of {frequency_hz.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, noise that goes round the loop drowns"
-        " the injected signal at the plant's input: the quotient would be -1/C, and these lines are not trusted; excite"
-        " more or measure longer",
+        f"at {f.size} of {frequency_hz.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, loop noise exceeds the"
+        " excitation at the plant input: the quotient would be -1/C, and these frequencies are outside the valid band;"
+        " excite more or measure longer",
     )
 
 

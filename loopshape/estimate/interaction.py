@@ -34,7 +34,7 @@ def interaction(
     """How the loops of a matrix FRF meet: k_I of each pair, RGA, equivalent plants, verdicts.
 
     `loops` chooses by name (None: all), `outputs` their rows where names do not tell; `controllers` by loop close the
-    others for the equivalent plants; `bands` in Hz are closed, octaves of the trusted band by default. Each pair and
+    others for the equivalent plants; `bands` in Hz are closed, octaves of the valid band by default. Each pair and
     band is judged by itself at 95 %: of twenty that lie on the limit, one may be judged wrong.
     """
     if not np.isfinite(limit_db):

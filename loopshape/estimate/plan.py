@@ -3,7 +3,7 @@
 With P periods of T s and a line of power p (mean square) in the instrument, the relative std of |G| is
 sqrt(Phi_e/(2 P T p |H_y|²)): Phi_e the power per Hz of Y - G U, H_y the output's response to the instrument (Pintelon
 and Schoukens 2012, ch. 2 and 5; Ljung 1999, ch. 13). It falls with the amplitude and with the square root of the time.
-Distortion does not fall with time: where the first record shows it, it counts as a floor.
+Distortion does not fall with time: where the first record shows it, it counts as a noise floor.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def planned_floor(first: FirstRecord, lines_hz: Array, line_input: Array, period
 
 
 def own_floor(first: FirstRecord, *, odd_lines: bool) -> Array:
-    """The same (nf,) of the first record itself, on its trusted lines."""
+    """The same (nf,) of the first record itself, in its valid band."""
     found = first.distortion
     if found is None or found.excited is None:
         return np.zeros(first.frequency_hz.size)

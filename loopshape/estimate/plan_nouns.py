@@ -21,7 +21,7 @@ class Wish:
     of the complex response it is sqrt(2) times as much. `at_hz` stands in for the crossover. `max_amplitude` bounds the
     injected peak (None: that of the first recording), `max_input` |u| with its resting value, `max_output` the
     excursion of y from rest. `kind` of lines: `odd` (one in four left out), `log`, or `all`. The band defaults to the
-    trusted one within a decade of the crossover.
+    valid one within a decade of the crossover.
     """
 
     std: float

@@ -39,7 +39,7 @@ WINDOW = Window(8, 2, 0)
 
 @dataclass(frozen=True, eq=False)
 class FirstRecord:
-    """A first recording on the trusted lines (nf,) of its FRF; signals in stored units.
+    """A first recording on the frequencies of the valid band (nf,) of its FRF; signals in stored units.
 
     `plant` is G, `to_input` U/N, `to_output` Y/N, `noise` the power of Y - G U per Hz (one-sided), known as the mean of
     `averages` (nf,) independent values; `std` the relative std of |G| as the record gives it. `input_rest` is the mean
@@ -70,7 +70,7 @@ class FirstRecord:
 
 
 def first_record(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FirstRecord:
-    """What a recording that excites one loop tells; refuses what `estimate_frf` refuses, and one without trusted lines.
+    """What a recording that excites one loop tells; refuses what `estimate_frf` refuses, and one without a valid band.
 
     Distortion of a record that does not repeat counts as noise here, and periods will not average it away.
     """

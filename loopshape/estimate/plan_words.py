@@ -62,7 +62,7 @@ def cannot_know(first: FirstRecord, wish: Wish, floor: float, amplitude: float) 
     elif not found.told:
         notes.append(f"the first record cannot tell distortion from the response: {found.verdict}")
     elif floor > 0.0:
-        notes.append(f"distortion in the first record counts as a floor, {accuracy(floor)} at the crossover")
+        notes.append(f"distortion in the first record counts as a noise floor, {accuracy(floor)} at the crossover")
     change = amplitude / first.amplitude
     if abs(np.log(change)) > 0.1:
         turns = (

@@ -1,4 +1,4 @@
-"""Is a recording fit for an FRF? Feedback where none is said, spoiled samples, by loop and column."""
+"""Is a recording fit for an FRF? Feedback where none is declared, spoiled samples, by loop and column."""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
     u/n with n at the plant's input, where u is what enters the plant.
 
     It is what 1/(1 + C P) makes of the P of the same recording, if z is the controller's answer to the error, and it
-    stays well known where that P is not: where C lets little through, z is small and P drowns, and S does not. Its
+    stays well known where that P is not: where C lets little through, z is small and noise hides P but not S. Its
     error is that of one linear average (-S times the disturbance over n), without a quotient's bias. The channels are
-    the loop's output; trusted are lines where S is known to 10 %, as for a plant. Other loops stay closed.
+    the loop's output; the valid band is where S is known to 10 %, as for a plant. Other loops stay closed.
 
     Raises BadSignalError for a recording in open loop, and as `estimate_frf` does.
     """

@@ -144,7 +144,7 @@ def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
 def wiring_notes(
     recording: Recording, loop: LoopSetup, frequency_hz: Array, z: ComplexArray, y: ComplexArray
 ) -> tuple[str, ...]:
-    """Warnings where the log contradicts what is said of it; z, y (nf,) are responses to the instrument.
+    """Warnings where the log contradicts its description; z, y (nf,) are responses to the instrument.
 
     With a known controller, z must be its answer to the error; where it is not, the injection or the
     controller is other than said. A plant-input log whose z follows the injected signal one to one at high

@@ -15,7 +15,7 @@ from loopshape.units import Array
 
 
 def healthy(evidence: Evidence) -> Fitted:
-    """The nominal model with the ordinary spread fitted."""
+    """The nominal model with the manufacturing tolerance fitted."""
     none = Hypothesis(evidence.plant)
     phi = np.zeros(len(evidence.plant.spread))
     start = fitting.at(evidence, none, phi, np.zeros((evidence.cells[-1].stop, phi.size)))
@@ -133,7 +133,7 @@ def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
 
 
 def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, place: int) -> float:
-    """Standard deviation of a form's magnitude: recordings, the ordinary spread, and forms that are never quite right.
+    """Standard deviation of a form's magnitude: recordings, tolerance, and forms that are never quite right.
 
     Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
     prior; for the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %.

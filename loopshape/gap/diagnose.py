@@ -209,7 +209,7 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     """The diagnosis in one sentence."""
     first = ranking[0]
     if a.verdict == "none":
-        return f"{name}: no gap beyond noise and the ordinary spread (probability {first.probability:.0%})."
+        return f"{name}: no gap beyond noise and manufacturing tolerance (probability {first.probability:.0%})."
     if a.verdict == "unknown":
         near = a.leading.name.replace("_", " ")
         return (
@@ -222,7 +222,8 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     if gap is None or gap.shrink is None:
         return f"{text}; no held-out gap to shrink."
     return (
-        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} floors ({gap.shrink:.0%})."
+        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times the noise floor"
+        f" ({gap.shrink:.0%})."
     )
 
 

@@ -99,7 +99,7 @@ class Evidence:
         return out
 
     def mean_squares(self, residual: Array) -> Array:
-        """Mean square of each cell over its floor's, (cells,)."""
+        """Mean square of each cell relative to its noise floor's, (cells,)."""
         return np.array([np.mean((residual[c.part] / c.floor) ** 2) for c in self.cells])
 
 

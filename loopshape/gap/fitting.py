@@ -64,7 +64,7 @@ def with_slopes(evidence: Evidence, fitted: Fitted, which: range) -> Fitted:
 
 
 def weights(evidence: Evidence, mean_squares: Array) -> Array:
-    """Weight of each sample (n,): its cell counts once, over its floor and what it leaves."""
+    """Weight of each sample (n,): its cell counts once, over its noise floor and what it leaves."""
     out = np.empty(evidence.cells[-1].stop)
     for cell, ms in zip(evidence.cells, mean_squares, strict=True):
         out[cell.part] = 1.0 / ((1.0 + ms) * cell.floor**2 * (cell.stop - cell.start))

@@ -1,4 +1,4 @@
-"""A hypothesis: effects in given forms, with the ordinary spread as nuisance, as numbers to be fitted in a box."""
+"""A hypothesis: effects in given forms, with manufacturing tolerance as nuisance: numbers fitted in a box."""
 
 from __future__ import annotations
 

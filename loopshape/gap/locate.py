@@ -40,7 +40,8 @@ def where(run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[
 
 
 def free_disturbances(evidence: Evidence, none: Candidate) -> dict[str, float]:
-    """What a free disturbance at each place would leave: rms over the floor in the channels that it does not reach.
+    """Residual if the equation at each place had an arbitrary disturbance, in channels that it does not reach: rms
+    relative to the noise floor.
 
     A submodel follows what was measured everywhere but in its own channel, so a disturbance that makes its state do
     so too explains that channel and leaves the others as they are.

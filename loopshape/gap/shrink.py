@@ -15,7 +15,7 @@ from loopshape.recording import Recording
 from loopshape.run import Run
 from loopshape.units import Array
 
-METRIC = "rms over the submodels' paths of measured less simulated outputs, each over its floor"
+METRIC = "rms over the submodels' paths of measured less simulated outputs, each relative to its noise floor"
 SMALLEST = 1.5  # a gap below is no gap to shrink
 WINDOWS = 8  # a recording is cut into so many for the bootstrap
 DRAWS, SEED = 2000, 1
@@ -23,7 +23,7 @@ DRAWS, SEED = 2000, 1
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Mean squares over the floor (recordings, paths, windows) of some recordings under one model."""
+    """Mean squares relative to the noise floor (recordings, paths, windows) of some recordings under one model."""
 
     names: tuple[str, ...]
     roles: tuple[str, ...]

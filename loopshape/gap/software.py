@@ -1,4 +1,4 @@
-"""Is the controller what it is said to be? z recomputed from logged r, n and y by the controller's own code."""
+"""Is the controller the declared one? z recomputed from logged r, n and y by the controller's own code."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def compare(
     """What parts two runs: FRFs of every path by band and operating point, nu-gaps, and time responses.
 
     Recordings are matched by file name, else by kind, injection, excited loop, operating point and order. `bands`
-    is "third_decade" or "octave". What does not match, or cannot be estimated, is said in the table. Held-out
+    is "third_decade" or "octave". What does not match, or cannot be estimated, is reported in the table. Held-out
     recordings are compared too: nothing is fitted here. Excitations that differ in size or phases give differences
     of their own where the machine is not linear: replay the real run's.
 

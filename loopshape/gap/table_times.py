@@ -24,7 +24,7 @@ BLOCKS = 8
 def time_rows(real: Run, pair: Pair) -> tuple[list[TimeRow], str]:
     """Rows of one pair of recordings, or why there are none.
 
-    Windows run from one move of the inputs to the next; the floor is the unrest of both recordings where they
+    Windows run from one move of the inputs to the next; the noise floor is the unrest of both recordings where they
     rest: a limit cycle or the ripple of valves counts as that.
     """
     n = min(_length(pair.real), _length(pair.sim))

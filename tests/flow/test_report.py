@@ -155,7 +155,7 @@ def test_a_missed_requirement_fails_in_words_at_the_top(run: Path) -> None:
     head = text[: text.index("Requirements of loop axis")]
     assert "Loop axis: FAIL" in head
     assert "Missed:" in head
-    assert "bandwidth (first 0 dB crossing of L): wished ≥ 200 Hz" in head
+    assert "bandwidth (first 0 dB crossing of L): required ≥ 200 Hz" in head
 
 
 def test_tables_have_captions_pictures_words_and_headings_no_gaps(parts: Page) -> None:
@@ -212,7 +212,7 @@ def test_the_same_run_gives_the_same_page_but_for_the_date(run: Path, whole: str
 def test_a_run_of_recordings_alone_says_what_to_do_next(tmp_path: Path) -> None:
     found = Page(page(gather(report_run.recordings_only(tmp_path / "run"), None, None, DATE)))
     assert "No frequency responses yet: loopshape frf RUN" in found.text
-    assert "not judged" in found.text
+    assert "no verdict" in found.text
     assert found.all("svg")
 
 

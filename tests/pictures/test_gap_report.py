@@ -62,7 +62,7 @@ def single() -> GapReport:
         table=None,
         table_after=None,
         traces=[trace("r1", 1.0), trace("r2", 3.0)],
-        sentence="r: payload 61.2 g (probability 90%) in body; with it the gap shrinks from 6.3 to 1.2 floors.",
+        sentence="r: payload 61.2 g (probability 90%) in body; with it the gap shrinks from 6.3 to 1.2 times the noise floor.",
     )  # fmt: skip
 
 
@@ -224,7 +224,7 @@ def test_without_an_effect_only_the_nominal_model_has_a_distance(make) -> None:
 def test_without_validation_the_fitted_recordings_are_shown_and_said() -> None:
     assert xs(distances(without_validation()), "before each") == [4.0, 8.0] * 2
     assert "fitted recordings, none held out" in words(gap_figure(without_validation()))
-    assert "held-out gap 6.3 to 1.2 floors" in words(gap_figure(single()))
+    assert "held-out gap 6.3 to 1.2 × noise floor" in words(gap_figure(single()))
 
 
 def test_the_stretch_is_where_the_nominal_model_is_plainest_off() -> None:

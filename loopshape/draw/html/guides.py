@@ -81,7 +81,7 @@ def level(frame: Frame, value: float, kind: str, words: str = "") -> Guide:
 
 
 def least_bandwidth(frame: Frame, wished: Requirements | None) -> Guide:
-    """The wished bandwidth on the open loop's magnitude, an upright line."""
+    """The required bandwidth on the open loop's magnitude, an upright line."""
     if wished is None or wished.bandwidth_hz is None or not frame.x.low < wished.bandwidth_hz < frame.x.high:
         return Guide()
     x, low, high = float(frame.x(np.array([wished.bandwidth_hz]))[0]), frame.y.start, frame.y.end
@@ -97,7 +97,7 @@ def least_bandwidth(frame: Frame, wished: Requirements | None) -> Guide:
 
 
 def critical_phases(frame: Frame, wished: Requirements | None) -> Guide:
-    """-180 degrees and its repeats on the open loop's phase, and above the first the phase margin wished."""
+    """-180 degrees and its repeats on the open loop's phase, and above the first the required phase margin."""
     lines = [level(frame, shift - 180.0, "zero") for shift in turns(frame.y.low, frame.y.high)]
     if wished is not None and wished.phase_margin_deg is not None:
         words = f"phase margin {number(wished.phase_margin_deg)} deg"
@@ -106,7 +106,7 @@ def critical_phases(frame: Frame, wished: Requirements | None) -> Guide:
 
 
 def nichols_guides(frame: Frame, wished: Requirements | None) -> Guide:
-    """Contours of constant |S|, and at every critical point in view the forbidden region and the margins wished."""
+    """Contours of constant |S|, and at every critical point in view the forbidden region and the required margins."""
     closest = closest_db(wished)
     shifts = turns(frame.x.low, frame.x.high)
     shown = [one for one in LEVELS_DB if closest is None or one < closest]
@@ -123,7 +123,7 @@ def nichols_words(wished: Requirements | None) -> str:
     if wished is not None and (wished.complementary_peak_db or 0.0) > 0.0:
         said.append(f"Red, dotted: |T| at {number(wished.complementary_peak_db)} dB.")
     if wished is not None and (wished.phase_margin_deg or wished.gain_margin_db or wished.gain_reduction_margin_db):
-        said.append("Red cross: margins wished, phase sideways, gain upwards and downwards.")
+        said.append("Red cross: required margins, phase sideways, gain upwards and downwards.")
     return " ".join([*said, "A stable loop keeps the black cross on its left as frequency rises."])
 
 
@@ -143,7 +143,7 @@ def _forbidden(frame: Frame, wished: Requirements | None, closest: float | None,
 
 
 def _cross(frame: Frame, wished: Requirements, centre: float) -> list[Markup]:
-    """Margins wished at a critical point: left and right the phase, down the gain, up its reduction."""
+    """Required margins at a critical point: left and right the phase, down the gain, up its reduction."""
     arms = []
     if pm := wished.phase_margin_deg:
         arms.append(([centre - pm, centre + pm], [0.0, 0.0]))

@@ -177,7 +177,7 @@ def _thinned(traces: Sequence[Trace], checked: bool) -> str:
         "Curves are what the check reads: the lines that it judges, with what neighbours have in common taken together;"
         " dots are the lines of P as measured. Rings mark where requirements are worst."
         if checked
-        else "Faint dots are lines that are not trusted."
+        else "Faint dots lie outside the valid band."
     )
     return (
         f"{said} {curves} {bands} the 95 % reach of each line by itself, to first order, for S and T by the error of P;"

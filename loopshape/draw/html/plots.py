@@ -115,7 +115,7 @@ class Plots:
         return self._figure(frame, f"{name}-deg", f"{_TITLES[name]}: phase", Guide.of(guides), joined(curves))
 
     def nichols(self) -> Markup:
-        """L, phase against magnitude, with contours of |S|, the forbidden region and the margins wished as a cross."""
+        """L, phase against magnitude, with contours of |S|, the forbidden region and a cross of required margins."""
         frame = _nichols_frame(self.traces)
         curves = [_line(frame, k, x, x.phase_deg["L"], x.size_db["L"]) for k, x in enumerate(self.traces)]
         guide, words = nichols_guides(frame, self.wished), nichols_words(self.wished)

@@ -25,7 +25,7 @@ def missing(parts: Sequence[Missing]) -> Markup:
 def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
     """Each FRF with its band, spread and method, and its warnings."""
     columns = [
-        "recording", "loop", "trusted from [Hz]", "to [Hz]", "trusted lines", "of",
+        "recording", "loop", "valid from [Hz]", "to [Hz]", "valid frequencies", "of",
         "median std [dB]",
     ]  # fmt: skip
     rows = [_response(one) for one in frfs]

@@ -48,7 +48,7 @@ class Trace:
 
 
 def plant_traces(frfs: Sequence[FRF]) -> list[Trace]:
-    """Curves of plants alone, on their trusted lines (on all where none is)."""
+    """Curves of plants alone, in their valid bands (everywhere where that is empty)."""
     shown = [frf.select(frf.trusted) if frf.trusted.any() else frf for frf in frfs]
     return [
         _trace(look, {"P": one.siso}, one, frf, len(frfs))

@@ -51,7 +51,7 @@ def verdict(report: RunReport) -> Markup:
         "passed": "Every requirement holds on the measured data.",
         "failed": "At least one requirement is missed, or a loop is unstable.",
         "undecided": "Nothing is surely missed, and these data do not decide all of it.",
-        "none": "No requirement was held against these data.",
+        "none": "No requirement was checked against these data.",
     }
     cards = [_card(one.verdict.loop, one.outcome, _sentences(one)) for one in report.checked]
     cards += [
@@ -105,24 +105,24 @@ def _in_words(line: Line) -> str:
     reach, more = f" ({with_reach(line)})" if line.interval else "", longer(line)
     at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
     return (
-        f"{limit.label}: wished {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
+        f"{limit.label}: required {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
         f"{f'; {more}' if more else ''}"
     )
 
 
 def requirements(one: CheckedLoop) -> Markup:
-    """Each requirement at its worst operating point: wished, found, interval, spare, where, and the word."""
+    """Each requirement at its worst operating point: required, found, interval, slack, where, and the word."""
     if not one.verdict.lines:
-        return tag("p", "No requirements were given for this loop: its margins below are judged by nobody.")
+        return tag("p", "No requirements were given for this loop: its margins below are reported without verdict.")
     columns = [
-        "requirement", "verdict", "wished", "found at worst", "95 % interval", "spare", "wished and found",
+        "requirement", "verdict", "required", "worst case", "95 % interval", "slack", "required and found",
         "operating point", "frequency [Hz]",
     ]  # fmt: skip
     rows = [_requirement(line) for line in one.verdict.lines]
     caption = (
-        f"Requirements of loop {one.verdict.loop}, each at its worst operating point. Spare is the room from what is"
-        " wished to the bad end of the interval. In the small scale the tick is what is wished, the dot what was found,"
-        " the bar its interval; the tinted side is forbidden."
+        f"Requirements of loop {one.verdict.loop}, each at its worst operating point. Slack is the room from what is"
+        " required to the bad end of the interval. In the small scale the tick is what is required, the dot what was"
+        " found, the bar its interval; the tinted side is forbidden."
     )
     return table(caption, columns, rows, cards=True)
 
@@ -159,7 +159,7 @@ def gauge(line: Line, limit: Limit) -> Markup:
     middle, tick = GAUGE_HEIGHT // 2, at[0]
     least = limit.sense == "at_least"
     bad = f"M{0 if least else tick} 3H{tick if least else GAUGE_WIDTH}V{GAUGE_HEIGHT - 3}H{0 if least else tick}Z"
-    words = f"wished {wished(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
+    words = f"required {wished(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
     return tag(
         "svg",
         tag("title", words),

@@ -13,7 +13,7 @@ from loopshape.requirements import LIMITS, Limit, Line
 DASH = "\N{EN DASH}"
 LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
 #: outcome -> its word
-WORDS = {**OUTCOME_WORDS, "none": "not judged"}
+WORDS = {**OUTCOME_WORDS, "none": "no verdict"}
 #: closed loop -> the outcome whose sign and colour it takes
 OUTCOME_OF = {"stable": "passed", "unstable": "failed", "undecided": "undecided"}
 _SIGNS = {
@@ -63,7 +63,7 @@ def found_text(line: Line) -> str:
 
 
 def spare(line: Line) -> str:
-    """Room left, `≈ 0` where it is within rounding of what is wished."""
+    """Room left, `≈ 0` where it is within rounding of what is required."""
     if abs(line.spare) < 1e-4 * abs(line.wished):
         return "≈ 0"
     return with_unit(line.spare, LIMIT_OF[line.quantity])
