@@ -105,8 +105,8 @@ def _share(above: np.ndarray, below: np.ndarray) -> None:
 def matrix_overview(frf: FRF) -> Figure:
     """Magnitudes of many elements as maps, one for each input: frequency across, outputs down, colour in dB.
 
-    Each output has its own unit; what is within its 95 % interval of zero, or outside the valid band, is white. Phase is
-    not shown.
+    Each output has its own unit; what is within its 95 % interval of zero, or outside the valid band, is white. Phase
+    is not shown.
     """
     ny, nu = frf.response.shape[1:]
     columns = min(nu, 2 if ny > GRID_ROWS else GRID_COLUMNS)

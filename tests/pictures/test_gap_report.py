@@ -62,7 +62,7 @@ def single() -> GapReport:
         table=None,
         table_after=None,
         traces=[trace("r1", 1.0), trace("r2", 3.0)],
-        sentence="r: payload 61.2 g (probability 90%) in body; with it the gap shrinks from 6.3 to 1.2 times the noise floor.",
+        sentence="r: payload 61.2 g (probability 90%) in body; with it the gap shrinks from 6.3 to 1.2 noise floors.",
     )  # fmt: skip
 
 
@@ -210,7 +210,7 @@ def test_distances_are_rms_over_the_recordings_held_out_beside_the_floor() -> No
     assert set(xs(ax, "floor")) == {1.0}
     assert ax.get_xscale() == "log"
     assert [t.get_text() for t in ax.get_yticklabels()] == ["all paths", "u → $p_{A}$", "p → $\\theta_{2}$"]
-    assert "rms over floor" in ax.get_xlabel()
+    assert "rms relative to the noise floor" in ax.get_xlabel()
     assert [t for t in ax.get_legend_handles_labels()[1] if t.startswith("with")] == ["with payload", "with base tilt"]
 
 
