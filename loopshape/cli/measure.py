@@ -29,6 +29,9 @@ def measure(
     port: Annotated[str | None, typer.Option(help="Where the target is; wins over the study's.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Let a target move: what it will do was looked at.")] = False,
     show: Annotated[bool, typer.Option("--show", help="Show what a target would do, and stop.")] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Make what ended early again; its table is kept in RUN/earlier.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -42,7 +45,7 @@ def measure(
 
     output = Output(as_json, quiet)
     try:
-        ended = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show)
+        ended = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again)
     except StoppedAtLimitError as stopped:
         print(f"loopshape: {stopped}", file=sys.stderr)
         early = [*ended_early(out), *([str(stopped)] if as_json else [])]
@@ -94,6 +97,7 @@ def record(
     port: str | None = None,
     arm: bool = False,
     show: bool = False,
+    again: bool = False,
 ) -> list[str]:
     """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
 
@@ -109,7 +113,7 @@ def record(
     from loopshape.rigs.effects import asked, merged
     from loopshape.rigs.simulated import header, measure, plan
     from loopshape.store.provenance import KEY, file_sha256, versions
-    from loopshape.store.run_folder import add_recording, alone, finished, start_run
+    from loopshape.store.run_folder import add_recording, alone, finished, start_run, whole
     from loopshape.store.study import read_study
 
     study = read_study(study_file)
@@ -124,15 +128,15 @@ def record(
         KEY: {**versions(), "study": study_file.name, "seed": study.seed},
     }
     if study.rig == "target":
-        record_on_target(study, plant, out, output, port=port, armed=arm, show=show, extra=extra)
+        record_on_target(study, plant, out, output, port=port, armed=arm, show=show, again=again, extra=extra)
         return ended_early(out)
     todo = plan(study, plant)
     start_run(out, header(study, plant, extra))
-    done = frozenset(finished(out))
+    done = frozenset((whole if again else finished)(out))
     with alone(out), interrupts(), output.progress("measure", len(todo) - len(done)) as step:
         try:
             for recording in measure(study, plant, done=done, states=states):
-                add_recording(out, recording)
+                add_recording(out, recording, again=again)
                 step(recording.info.name)
         except KeyboardInterrupt:
             output.warn([f"interrupted; what {out / 'run.toml'} lists is kept, the same command goes on"])

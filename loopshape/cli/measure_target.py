@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,9 +15,11 @@ from loopshape.errors import RigError
 
 if TYPE_CHECKING:
     from loopshape.experiment import LoopSetup
+    from loopshape.recording import RecordingInfo
     from loopshape.rigs.messages import Configuration, Identity
     from loopshape.rigs.session import Session
     from loopshape.rigs.simulated import Planned, Rig
+    from loopshape.rigs.taking import Arrived
     from loopshape.study import Study
     from loopshape.target_settings import TargetSettings
 
@@ -31,7 +33,7 @@ class StoppedAtLimitError(RigError):
 
 def record_on_target(
     study: Study, plant: Rig, out: Path, output: Output, *, port: str | None, armed: bool, show: bool,
-    extra: dict[str, object],
+    again: bool, extra: dict[str, object],
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target, or only `show` it. Moves nothing that was not armed."""
     from loopshape.errors import LoopshapeError, WrongUseError
@@ -39,8 +41,9 @@ def record_on_target(
     from loopshape.rigs.session import Session
     from loopshape.rigs.simulated import header, plan
     from loopshape.rigs.target import configuration
+    from loopshape.store.arriving import keep_arrived
     from loopshape.store.journal import note
-    from loopshape.store.run_folder import alone, finished, start_run
+    from loopshape.store.run_folder import alone, finished, start_run, whole
 
     settings = study.target
     if settings is None or not (name := port or settings.port):
@@ -49,7 +52,7 @@ def record_on_target(
     planned, head = plan(study, plant), header(study, plant, extra)
     if out.is_dir():
         with alone(out):  # whoever measures into it is left in peace
-            done = finished(out)
+            done = (whole if again else finished)(out)
     else:
         done = set()
     todo = [one for one in planned if one.name not in done]
@@ -70,6 +73,7 @@ def record_on_target(
         _be_armed(armed, output)
         start_run(out, head)
         with alone(out), _marked(out, name), interrupts():
+            keep_arrived(out)  # of a measurement that was killed
             try:
                 _drive(session, wanted, todo, study, plant, out, output)
             except LoopshapeError as error:
@@ -80,6 +84,10 @@ def record_on_target(
                 lines = [f"stopped and vented; what {out / 'run.toml'} lists is kept", _go_on(session.identity, name)]
                 output.warn(["; ".join(lines)])
                 raise typer.Exit(130) from None
+            finally:
+                output.warn(
+                    [f"{ticks} ticks came before that, and are kept in {path}" for path, ticks in keep_arrived(out)]
+                )
     _refuse_a_limit(session.identity, settings, name, out, [one.name for one in todo])
 
 
@@ -123,16 +131,22 @@ def _drive(
 
     from loopshape.rigs.simulated import experiment
     from loopshape.rigs.target import arm, drive, vented_on_error
+    from loopshape.store.arriving import adopted, arriving
     from loopshape.store.run_folder import add_recording
+    from loopshape.store.run_tables import recording_table
+
+    def keeper(info: RecordingInfo, rate_hz: float, names: Sequence[str]) -> AbstractContextManager[Arrived]:
+        return arriving(out, info.name, recording_table(info), rate_hz, names)
 
     assert study.target is not None
     coming = (experiment(study, plant, one) for one in todo)
     import_module("pyarrow.parquet")  # now: it takes longer than a watchdog waits
     with output.progress("measure", len(todo)) as step:
         armed = arm(session, study.target, todo[0].loops, wanted)
-        with vented_on_error(session), closing(drive(armed, coming)) as made:
+        with vented_on_error(session), closing(drive(armed, coming, keeper)) as made:
             for recording in made:
-                add_recording(out, recording)
+                add_recording(out, recording, again=True)
+                adopted(out, recording.info.name)
                 step(recording.info.name)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -21,15 +22,19 @@ from loopshape.units import Array
 INJECTION = {"controller_input": 0, "plant_input": 1, "control": 2, "reference": 0}
 NOT_NOW, GONE, UNKNOWN = 1, 3, 7  # refusals: not in this state, no longer in memory, no such run
 LISTEN_S = 0.02
+HAND_ON_S = 0.1  # so often what came is handed on
 PATIENCE_S = 0.1  # so long does what was asked again take to come
 STILL_S = 6.0  # longer than a target repeats the end of a run
 KEPT = (Reason.COMPLETE, Reason.LIMIT, Reason.RATE_LIMIT, Reason.MACHINE)
 
 
+Arrived = Callable[[Mapping[str, Array]], None]
+
+
 class Taking:
     """One recording while it runs."""
 
-    def __init__(self, armed: Armed, e: Experiment, number: int) -> None:
+    def __init__(self, armed: Armed, e: Experiment, number: int, arrived: Arrived) -> None:
         self._armed, self._e, self._session = armed, e, armed.session
         self._intake = Intake(number, e.samples, self._session.identity.width(len(armed.loops)))
         self._ended: Ended | None = None
@@ -40,6 +45,7 @@ class Taking:
         self._closed = False  # the target takes no more rows
         self._asked_to, self._asked_s = 0, -PATIENCE_S
         self._mark, self._moved_s = (0, 0, 0, False), time.monotonic()
+        self._arrived, self._handed, self._handed_s = arrived, 0, time.monotonic()
         self._alarm: tuple[int, int, float, float] | None = None
 
     def told(self, frame: Frame) -> None:
@@ -76,14 +82,25 @@ class Taking:
         self._session.unasked = self.told  # what came before belongs to an earlier recording
         self._upload(free)
         self._go()
-        while not self._is_whole():
-            self._session.listen(LISTEN_S if self._intake.lacking == 0 else LISTEN_S / 4)
-            if self._alarm is not None and self._ended is None:
-                self._stop_the_blind()
-            self._fill()
-            self._keep_alive()
-            self._refuse_standstill()
+        try:
+            while not self._is_whole():
+                self._session.listen(LISTEN_S if self._intake.lacking == 0 else LISTEN_S / 4)
+                if self._alarm is not None and self._ended is None:
+                    self._stop_the_blind()
+                self._fill()
+                self._keep_alive()
+                self._refuse_standstill()
+                if time.monotonic() - self._handed_s > HAND_ON_S:
+                    self._hand_on()
+        finally:
+            self._hand_on()
         return self._judged()
+
+    def _hand_on(self) -> None:
+        """What came since the last time goes to whoever keeps it."""
+        first, self._handed, self._handed_s = self._handed, self._intake.received, time.monotonic()
+        if first < self._handed:
+            self._arrived(self._named(self._intake.table[first : self._handed]))
 
     def _go(self) -> None:
         try:
@@ -216,14 +233,22 @@ class Taking:
 
     def columns(self, ticks: int) -> dict[str, Array]:
         """The recording's columns, as a run folder has them."""
-        table, loops = self._intake.table[:ticks], self._e.loops
-        free = self._e.injection == "control"
-        out = {"t_s": np.arange(ticks) / self._e.rate_hz}
+        return {"t_s": np.arange(ticks) / self._e.rate_hz} | self._named(self._intake.table[:ticks])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns that arrive."""
+        return tuple(self._named(self._intake.table[:0]))
+
+    def _named(self, table: Array) -> dict[str, Array]:
+        """Columns of some ticks (k, width), without their time."""
+        loops, free = self._e.loops, self._e.injection == "control"
+        out: dict[str, Array] = {}
         for k, loop in enumerate(loops):
             if loop.reference is not None:
                 out[loop.reference] = table[:, k]
             if loop.injected is not None:
-                out[loop.injected] = np.zeros(ticks) if free else table[:, len(loops) + k]
+                out[loop.injected] = np.zeros(len(table)) if free else table[:, len(loops) + k]
             out[loop.control] = table[:, 2 * len(loops) + k]
         return out | {name: table[:, 3 * len(loops) + k] for k, name in enumerate(self._armed.columns)}
 

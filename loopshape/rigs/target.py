@@ -6,7 +6,8 @@ alive, and lets it vent whatever ends the host's own program.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from itertools import count
 
 import numpy as np
@@ -22,7 +23,7 @@ from loopshape.rigs.armed import beat_s, reason_words
 from loopshape.rigs.armed import vented as vented
 from loopshape.rigs.armed import vented_on_error as vented_on_error
 from loopshape.rigs.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
-from loopshape.rigs.taking import KEPT, Taking
+from loopshape.rigs.taking import KEPT, Arrived, Taking
 from loopshape.target_settings import TargetSettings
 
 ENDED_S = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
@@ -95,8 +96,19 @@ def _known(what: str, asked: Mapping | set[str], known: Sequence[str]) -> None:
         raise WrongUseError(f"the target has no such {what}", ", ".join(strange), f"it has {', '.join(known)}")
 
 
-def drive(armed: Armed, experiments: Iterable[Experiment]) -> Generator[Recording, None, None]:
+Keeper = Callable[[RecordingInfo, float, Sequence[str]], AbstractContextManager[Arrived]]
+
+
+def _no_keeper(info: RecordingInfo, rate_hz: float, columns: Sequence[str]) -> AbstractContextManager[Arrived]:
+    return nullcontext(lambda rows: None)
+
+
+def drive(
+    armed: Armed, experiments: Iterable[Experiment], keeper: Keeper = _no_keeper
+) -> Generator[Recording, None, None]:
     """Record experiment after experiment; whatever ends this loop early vents the machine first.
+
+    `keeper` is told of each recording as it begins, and is given its columns as they arrive.
 
     A recording that a limit ended is given with what there is and says so; after it nothing more is done on a real
     machine. An emulated one is armed anew.
@@ -108,7 +120,7 @@ def drive(armed: Armed, experiments: Iterable[Experiment]) -> Generator[Recordin
                 experiment = next(coming, None)
             if experiment is None:
                 break
-            recording, ended = _record(armed, experiment, number)
+            recording, ended = _record(armed, experiment, number, keeper)
             with armed.session.kept_alive(beat):
                 yield recording
             if ended.reason is not Reason.COMPLETE and not _again(armed):
@@ -128,14 +140,17 @@ def _again(armed: Armed) -> bool:
     return True
 
 
-def _record(armed: Armed, e: Experiment, number: int) -> tuple[Recording, Ended]:
+def _record(armed: Armed, e: Experiment, number: int, keeper: Keeper) -> tuple[Recording, Ended]:
     place = armed.settings.place and armed.session.identity.emulated
     _reach(armed, e, place)
-    taking = Taking(armed, e, number)
-    try:
-        ended = taking.run(place)
-    finally:
-        armed.session.unasked = lambda frame: None
+    arrived: list[Arrived] = []
+    taking = Taking(armed, e, number, lambda rows: arrived[0](rows))
+    with keeper(RecordingInfo.of(e), e.rate_hz, taking.names) as append:
+        arrived.append(append)
+        try:
+            ended = taking.run(place)
+        finally:
+            armed.session.unasked = lambda frame: None
     if ended.reason not in KEPT or ended.ticks == 0:
         raise RigError(
             f"{e.name!r} is not kept: the target ended it", str(_why(armed, ended)), "the same command goes on with it"

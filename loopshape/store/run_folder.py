@@ -6,9 +6,11 @@ not named yet is written again when the work resumes.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from hashlib import file_digest
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ import numpy as np
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.recording import Recording
 from loopshape.run import Run
+from loopshape.store.arriving import ARRIVING, EARLIER, next_earlier
 from loopshape.store.files import PART, inside, make_folder, reading, short, write_toml
 from loopshape.store.held import alone as alone
 from loopshape.store.held import held
@@ -105,6 +108,11 @@ def finished(folder: Path) -> set[str]:
     return {recording.info.name for recording in read_run(folder).recordings}
 
 
+def whole(folder: Path) -> set[str]:
+    """Names of the finished recordings that did not end early."""
+    return {r.info.name for r in read_run(folder).recordings if not r.info.ended_early} if has_run(folder) else set()
+
+
 def holds(folder: Path, recording: Recording) -> bool:
     """Whether a run lists this very recording: same words, same columns, same numbers."""
     if recording.info.name not in finished(folder):
@@ -177,7 +185,7 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
         if has_run(folder):
             _resume(folder, header)
             return
-        ours = (PART, "figures", "frf", JOURNAL, *tables)
+        ours = (PART, "figures", "frf", JOURNAL, EARLIER, ARRIVING, *tables)
         if foreign := [p.name for p in folder.iterdir() if not p.name.endswith(ours)]:
             raise WrongUseError(
                 "a folder that is no run is not written into",
@@ -247,19 +255,36 @@ def _header(run: Run) -> dict[str, Any]:
     return tomllib.loads(toml_text(table))
 
 
-def add_recording(folder: Path, recording: Recording) -> None:
+def add_recording(folder: Path, recording: Recording, *, again: bool = False) -> None:
     """Write a recording's table, then name it in `run.toml`; a kill in between leaves the run as it was.
 
+    Made `again`, it takes the place of one of its name that ended early, whose table goes to the folder `earlier`.
     Refuses a run that another process is writing, a recording that is there already, another rate, stamps off the
     rate, a file that does not end in `.parquet`, and words that `read_run` would refuse.
     """
     with held(folder):
         words = _read_words(folder)
-        if recording.info.name in _listed(words):
+        there = next((e.table for e in words.tables("recording") if _name(e.table) == recording.info.name), None)
+        if there is None:
+            _list(folder, words.table, [_written(folder, words, recording)])
+        elif again and there.get("ended_early"):
+            _put_in_place_of(there, folder, words, recording)
+        else:
             raise WrongUseError(
                 f"{folder} already holds a recording of this name", repr(recording.info.name), "give it another"
             )
-        _list(folder, words.table, [_written(folder, words, recording)])
+
+
+def _put_in_place_of(old: Mapping[str, Any], folder: Path, words: Words, recording: Recording) -> None:
+    """Write a recording under a file of its own, name it where the old one was, and keep that one's table."""
+    name, listed = recording.info.name, list(words.table["recording"])
+    kept = next_earlier(folder, name)
+    file = f"{name}.again-{kept.stem.rpartition('-')[2]}.parquet"
+    entry = _written(folder, words, replace(recording, info=replace(recording.info, file=file)))
+    others = [one for one in listed if _name(one) != name]
+    _list(folder, dict(words.table) | {"recording": others}, [entry], [_name(one) for one in listed])
+    os.replace(inside(folder, old["file"], "the file of a recording"), kept)
+    note(folder, "kept", recording=name, file=f"{EARLIER}/{kept.name}", ended_early=old["ended_early"])
 
 
 def write_unlisted(folder: Path, run: Run, recording: Recording) -> dict[str, Any]:

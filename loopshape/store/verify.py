@@ -11,6 +11,7 @@ import numpy as np
 
 from loopshape.errors import LoopshapeError
 from loopshape.recording import Recording
+from loopshape.store.arriving import ARRIVING
 from loopshape.store.files import PART, read_toml, reading, short
 from loopshape.store.fits import FILE as FITS
 from loopshape.store.fits import read_fits
@@ -113,7 +114,9 @@ def _strange(folder: Path, listed: set[str]) -> Iterator[Finding]:
     with reading(folder, "a run's folder"):
         paths = sorted(folder.iterdir())
     for path in paths:
-        if path.name.endswith(PART):
+        if path.name.endswith(ARRIVING):
+            yield Finding(path.name, None, "what came of a recording that did not end; the next measurement keeps it")
+        elif path.name.endswith(PART):
             yield Finding(path.name, None, "a file whose writing was cut short; the next measurement removes it")
         elif path.name.endswith(ENDINGS) and path.name not in listed:
             yield Finding(path.name, None, "a table that run.toml does not list: it is not part of the run")

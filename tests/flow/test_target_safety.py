@@ -327,7 +327,7 @@ def test_a_host_that_writes_for_long_is_still_there(tmp_path, monkeypatch):
     from loopshape.store import run_folder
 
     add = run_folder.add_recording
-    monkeypatch.setattr(run_folder, "add_recording", lambda *a: (time.sleep(0.5), add(*a)))
+    monkeypatch.setattr(run_folder, "add_recording", lambda *a, **k: (time.sleep(0.5), add(*a, **k)))
     text = study_text(*EXPERIMENTS[::2], target=(*REAL, "watchdog_ms = 150"))
     with Running(real) as running:
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
