@@ -25,17 +25,19 @@ def check_recordings(run: Run) -> list[str]:
 
 
 def _check_recording(run: Run, recording: Recording) -> list[str]:
+    watched = {} if recording.info.excites is None else _watched(run, recording.info)
     for name in recording.columns:
         signal = recording.signal(name)
         if not signal.size:
             raise BadSignalError(f"recording {recording.info.file} has no rows", "an empty table", "leave it out")
-        for _ in stretches(signal):  # a long recording's values are looked at as they are read
-            pass
+        if name not in watched:  # which are read below
+            for _ in stretches(signal):  # a long recording's values are looked at as they are read
+                pass
     info = recording.info
     if info.excites is None:
         return []
     found = []
-    for name, loop in _watched(run, info).items():
+    for name, loop in watched.items():
         if not all(term in recording.columns for term in sum_terms(name)):
             continue
         values = recording.signal(name)
