@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long check speed studies exam clean install
+.PHONY: help demo test test-long test-oldest test-newest check speed studies exam clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,26 @@ test: $(STAMP) ## run the tests
 
 test-long: $(STAMP) ## run the tests of minutes: kills, damaged files, bad lines
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m long tests
+
+# Old libraries warn of newer ones: there a warning is no failure.
+SHORT = -m pytest -n auto -m short -o filterwarnings=default -W ignore --timeout 600 tests
+EXTRAS = -e '.[uff,mdf,cluster,serial]'
+RUNNER = pytest pytest-timeout pytest-xdist hypothesis markdown-it-py
+UV := $(BIN)/uv --quiet --no-python-downloads
+
+test-oldest: $(STAMP) ## a short part of the tests on the lowest versions that pyproject allows, in .venv-oldest
+	$(UV) venv --clear --python $(BIN)/python .venv-oldest
+	$(UV) pip install --python .venv-oldest --resolution lowest-direct $(EXTRAS)
+	$(UV) pip install --python .venv-oldest $(RUNNER)
+	OMP_NUM_THREADS=1 .venv-oldest/bin/python $(SHORT)
+
+# uv sees what is on PATH; pyenv keeps its versions beside it. PYTHON_NEWEST=3.x or a path chooses one.
+PYTHON_NEWEST ?= $(shell ls -d $(HOME)/.pyenv/versions/3.*/bin/python 2>/dev/null | sort -V | tail -1)
+test-newest: $(STAMP) ## the same on the newest Python here (PYTHON_NEWEST) and the newest versions, in .venv-newest
+	$(UV) venv --clear --python $(or $(PYTHON_NEWEST),'>=3.12') .venv-newest || \
+	  { echo "no Python newer than this one is here: the newest versions are tried on it"; $(UV) venv --clear --python $(BIN)/python .venv-newest; }
+	$(UV) pip install --python .venv-newest --upgrade $(EXTRAS) $(RUNNER)
+	OMP_NUM_THREADS=1 .venv-newest/bin/python $(SHORT)
 
 check: $(STAMP) ## ruff, the type checker, and who may import whom
 	$(BIN)/ruff check loopshape tests experiments examples

@@ -80,6 +80,7 @@ def test_a_held_plant_is_the_sampled_one_up_to_what_folds_down():
     assert ours.rate_hz == rate
 
 
+@pytest.mark.short
 def test_discrete_controllers_on_a_held_plant_are_the_discrete_loop():
     """A two-loop plant: discrete controllers and held plant against python-control's discrete feedback."""
     rate, f = 500.0, np.geomspace(0.5, 20.0, 30)

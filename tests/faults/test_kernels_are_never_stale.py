@@ -98,6 +98,7 @@ def test_two_processes_that_compile_at_once_keep_both_forms(tmp_path):
     assert [coast(package), coast(package, "read-only")] == [[BRAKED, 0]] * 2
 
 
+@pytest.mark.short
 def test_an_edited_callee_gives_new_physics(package):
     """A force in a file beneath the kernel's is multiplied by 0; what was compiled before is used no more, and gone."""
     coast(package)

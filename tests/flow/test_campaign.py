@@ -73,6 +73,7 @@ def wait_for(out, recordings, process):
         time.sleep(0.02)
 
 
+@pytest.mark.short
 def test_every_machine_has_its_run_and_a_line_of_the_table(alone):
     with (alone / "index.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
@@ -95,6 +96,7 @@ def test_noise_differs_from_machine_to_machine(alone):
     assert (one != other).any()
 
 
+@pytest.mark.short
 def test_two_processes_give_the_same_to_the_last_bit(campaign, alone):
     out = campaign.parent / "two"
     subprocess.run(command(campaign, out, "--workers", "2"), check=True, capture_output=True)

@@ -80,6 +80,7 @@ def test_mat_and_csv_keep_response_and_covariance(tmp_path, size, to):
     np.testing.assert_array_equal(made.covariance, before[1])
 
 
+@pytest.mark.short
 @pytest.mark.parametrize("size", [(1, 1, 6), (2, 3, 6), (2, 2, 1)])
 def test_mat_keeps_every_array(tmp_path, size):
     ny, nu, nf = size
@@ -132,6 +133,7 @@ def test_a_users_own_mat_file(tmp_path, compressed):
     assert "the outputs have no names: called y1_1, without a unit" in back.notes
 
 
+@pytest.mark.short
 def test_a_users_own_mat_file_of_version_7_3(tmp_path):
     G = np.arange(24.0).reshape(2, 3, 4) * (1 + 2j)
     pair = np.dtype([("real", "f8"), ("imag", "f8")])
@@ -180,6 +182,7 @@ def test_a_table_without_words(tmp_path):
     assert back.siso.tolist() == [1.0, -1j, -0.5]
 
 
+@pytest.mark.short
 @pytest.mark.parametrize("size", [(1, 1, 6), (2, 2, 6), (3, 1, 6)])
 def test_universal_files_keep_the_response_and_say_what_they_lose(tmp_path, size):
     made = frf(*size)
@@ -226,6 +229,7 @@ def test_the_head_of_a_binary_universal_file_counts_its_bytes(tmp_path):
     assert [(head[2], head[3], head[4]) for head in heads] == [(b"2", b"11", b"144"), (b"2", b"11", b"96")]
 
 
+@pytest.mark.short
 def test_python_control_and_back():
     made = frf(2, 3)
     frd = to_control(made)
@@ -240,6 +244,7 @@ def test_python_control_and_back():
     assert back.response[0, 0, 0] != 99.0 != made.response[0, 0, 0]
 
 
+@pytest.mark.short
 def test_a_model_of_python_control_has_no_error():
     plant = control.tf([1.0], [1.0, 0.4, 1.0])
     made = from_control(control.frd(plant, np.geomspace(0.1, 10.0, 30)), relative_std=0.0, outputs=("y_m",))

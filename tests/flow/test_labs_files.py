@@ -61,6 +61,7 @@ def test_channels_of_an_mdf_file_and_their_times(mdf):
     assert source.signal(Place("time of temperature")) == pytest.approx(np.arange(20) * 0.5)
 
 
+@pytest.mark.short
 def test_an_mdf_file_becomes_a_run(mdf, tmp_path):
     (tmp_path / "map.toml").write_text(MAP)
     result = CliRunner().invoke(
@@ -152,6 +153,7 @@ def test_signals_for_simulink_are_time_and_value(exported, asked):
     assert held["rate_hz"].item() == 1000.0
 
 
+@pytest.mark.short
 def test_signals_in_c_are_the_signals_to_single_precision(exported, asked, tmp_path):
     compiler = shutil.which("cc")
     if compiler is None:

@@ -253,6 +253,7 @@ def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
         gather(tmp_path, None, None, DATE)
 
 
+@pytest.mark.short
 def test_the_command_writes_the_page_and_says_where(run: Path, tmp_path: Path) -> None:
     words = [run, "--controller", run.parent / "controller.toml", "--require", run.parent / "require.toml"]
     out = tmp_path / "new" / "report.html"

@@ -20,6 +20,8 @@ from loopshape.run import Run
 from loopshape.store.run_folder import write_run
 from loopshape.units import TWO_PI
 
+pytestmark = pytest.mark.short
+
 RATE = 100.0
 CONTROLLER = """
 format = "loopshape-controllers/1"

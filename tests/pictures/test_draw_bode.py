@@ -15,6 +15,8 @@ from loopshape.loop import Loop
 from loopshape.requirements import Verdict
 from loopshape.units import db
 
+pytestmark = pytest.mark.short
+
 
 def by_gid(ax: Axes, gid: str | None) -> list:
     return [line for line in ax.lines if line.get_gid() == gid]

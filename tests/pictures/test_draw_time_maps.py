@@ -12,6 +12,8 @@ from loopshape.draw import equilibria, fits, time
 from loopshape.errors import WrongUseError
 from loopshape.units import deg
 
+pytestmark = pytest.mark.short
+
 
 def by_gid(ax: Axes, gid: str) -> list:
     return [line for line in ax.lines if line.get_gid() == gid]
