@@ -56,6 +56,11 @@ def report(found: Sequence[Remeasured], output: Output) -> str:
         columns = ["recording", "operating point", "prediction", "p-value", "lines", "|S| pred. [dB]", "meas. [dB]"]
         columns += ["worst band [Hz]", "S off [dB]", "T off [dB]", "would notice [dB]"]
         output.table(f"Sensitivity of loop {loop}", columns, rows)
+    if comparisons:
+        output.say(
+            "all comparisons together contradict a true prediction 5 % of the time; would notice: the change of the"
+            " plant's gain that is found four times in five"
+        )
     steps = [s for one in found for s in one.steps]
     for loop in dict.fromkeys(s.loop for s in steps):
         rows = [_step_row(s) for s in steps if s.loop == loop]

@@ -9,7 +9,7 @@ periods of one recording is noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -21,12 +21,20 @@ from loopshape.estimate.transforms import Transforms, transform
 from loopshape.recording import Recording
 from loopshape.units import Array, ComplexArray
 
+#: the least level of noise, as a share of what enters the loop
+TINY = 1e-9
 #: one recording's part: itself, its signals (n,), all instruments (n,) in order, and the place of one that it moves
 Part = tuple[Recording, Sequence[Array], Sequence[Array], int]
+#: from responses (nf, m, nr) how large noise in the m signals is expected on each line (nf, m), but for a factor that
+#: varies slowly over the lines
+Shape = Callable[[ComplexArray], Array]
 
 
-def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
+def by_periods(parts: Sequence[Part], settings: Settings, shape: Shape | None = None) -> Answers:
     """Answers of m signals to nr instruments from blocks of nr periodic recordings each, in order.
+
+    Noise is pooled over neighbouring lines as multiples of its `shape`, where that is given: where a loop lets little
+    noise through, the noise of neighbours that it lets more through says nothing of a line by itself.
 
     Refuses recordings whose number is no multiple of nr, whose lines differ, or that cannot tell instruments apart.
     """
@@ -46,7 +54,7 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
             ", ".join(r.info.name for r, *_ in parts),
             "excite the same lines in each",
         )
-    blocks = [_block(spectra[k : k + nr], m, excited) for k in range(0, len(spectra), nr)]
+    blocks = [_block(spectra[k : k + nr], m, excited, shape) for k in range(0, len(spectra), nr)]
     response = np.mean([b[0] for b in blocks], axis=0)
     noise = np.sum([b[1] for b in blocks], axis=0) / len(blocks) ** 2
     each = 2.0 * (spectra[0].signals.shape[1] - 1)
@@ -71,7 +79,9 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
     )
 
 
-def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
+def _block(
+    spectra: Sequence[Transforms], m: int, excited: np.ndarray, shape: Shape | None
+) -> tuple[ComplexArray, ComplexArray]:
     """Response (nf, m, nr) of one block, and its noise's covariance; noise is pooled over neighbouring lines."""
     means = np.stack([t.signals.mean(axis=1).T for t in spectra], axis=-1)  # (nf, m + nr, recordings)
     X, R = means[:, :m], means[:, m:]
@@ -86,12 +96,17 @@ def _block(spectra: Sequence[Transforms], m: int, excited: np.ndarray) -> tuple[
         inverse[excited] = np.linalg.inv(R[excited])
         H = X @ inverse
         size = m * R.shape[1]
+        level = np.ones((H.shape[0], m))
+        if shape is not None:
+            level[excited] = np.maximum(shape(H[excited]), TINY)
+        both = level[:, :, None] * level[:, None, :]
         covariance = np.zeros((H.shape[0], size, size), dtype=complex)
         for row, t in enumerate(spectra):
             k = t.signals.shape[1]
             E = t.signals[:m] - np.einsum("fab,bkf->akf", H, t.signals[m:])
             E = E - E.mean(axis=1, keepdims=True)
-            scatter = _pooled(np.einsum("akf,bkf->fab", E, E.conj()) / (k - 1) / k, 2.0 * (k - 1), excited)
+            scatter = np.einsum("akf,bkf->fab", E, E.conj()) / (k - 1) / k
+            scatter = _pooled(scatter / both, 2.0 * (k - 1), excited) * both
             weight = np.einsum("fj,fk->fjk", inverse[:, row], inverse[:, row].conj())
             covariance += np.einsum("fjk,fab->fjakb", weight, scatter).reshape(covariance.shape)
     return H, covariance
