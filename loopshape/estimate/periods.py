@@ -30,11 +30,11 @@ Part = tuple[Recording, Sequence[Array], Sequence[Array], int]
 Shape = Callable[[ComplexArray], Array]
 
 
-def by_periods(parts: Sequence[Part], settings: Settings, shape: Shape | None = None) -> Answers:
+def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
     """Answers of m signals to nr instruments from blocks of nr periodic recordings each, in order.
 
-    Noise is pooled over neighbouring lines as multiples of its `shape`, where that is given: where a loop lets little
-    noise through, the noise of neighbours that it lets more through says nothing of a line by itself.
+    Of one closed loop noise is pooled over neighbouring lines as multiples of |S|: where a loop lets little noise
+    through, the noise of neighbours that it lets more through says nothing of a line by itself.
 
     Refuses recordings whose number is no multiple of nr, whose lines differ, or that cannot tell instruments apart.
     """
@@ -54,6 +54,7 @@ def by_periods(parts: Sequence[Part], settings: Settings, shape: Shape | None = 
             ", ".join(r.info.name for r, *_ in parts),
             "excite the same lines in each",
         )
+    shape = _let_through(*parts[0][:3])
     blocks = [_block(spectra[k : k + nr], m, excited, shape) for k in range(0, len(spectra), nr)]
     response = np.mean([b[0] for b in blocks], axis=0)
     noise = np.sum([b[1] for b in blocks], axis=0) / len(blocks) ** 2
@@ -77,6 +78,19 @@ def by_periods(parts: Sequence[Part], settings: Settings, shape: Shape | None = 
         noise=noise if len(blocks) > 1 else None,
         notes=tuple(dict.fromkeys(note for t in spectra for note in t.notes)),
     )
+
+
+def _let_through(
+    recording: Recording, signals: Sequence[Array], instruments: Sequence[Array]
+) -> Callable[[ComplexArray], Array] | None:
+    """What a closed loop lets through of its noise to output and plant input, |S|, from what they answer to the
+    instrument; None for other recordings, where nothing tells."""
+    if not recording.info.closed_loop or recording.info.injection == "control":
+        return None
+    if len(signals) != 2 or len(instruments) != 1:
+        return None
+    at_input = recording.info.injection == "plant_input"
+    return lambda H: np.repeat(np.abs(H[:, 1:] if at_input else 1.0 - H[:, :1])[:, :, 0], 2, axis=1)
 
 
 def _block(

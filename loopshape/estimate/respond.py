@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from loopshape.estimate.sweeps import by_sweep
 from loopshape.estimate.welch import by_welch
 from loopshape.recording import Recording
 from loopshape.stretches import LongSignal, Signal
-from loopshape.units import Array, ComplexArray, db
+from loopshape.units import Array, db
 
 
 def respond(
@@ -48,25 +48,12 @@ def respond(
                 f"{settings.method!r} for {recording.info.file} with period {recording.info.period_s:g} s",
                 "leave it out, or take period_s out of run.toml",
             )
-        return by_periods([(recording, whole, moved, 0)], settings, _let_through(recording, whole, moved))
+        return by_periods([(recording, whole, moved, 0)], settings)
     if once:
         return by_sweep(recording, whole, moved[0], outputs, settings)
     if settings.method == "local":
         return by_local_fits(recording, whole, moved, outputs, settings)[0]
     return _better(recording, whole, moved, outputs, settings)
-
-
-def _let_through(
-    recording: Recording, signals: Sequence[Array], instruments: Sequence[Array]
-) -> Callable[[ComplexArray], Array] | None:
-    """What a closed loop lets through of its noise to output and plant input, |S|, from what they answer to the
-    instrument; None for other recordings, where nothing tells."""
-    if not recording.info.closed_loop or recording.info.injection == "control":
-        return None
-    if len(signals) != 2 or len(instruments) != 1:
-        return None
-    at_input = recording.info.injection == "plant_input"
-    return lambda H: np.repeat(np.abs(H[:, 1:] if at_input else 1.0 - H[:, :1])[:, :, 0], 2, axis=1)
 
 
 def _better(
