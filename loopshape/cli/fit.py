@@ -66,6 +66,7 @@ def fit_run(
     from loopshape.fit.fit import fit_automatically, structure_by_name
     from loopshape.store.fits import read_fits, write_fits
     from loopshape.store.frfs import read_frfs
+    from loopshape.store.held import held
 
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
@@ -80,8 +81,9 @@ def fit_run(
                 made.append(fit_one(one, chosen, weighting=weighting, band_hz=band_hz))
             step(one.recording)
     known = {(f.recording, f.loop) for f in made}
-    stored = read_fits(run) if (run / "fits.json").exists() else ()
-    write_fits(run, [*(f for f in stored if (f.recording, f.loop) not in known), *made])
+    with held(run):
+        stored = read_fits(run) if (run / "fits.json").exists() else ()
+        write_fits(run, [*(f for f in stored if (f.recording, f.loop) not in known), *made])
     report_fits(made, output, run)
 
 

@@ -81,6 +81,7 @@ def estimate_and_report(
     from loopshape.estimate.frequency_response import excited_recordings
     from loopshape.estimate.settings import Settings
     from loopshape.store.frfs import frf_csv, write_frfs, write_matrices
+    from loopshape.store.held import held
     from loopshape.store.run_folder import check_recordings, read_run
 
     run = read_run(folder)
@@ -95,9 +96,10 @@ def estimate_and_report(
     matrices = estimate_matrices(run, recordings, chosen, output) if wanted else []
     if not found and not matrices:
         raise BadSignalError(f"no recording of {folder} gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
-    write_frfs(folder, found)
-    if matrices or matrix:
-        write_matrices(folder, matrices)
+    with held(folder):
+        write_frfs(folder, found, run)
+        if matrices or matrix:
+            write_matrices(folder, matrices, run)
     if csv:
         for one in [*found, *matrices]:
             frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet
+
+if TYPE_CHECKING:
+    from loopshape.run import Run
 
 
 def import_file(
@@ -22,12 +26,31 @@ def import_file(
     import_run(file, map_file, out, Output(as_json, quiet), replace=replace)
 
 
+def _add(out: Path, run: Run) -> None:
+    """Add a run's recordings to the run that is there, or start one; refuses another recording of the same name."""
+    from loopshape.errors import WrongUseError
+    from loopshape.store.files import make_folder
+    from loopshape.store.run_folder import alone, finished, holds, write_run
+
+    make_folder(out)
+    with alone(out):
+        todo = [recording for recording in run.recordings if not holds(out, recording)]
+        taken = finished(out) & {recording.info.name for recording in todo}
+        if taken:
+            raise WrongUseError(
+                f"the run {out} has another recording of this name",
+                ", ".join(sorted(taken)),
+                "add --replace to start the run anew, or give [recording] another name in the map",
+            )
+        write_run(out, dataclasses.replace(run, recordings=todo))
+
+
 def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False) -> None:
     """Import, check, write and report; what is there already, number for number, is left as it is."""
-    from loopshape.errors import WrongUseError
     from loopshape.estimate.signals import has_instrument
     from loopshape.store.import_file import import_file as read
-    from loopshape.store.run_folder import add_recording, check_recordings, clear_run, finished, holds, start_run
+    from loopshape.store.replacing import replace_run
+    from loopshape.store.run_folder import check_recordings
     from loopshape.stretches import extent
 
     run = read(file, map_file, next((p for p in (out, *out.absolute().parents) if p.is_dir()), None))
@@ -39,18 +62,9 @@ def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace
                 " injected: only the direct estimator, which feedback biases, can use it"
             )
     if replace:
-        clear_run(out)
-    todo = [recording for recording in run.recordings if not holds(out, recording)]
-    taken = finished(out) & {recording.info.name for recording in todo}
-    if taken:
-        raise WrongUseError(
-            f"the run {out} has another recording of this name",
-            ", ".join(sorted(taken)),
-            "add --replace to start the run anew, or give [recording] another name in the map",
-        )
-    start_run(out, run)
-    for recording in todo:
-        add_recording(out, recording)
+        replace_run(out, run)
+    else:
+        _add(out, run)
     every = [(name, extent(recording.signal(name))) for recording in run.recordings for name in recording.columns]
     rows = [[name, seen.least, seen.most, seen.std, seen.size] for name, seen in every]
     output.table(f"Imported {file.name} at {run.rate_hz:g} Hz", ["column", "min", "max", "std", "samples"], rows)

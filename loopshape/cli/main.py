@@ -89,9 +89,20 @@ def program(
 
 
 def run() -> None:
-    """Entry point: what the user can put right becomes a sentence on standard error and exit code 2."""
+    """Entry point: what the user can put right becomes a sentence on standard error and exit code 2.
+
+    So does the end of a command whose files another process changed after they were read.
+    """
+    from loopshape.store.seen import noting, refuse_changed
+
     try:
-        app()
+        with noting():
+            try:
+                app()
+            except SystemExit as ended:
+                if ended.code in (None, 0, 1):
+                    refuse_changed()
+                raise
     except LoopshapeError as error:
         print(f"loopshape: {error}", file=sys.stderr)
         raise SystemExit(2) from None

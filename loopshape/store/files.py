@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.errors import UnreadableInputError, WrongUseError
+from loopshape.store.seen import look, own, refuse_changed
 from loopshape.store.toml_text import toml_text
 
 PART = ".part"  # ending of a file that is still being written
@@ -40,10 +41,12 @@ def short(value: object, limit: int = 160) -> str:
 
 @contextmanager
 def reading(path: Path, kind: str, *also: type[Exception]) -> Iterator[None]:
-    """Turn what a reader raises over a missing or damaged file into `UnreadableInputError`.
+    """Turn what a reader raises over a missing or damaged file into `UnreadableInputError`; every reader stands in it.
 
-    `kind` completes "cannot be read as ..."; `also` are a reader's own exceptions.
+    A pipe, a socket or a device is refused before it is opened, and a file that changed since it was read. `kind`
+    completes "cannot be read as ..."; `also` are a reader's own exceptions.
     """
+    look(path)
     try:
         yield
     except FileNotFoundError:
@@ -65,7 +68,7 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
     `path` holds the old content or the new one, never half of it. A folder or disk that cannot be written
     is refused with `UnreadableInputError`, a path without a name with `WrongUseError`; whatever `write` raises
-    leaves no temporary file behind.
+    leaves no temporary file behind. Nothing is put in place where a file that was read has changed since.
     """
     if not path.name:
         raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
@@ -73,6 +76,8 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     try:
         write(part)
         _sync(part)
+        refuse_changed()
+        own(path)
         os.replace(part, path)
         _sync(path.parent)
     except OSError as error:

@@ -11,42 +11,49 @@ import numpy as np
 from loopshape import __version__
 from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.frf import FRF
+from loopshape.run import Run
 from loopshape.store.files import inside, make_folder, reading, write_whole
 from loopshape.store.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
 from loopshape.store.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
 from loopshape.store.growth import check_zip
-from loopshape.store.run_folder import excited_names, recording_digests
+from loopshape.store.held import held
+from loopshape.store.run_folder import excited_names, marks_as_read, recording_digests
+from loopshape.store.seen import own
 from loopshape.store.words import refuse_doubles
 
 FORMAT = "loopshape-frf/1"
 FOLDER, MATRICES = "frf", "matrix"
 
 
-def write_frfs(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
+def write_frfs(run_folder: Path, frfs: Sequence[FRF], run: Run | None = None) -> tuple[Path, ...]:
     """Write each FRF whole, replacing that of the same recording and loop; returns the files.
 
-    Refuses two FRFs of one recording and loop, and names that are not plain.
+    With the `run` that they were estimated from, as it was read, each bears the mark of its recordings, and FRFs of
+    recordings that the run does not have are removed. Refuses two FRFs of one recording and loop, names that are not
+    plain, and a run that another process is writing.
     """
-    return _write_all(run_folder, frfs, FOLDER)
+    return _write_all(run_folder, frfs, run, FOLDER)
 
 
-def write_matrices(run_folder: Path, frfs: Sequence[FRF]) -> tuple[Path, ...]:
+def write_matrices(run_folder: Path, frfs: Sequence[FRF], run: Run | None = None) -> tuple[Path, ...]:
     """As `write_frfs`, for a plant's matrices, in a folder of their own."""
-    return _write_all(run_folder, frfs, MATRICES)
+    return _write_all(run_folder, frfs, run, MATRICES)
 
 
-def _write_all(run_folder: Path, frfs: Sequence[FRF], place: str) -> tuple[Path, ...]:
+def _write_all(run_folder: Path, frfs: Sequence[FRF], run: Run | None, place: str) -> tuple[Path, ...]:
     names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}.npz" for frf in frfs]
     refuse_doubles(names, place, "FRFs")
     make_folder(run_folder / place)
     inside(run_folder, place, "the folder of a run's FRFs")
     paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
-    sources = recording_digests(run_folder)
-    for path, frf in zip(paths, frfs, strict=True):
-        _write(path, frf, _source(sources, frf))
-    if sources:  # FRFs of recordings that the run no longer has, or estimated before with other loops
-        for path in set((run_folder / place).glob("*.npz")) - set(paths):
-            path.unlink()
+    sources = {} if run is None else marks_as_read(run, {name for frf in frfs for name in _names(frf)})
+    with held(run_folder):
+        for path, frf in zip(paths, frfs, strict=True):
+            _write(path, frf, _source(sources, frf))
+        if run is not None:  # FRFs of recordings that the run no longer has, or estimated before with other loops
+            for path in set((run_folder / place).glob("*.npz")) - set(paths):
+                own(path)
+                path.unlink()
     return tuple(paths)
 
 

@@ -9,15 +9,16 @@ from pathlib import Path
 
 from loopshape.errors import WrongUseError
 from loopshape.store.files import reading
+from loopshape.store.seen import settled
 
-_HELD: set[tuple[int, int]] = set()  # folders that this process holds, by device and number
+_HELD: set[tuple[int, int, int]] = set()  # folders held, by process (a fork holds nothing), device and number
 
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
     """Hold a run folder for one writer; refuses a second one. The hold ends with the process, however it ends.
 
-    Refuses a folder that is not there or may not be read.
+    Refuses a folder that is not there or may not be read, and where a file that was read before has changed since.
     """
     handle, place = _open(folder)
     try:
@@ -25,7 +26,8 @@ def alone(folder: Path) -> Iterator[None]:
             raise WrongUseError("another process is writing this run", str(folder), "wait for it, or stop it")
         _HELD.add(place)
         try:
-            yield
+            with settled():
+                yield
         finally:
             _HELD.discard(place)
     finally:
@@ -41,12 +43,12 @@ def held(folder: Path) -> Iterator[None]:
         yield
 
 
-def _open(folder: Path) -> tuple[int, tuple[int, int]]:
+def _open(folder: Path) -> tuple[int, tuple[int, int, int]]:
     """A folder as it is open, and what tells it from all others."""
     with reading(folder, "a run's folder"):
-        handle = os.open(folder, os.O_RDONLY)
+        handle = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))
         status = os.fstat(handle)
-    return handle, (status.st_dev, status.st_ino)
+    return handle, (os.getpid(), status.st_dev, status.st_ino)
 
 
 def _locked(handle: int) -> bool:

@@ -15,6 +15,7 @@ from typing import Any
 
 from loopshape.errors import UnreadableInputError
 from loopshape.store.files import json_ready, reading, short
+from loopshape.store.seen import own
 
 FILE = "journal.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere
@@ -25,6 +26,7 @@ def note(folder: Path, event: str, **words: object) -> None:
     """Add a line, on the disk when this returns. Refuses a folder or disk that cannot be written."""
     line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
     path = folder / FILE
+    own(path)
     try:
         handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o644)
         try:

@@ -7,12 +7,14 @@ import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from loopshape import __version__
 from loopshape.store.files import reading
 
 _LIBRARIES = ("numpy", "scipy", "numba")
 KEY = "provenance"
+FileHash = Any  # of hashlib, which names no type of it
 
 
 def versions() -> dict[str, str]:
@@ -28,7 +30,12 @@ def _version(name: str) -> str:
         return "unknown"
 
 
+def file_hash(path: Path) -> FileHash:
+    """SHA-256 of a file's bytes, to which more can be added; refuses one that cannot be read."""
+    with reading(path, "a file"), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256")
+
+
 def file_sha256(path: Path) -> str:
     """Hash of a file's bytes; refuses one that cannot be read."""
-    with reading(path, "a file"), path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_hash(path).hexdigest()

@@ -7,11 +7,11 @@ not named yet is written again when the work resumes.
 from __future__ import annotations
 
 import os
+import shutil
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ def read_run(folder: Path) -> Run:
     Refuses another format, missing keys, unknown keys in a loop or a recording (unknown keys at the top
     stay in `extra`), `outputs` without a known unit, a recording whose file is missing or lies outside the folder.
     """
-    words = _read_words(folder)
+    words = read_run_words(folder)
     rate_hz = words.positive("rate_hz")
     loops = read_loops(words, rate_hz)
     tables = words.tables("recording")
@@ -57,13 +57,24 @@ def read_run(folder: Path) -> Run:
         rate_hz=rate_hz,
         loops=loops,
         recordings=tuple(
-            Recording(info, rate_hz, TableColumns(_existing(folder, info.file), rate_hz, table.maybe_text("sha256")))
-            for info, table in zip(infos, tables, strict=True)
+            Recording(info, rate_hz, _table(folder, words, entry)) for info, entry in zip(infos, tables, strict=True)
         ),
         plant=words.maybe_text("plant"),
         pwm=words.numbers("pwm"),
         extra={key: value for key, value in words.table.items() if key not in _KEYS},
         outputs=read_outputs(words),
+    )
+
+
+def _table(folder: Path, words: Words, entry: Words) -> TableColumns:
+    """A recording's table; its mark stands on the table, on what is said of it, on loops and outputs."""
+    further = (words.table["outputs"],) if "outputs" in words.table else ()
+    said = repr((words.table["rate_hz"], words.table.get("loop"), *further))
+    return TableColumns(
+        _existing(folder, entry.text("file")),
+        words.positive("rate_hz"),
+        entry.maybe_text("sha256"),
+        said + repr(sorted(entry.table.items(), key=str)),
     )
 
 
@@ -80,7 +91,8 @@ def has_run(folder: Path) -> bool:
         return (folder / RUN_TOML).exists()
 
 
-def _read_words(folder: Path) -> Words:
+def read_run_words(folder: Path) -> Words:
+    """The words of `run.toml`; refuses a folder that holds none of this format."""
     with reading(folder, "a run's folder"):
         is_folder = folder.is_dir()
     if not is_folder:
@@ -127,48 +139,21 @@ def recording_digests(folder: Path) -> dict[str, str]:
     """A mark of each recording by name: its table, what is said of it, loops, outputs; empty without a run."""
     if not has_run(folder):
         return {}
-    words = _read_words(folder)
-    further = (words.table["outputs"],) if "outputs" in words.table else ()
-    shared = repr((words.table["rate_hz"], words.table.get("loop"), *further))
-    marks = {}
-    for entry in words.tables("recording"):
-        path = _existing(folder, entry.text("file"))
-        with reading(path, "a recording"), path.open("rb") as file:
-            content = file_digest(file, "sha256")
-        content.update((shared + repr(sorted(entry.table.items(), key=str))).encode())
-        marks[path.name.split(".")[0]] = content.hexdigest()[:16]
-    return marks
+    words = read_run_words(folder)
+    tables = [_table(folder, words, entry) for entry in words.tables("recording")]
+    return {table.path.name.split(".")[0]: table.mark for table in tables}
+
+
+def marks_as_read(run: Run, names: Iterable[str]) -> dict[str, str]:
+    """The marks of recordings of a run as it was read, whatever lies in its folder by now."""
+    found = {name: run.recording(name).columns for name in names}
+    return {name: columns.mark for name, columns in found.items() if isinstance(columns, TableColumns)}
 
 
 def excited_names(folder: Path) -> set[str]:
     """Names of the estimation recordings from which a loop's FRF follows: they excite one, and did not end early."""
     infos = (recording.info for recording in read_run(folder).recordings)
     return {i.name for i in infos if i.alone and i.role == "estimation" and i.ended_early is None}
-
-
-def clear_run(folder: Path) -> None:
-    """Take a run out of its folder: its recordings' tables, FRFs, fits, `run.toml` and journal, in that order.
-
-    Refuses what another process is writing, and what cannot be removed; a link to another folder is not followed.
-    """
-    if not has_run(folder):
-        return
-    with held(folder):
-        tables = [folder / r.info.file for r in read_run(folder).recordings]
-        frfs = [] if (folder / "frf").is_symlink() else sorted(folder.glob("frf/*.npz"))
-        for path in (*tables, *frfs, folder / "fits.json", folder / RUN_TOML, folder / JOURNAL):
-            with _removing(path):
-                path.unlink(missing_ok=True)
-
-
-@contextmanager
-def _removing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise UnreadableInputError(
-            f"{path} cannot be removed", error.strerror or short(error), "check the folder and its rights"
-        ) from None
 
 
 def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
@@ -185,25 +170,32 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
         if has_run(folder):
             _resume(folder, header)
             return
-        ours = (PART, "figures", "frf", JOURNAL, EARLIER, ARRIVING, *tables)
-        if foreign := [p.name for p in folder.iterdir() if not p.name.endswith(ours)]:
-            raise WrongUseError(
-                "a folder that is no run is not written into",
-                f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
-                "choose a new or an empty folder",
-            )
+        refuse_foreign(folder, tables)
         write_toml(folder / RUN_TOML, header)
+
+
+def refuse_foreign(folder: Path, tables: Sequence[str] = ()) -> None:
+    """Refuse a folder without a run that holds other things than a run's own, and `tables`."""
+    ours = (PART, "figures", "frf", "matrix", JOURNAL, EARLIER, ARRIVING, *tables)
+    if foreign := [p.name for p in folder.iterdir() if not p.name.endswith(ours)]:
+        raise WrongUseError(
+            "a folder that is no run is not written into",
+            f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
+            "choose a new or an empty folder",
+        )
 
 
 def sweep(folder: Path) -> None:
     """Remove what writes that were killed left in a folder."""
     for left in folder.glob(f".*{PART}"):
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left, ignore_errors=True)
         with suppress(OSError):
             left.unlink()
 
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:
-    words = _read_words(folder)
+    words = read_run_words(folder)
     _check_extra(words)
     old = dict(words.table)
     _refuse_lost(folder, words)
@@ -263,7 +255,7 @@ def add_recording(folder: Path, recording: Recording, *, again: bool = False) ->
     rate, a file that does not end in `.parquet`, and words that `read_run` would refuse.
     """
     with held(folder):
-        words = _read_words(folder)
+        words = read_run_words(folder)
         there = next((e.table for e in words.tables("recording") if _name(e.table) == recording.info.name), None)
         if there is None:
             _list(folder, words.table, [_written(folder, words, recording)])
@@ -315,7 +307,7 @@ def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: S
     Refuses a run that another process is writing, and one whose header differs. What is named is not named again.
     """
     with held(folder):
-        words = _read_words(folder) if has_run(folder) else Words(_header(run), "the run")
+        words = read_run_words(folder) if has_run(folder) else Words(_header(run), "the run")
         _refuse_other(folder, words, _header(run))
         there = _listed(words)
         _list(folder, words.table, [entry for entry in entries if _name(entry) not in there], order)
@@ -323,7 +315,7 @@ def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: S
 
 def entries_of(folder: Path, run: Run) -> dict[str, dict[str, Any]]:
     """The words of a run's recordings by name, for another folder's `adopt`; refuses a run of another header."""
-    words = _read_words(folder)
+    words = read_run_words(folder)
     _refuse_other(folder, words, _header(run))
     for entry in words.tables("recording"):
         _existing(folder, entry.text("file"))

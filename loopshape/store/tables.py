@@ -18,7 +18,7 @@ from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
 from loopshape.store.files import json_ready, reading, short, write_whole
 from loopshape.store.growth import check_growth
-from loopshape.store.provenance import file_sha256
+from loopshape.store.provenance import FileHash, file_hash
 from loopshape.store.stamps import check_rate
 from loopshape.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.units import Array
@@ -45,13 +45,14 @@ class TableColumns(Mapping[str, Array]):
     Names and length of a Parquet file come from its footer. With `rate_hz` the time column is checked
     before the first column is handed out, and with `sha256` the file. Refuses a file that is damaged or not the one
     that was written (`UnreadableInputError`), a column that is not of numbers, and stamps that do not keep the rate
-    (`BadSignalError`).
+    (`BadSignalError`). `words` is what else the mark of a recording stands on.
     """
 
-    def __init__(self, path: Path, rate_hz: float | None = None, sha256: str | None = None) -> None:
+    def __init__(self, path: Path, rate_hz: float | None = None, sha256: str | None = None, words: str = "") -> None:
         self.path = path
         self.rate_hz = rate_hz
         self.sha256 = sha256
+        self.words = words
         self.loaded: dict[str, Any] = {}
         self._rate_checked = False
         check_ending(path.name)
@@ -85,9 +86,21 @@ class TableColumns(Mapping[str, Array]):
         _RECENT.used(self, "", int(found.frame.memory_usage().sum()))
         return found
 
+    @cached_property
+    def _content(self) -> FileHash:
+        """Hash of the file at the first look at its rows."""
+        return file_hash(self.path)
+
+    @property
+    def mark(self) -> str:
+        """What tells this table, as it was read, with its words, from every other."""
+        content = self._content.copy()
+        content.update(self.words.encode())
+        return content.hexdigest()[:16]
+
     def _check_rate_once(self) -> None:
-        if not self._rate_checked and self.sha256 is not None:
-            check_sha256(self.path, self.sha256)
+        if not self._rate_checked:
+            check_sha256(self.path, self._content.hexdigest(), self.sha256)
         if not self._rate_checked and self.rate_hz is not None and TIME in self:
             long = LongSignal(self.rows, lambda start, stop: self._stretch(TIME, start, stop))
             check_rate(long if self.rows >= LONG else self._load(TIME), self.rate_hz, self.path.name)
@@ -214,10 +227,9 @@ def _parquet_column(path: Path, name: str, group: int | None = None) -> Array:
     return values
 
 
-def check_sha256(path: Path, expected: str) -> None:
-    """Refuse a file that is not the one that was written, by its hash."""
-    found = file_sha256(path)
-    if found != expected:
+def check_sha256(path: Path, found: str, expected: str | None) -> None:
+    """Refuse a file that is not the one that was written, by its hash, where that is known."""
+    if expected is not None and found != expected:
         raise UnreadableInputError(
             f"{path} is not the file that was written",
             f"sha256 {found[:12]}... in place of {expected[:12]}...",

@@ -97,8 +97,8 @@ def _study(noted: object, study: Path | None) -> Iterator[Finding]:
 def _made(folder: Path) -> Iterator[Finding]:
     """FRFs, matrices and fits: readable, and of these recordings."""
     for what, there, read in (
-        ("FRFs", (folder / FOLDER).is_dir(), read_frfs),
-        ("matrices", (folder / MATRICES).is_dir(), read_matrices),
+        ("FRFs", any((folder / FOLDER).glob("*.npz")), read_frfs),
+        ("matrices", any((folder / MATRICES).glob("*.npz")), read_matrices),
         ("fits", (folder / FITS).exists(), read_fits),
     ):
         if there:

@@ -30,7 +30,8 @@ from loopshape.store.files import read_toml, write_toml
 from loopshape.store.frfs import write_frfs
 from loopshape.store.held import alone
 from loopshape.store.journal import FILE as JOURNAL
-from loopshape.store.run_folder import add_recording, clear_run, finished, start_run
+from loopshape.store.replacing import replace_run
+from loopshape.store.run_folder import add_recording, finished, start_run
 from loopshape.store.study import read_study
 from loopshape.store.verify import verify
 
@@ -74,7 +75,9 @@ def by_another(run, line):
     )
 
 
-@pytest.mark.parametrize("line", ["start_run(run, HEADER)", "add_recording(run, recording('b'))", "clear_run(run)"])
+@pytest.mark.parametrize(
+    "line", ["start_run(run, HEADER)", "add_recording(run, recording('b'))", "replace_run(run, HEADER)"]
+)
 def test_what_one_process_writes_no_other_touches(run, line):
     (run / ".b.parquet.1-2.part").write_bytes(b"half of what is being written")
     before = (run / "run.toml").read_bytes()
@@ -113,9 +116,9 @@ def test_a_folder_of_frfs_that_is_a_link_is_neither_written_nor_emptied(run, tmp
     frf = FRF(f, np.ones((3, 1, 1), complex), np.ones((3, 1, 1), complex), f > 0, ("z_v",), ("x_m",), "made up")
     with pytest.raises(UnreadableInputError, match="leaves its folder"):
         write_frfs(run, [frf])
-    clear_run(run)
+    replace_run(run, HEADER)
     assert [p.name for p in (tmp_path / "elsewhere").iterdir()] == ["mine.npz"]
-    assert not (run / "run.toml").exists()
+    assert finished(run) == set()
 
 
 @pytest.mark.parametrize(
