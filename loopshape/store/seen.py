@@ -11,15 +11,16 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from loopshape.errors import UnreadableInputError
 
-Mark = tuple[int, int, int, int]
+State = tuple[int, int, int, int]
 
 _SPECIAL = (
     (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
 )  # fmt: skip
-_noted: dict[str, Mark] | None = None  # by absolute path; None while no command runs
+_noted: dict[str, State] | None = None  # by absolute path; None while no command runs
 _alone = 0  # holds of run folders: what lies in them cannot change
 
 
@@ -63,9 +64,9 @@ def look(path: Path) -> None:
             raise UnreadableInputError(f"{path} is no file", kind, "copy its content into a file and name that")
     if _noted is None or _alone or not stat.S_ISREG(status.st_mode):
         return
-    mark = _mark(status)
-    if _noted.setdefault(os.path.abspath(path), mark) != mark:
-        _refuse([str(path)])
+    state = _state(status)
+    if _noted.setdefault(os.path.abspath(path), state) != state:
+        refuse([str(path)])
 
 
 def own(path: Path) -> None:
@@ -78,11 +79,12 @@ def refuse_changed() -> None:
     """Refuse to go on where a file that was read is no longer the same: changed, replaced or gone."""
     if _noted is None or _alone:
         return
-    if changed := [path for path, mark in _noted.items() if _now(path) != mark]:
-        _refuse(changed)
+    if changed := [path for path, state in _noted.items() if state_of(path) != state]:
+        refuse(changed)
 
 
-def _refuse(paths: list[str]) -> None:
+def refuse(paths: list[str]) -> NoReturn:
+    """Refuse to go on: these files are not those that were read."""
     further = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
     raise UnreadableInputError(
         "files were changed by another process after they were read",
@@ -91,12 +93,13 @@ def _refuse(paths: list[str]) -> None:
     )
 
 
-def _now(path: str) -> Mark | None:
+def state_of(path: str | Path) -> State | None:
+    """What tells a file from any other, None where there is none: device, number, bytes, time of the last change."""
     try:
-        return _mark(os.stat(path))
+        return _state(os.stat(path))
     except OSError:
         return None
 
 
-def _mark(status: os.stat_result) -> Mark:
+def _state(status: os.stat_result) -> State:
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns

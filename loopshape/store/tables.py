@@ -18,7 +18,8 @@ from loopshape.errors import UnreadableInputError, WrongUseError
 from loopshape.store.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
 from loopshape.store.files import json_ready, reading, short, write_whole
 from loopshape.store.growth import check_growth
-from loopshape.store.provenance import FileHash, file_hash
+from loopshape.store.provenance import file_hash
+from loopshape.store.seen import State, refuse, state_of
 from loopshape.store.stamps import check_rate
 from loopshape.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.units import Array
@@ -87,20 +88,31 @@ class TableColumns(Mapping[str, Array]):
         return found
 
     @cached_property
-    def _content(self) -> FileHash:
-        """Hash of the file at the first look at its rows."""
-        return file_hash(self.path)
+    def _state(self) -> State | None:
+        """What tells the file from others, at the first look at its rows."""
+        return state_of(self.path)
+
+    def _refuse_another(self) -> None:
+        if state_of(self.path) != self._state:
+            refuse([str(self.path)])
+
+    @cached_property
+    def _digests(self) -> tuple[str, str]:
+        """SHA-256 of the file, and of the file with its words."""
+        self._refuse_another()
+        content = file_hash(self.path)
+        alone = content.hexdigest()
+        content.update(self.words.encode())
+        return alone, content.hexdigest()
 
     @property
     def mark(self) -> str:
         """What tells this table, as it was read, with its words, from every other."""
-        content = self._content.copy()
-        content.update(self.words.encode())
-        return content.hexdigest()[:16]
+        return self._digests[1][:16]
 
     def _check_rate_once(self) -> None:
-        if not self._rate_checked:
-            check_sha256(self.path, self._content.hexdigest(), self.sha256)
+        if not self._rate_checked and self.sha256 is not None:
+            check_sha256(self.path, self._digests[0], self.sha256)
         if not self._rate_checked and self.rate_hz is not None and TIME in self:
             long = LongSignal(self.rows, lambda start, stop: self._stretch(TIME, start, stop))
             check_rate(long if self.rows >= LONG else self._load(TIME), self.rate_hz, self.path.name)
@@ -109,6 +121,7 @@ class TableColumns(Mapping[str, Array]):
     def _load(self, name: str) -> Array:
         values: Array | None = self.loaded.get(name)
         if values is None:
+            self._refuse_another()
             values = _parquet_column(self.path, name) if self._is_parquet else self._csv.column(name)
             values.setflags(write=False)
             self.loaded[name] = values
@@ -227,9 +240,9 @@ def _parquet_column(path: Path, name: str, group: int | None = None) -> Array:
     return values
 
 
-def check_sha256(path: Path, found: str, expected: str | None) -> None:
-    """Refuse a file that is not the one that was written, by its hash, where that is known."""
-    if expected is not None and found != expected:
+def check_sha256(path: Path, found: str, expected: str) -> None:
+    """Refuse a file that is not the one that was written, by its hash."""
+    if found != expected:
         raise UnreadableInputError(
             f"{path} is not the file that was written",
             f"sha256 {found[:12]}... in place of {expected[:12]}...",
