@@ -11,6 +11,7 @@ import typer
 
 from loopshape.check.words import WORDS, outcome_of
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
     comparison_json,
     report_comparisons,
@@ -87,7 +88,7 @@ def check_run(
     compared = None if reports.baseline is None else against(reports.baseline, loops)
     _write(reports, loops, compared)
     report_verdicts(verdicts, output)
-    drawn = _draw(run / "figures", loops) if figures else []
+    drawn = _draw(figures_of(run), loops) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     if compared is not None:
         output.say("")
@@ -117,7 +118,7 @@ def _margins(run: Path, controller: Path, output: Output, reports: Reports, figu
     loops = check_files(run, controller, None)
     verdicts = [loop.verdict for loop in loops]
     report_margins(verdicts, output)
-    drawn = _draw(run / "figures", loops) if figures else []
+    drawn = _draw(figures_of(run), loops) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.say("no requirement given; reported without verdict")
     made = [verdict_json(v) | {"passed": None, "outcome": None} for v in verdicts]

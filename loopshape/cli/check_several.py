@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
 if TYPE_CHECKING:
@@ -156,5 +157,5 @@ def _draw(
         each = {one.loop: one.margins[recording] for one in verdict.each}
         page = several_page(matrix, verdict.margins[recording], each, several)
         tail = f"_{k + 1:02d}" if len(matrices) > 1 else ""
-        drawn.append(str(save(page, run / "figures" / f"several_{'+'.join(verdict.loops)}{tail}.png")))
+        drawn.append(str(save(page, figures_of(run) / f"several_{'+'.join(verdict.loops)}{tail}.png")))
     return drawn

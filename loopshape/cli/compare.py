@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+from loopshape.cli.pictures import figures_of
 from loopshape.cli.predict import STEP_COLUMNS, indicator_text
 
 if TYPE_CHECKING:
@@ -30,17 +31,17 @@ def compare(
     """Say of each prediction whether it held, where it did not and by how much; exit code 0 where all held."""
     from loopshape.check.remeasured import remeasure
     from loopshape.estimate.settings import Settings
-    from loopshape.store.frfs import read_frfs
+    from loopshape.store.frfs import FOLDER, has_any, read_frfs
     from loopshape.store.predictions import read_predictions
     from loopshape.store.run_folder import read_run
 
     output = Output(as_json, quiet)
-    frfs = read_frfs(run) if (run / "frf").is_dir() else ()
+    frfs = read_frfs(run) if has_any(run, FOLDER) else ()
     settings = Settings(resolution_hz=resolution_hz)
     found = remeasure(
         read_run(run), read_predictions(prediction), frfs=frfs, settings=settings, tolerance_db=tolerance_db
     )
-    drawn = _draw(found, run / "figures") if figures else []
+    drawn = _draw(found, figures_of(run)) if figures else []
     outcome = report(found, output)
     output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {outcome}"]))
     output.json({"outcome": outcome, "predictions": [_json(one) for one in found], "figures": drawn})

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet
+from loopshape.cli.pictures import figures_of
 
 
 def demo(
@@ -53,7 +54,7 @@ def _arm(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     fit_run(run, tables, structure="third_order", loop="theta2")
     fit_run(run, tables, structure="integrator", loop="p_ab")
     passed, figures = _tune_and_check(run, examples / "requirements.toml", tables)
-    drawn = draw_equilibria(run / "figures")
+    drawn = draw_equilibria(figures_of(run))
     return passed, [*drawn, *_pages(run, {"angle-08", "pressure-08"}), *figures]
 
 
@@ -78,7 +79,7 @@ def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     from loopshape.store.study import read_study
 
     study = examples / "gap.toml"
-    figure = run / "figures" / "gap.png"
+    figure = figures_of(run) / "gap.png"
     tables = Output(quiet=output.as_json or output.quiet)
     record(study, run, output)
     found = diagnose_run(run, tables, save_answer=run / "gap.json", report=figure, quick=True)
@@ -102,4 +103,4 @@ def _pages(run: Path, recordings: set[str]) -> list[str]:
     from loopshape.cli.verdicts import fits_of
     from loopshape.store.frfs import read_frfs
 
-    return draw_estimates(run / "figures", read_frfs(run), fits_of(run), Output(quiet=True), pages=recordings)
+    return draw_estimates(figures_of(run), read_frfs(run), fits_of(run), Output(quiet=True), pages=recordings)

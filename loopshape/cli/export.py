@@ -18,19 +18,21 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write each FRF of a run as a file, all of them or none; import-frf reads them back."""
+    from loopshape.store.files import inside
     from loopshape.store.frf_exchange import export_frfs
-    from loopshape.store.frfs import FOLDER, MATRICES, read_frfs, read_matrices
+    from loopshape.store.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
 
     output = Output(as_json, quiet)
-    matrices = read_matrices(run) if (run / MATRICES).is_dir() else ()
-    single = read_frfs(run) if not matrices or any((run / FOLDER).glob("*.npz")) else ()
+    folder = out or inside(run, "export", "the folder of exported FRFs")
+    matrices = read_matrices(run) if has_any(run, MATRICES) else ()
+    single = read_frfs(run) if not matrices or has_any(run, FOLDER) else ()
     frfs = (*single, *matrices)
-    paths, lost = export_frfs(frfs, to, out or run / "export")
+    paths, lost = export_frfs(frfs, to, folder)
     columns = ["file", "recording", "loop", "outputs", "inputs", "lines"]
     rows = [
         [path.name, one.recording, one.loop, ", ".join(one.outputs), ", ".join(one.inputs), one.frequency_hz.size]
         for path, one in zip(paths, frfs, strict=True)
     ]
-    output.table(f"FRFs in {out or run / 'export'}", columns, rows)
+    output.table(f"FRFs in {folder}", columns, rows)
     output.warn(lost)
     output.json({"run": str(run), "format": to, "files": [str(path) for path in paths], "warnings": list(lost)})

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.controller import Controller
@@ -33,7 +34,7 @@ def figures(
     from loopshape.store.requirements import read_requirements
 
     output = Output(as_json, quiet)
-    folder = out or run / "figures"
+    folder = out or figures_of(run)
     frfs, fits = read_frfs(run), fits_of(run)
     drawn = draw_estimates(folder, frfs, fits, output)
     wishes = read_requirements(require) if require is not None else ()

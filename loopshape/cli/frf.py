@@ -10,6 +10,7 @@ import typer
 
 from loopshape.cli.matrices import draw_matrices, estimate_matrices, matrix_table
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.estimate.settings import Settings
@@ -161,10 +162,10 @@ def draw_frfs(folder: Path, frfs: list[FRF], output: Output) -> list[str]:
     with output.progress("draw", len(frfs)) as step:
         for loop in loops:
             mine = [one for one in frfs if one.loop == loop]
-            drawn.append(str(save(frf_overview(mine), folder / "figures" / f"frf_{loop}.png")))
+            drawn.append(str(save(frf_overview(mine), figures_of(folder) / f"frf_{loop}.png")))
             for one in mine:
                 name = f"frf_{one.loop}_{one.recording}.png"
-                drawn.append(str(save(frf_page(one), folder / "figures" / name)))
+                drawn.append(str(save(frf_page(one), figures_of(folder) / name)))
                 step(one.recording)
     return drawn
 

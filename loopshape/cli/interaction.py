@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.controller import Controller
@@ -103,8 +104,8 @@ def _draw(run: Path, found: Sequence[Interaction], output: Output) -> list[str]:
         for k, one in enumerate(found):
             name = f"{one.frf.recording or 'all'}.{'+'.join(one.loops)}"
             name = name if len(name) < 120 else f"{k + 1}"
-            drawn.append(str(save(matrix_page(one.frf), run / "figures" / f"matrix_{name}.png")))
-            drawn.append(str(save(interaction_page(one), run / "figures" / f"interaction_{name}.png")))
+            drawn.append(str(save(matrix_page(one.frf), figures_of(run) / f"matrix_{name}.png")))
+            drawn.append(str(save(interaction_page(one), figures_of(run) / f"interaction_{name}.png")))
             step(one.frf.recording)
     return drawn
 

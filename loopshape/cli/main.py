@@ -27,6 +27,7 @@ from loopshape.cli.import_file import import_file
 from loopshape.cli.import_frf import import_frf
 from loopshape.cli.interaction import interaction
 from loopshape.cli.measure import measure
+from loopshape.cli.output import for_any_terminal
 from loopshape.cli.plan import plan
 from loopshape.cli.predict import predict
 from loopshape.cli.report import report
@@ -95,6 +96,7 @@ def run() -> None:
     """
     from loopshape.store.seen import noting, refuse_changed
 
+    for_any_terminal()
     try:
         with noting():
             try:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output, point
+from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.estimate.settings import Settings
@@ -74,5 +75,5 @@ def draw_matrices(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str
     drawn = []
     for k, one in enumerate(frfs):
         tail = f"_{k + 1:02d}" if len(frfs) > 1 else ""
-        drawn.append(str(save(matrix_page(one), folder / "figures" / f"matrix_{one.loop}{tail}.png")))
+        drawn.append(str(save(matrix_page(one), figures_of(folder) / f"matrix_{one.loop}{tail}.png")))
     return drawn

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from loopshape.target_settings import TargetSettings
 
 WORD = "ARM"
-MARK = ".measuring.json"  # who drives a target into a run folder
 
 
 class StoppedAtLimitError(RigError):
@@ -43,6 +42,7 @@ def record_on_target(
     from loopshape.rigs.target import configuration
     from loopshape.store.arriving import keep_arrived
     from loopshape.store.journal import note
+    from loopshape.store.measuring import marked
     from loopshape.store.run_folder import alone, finished, start_run, whole
 
     settings = study.target
@@ -72,7 +72,7 @@ def record_on_target(
             raise typer.Exit(0)
         _be_armed(armed, output)
         start_run(out, head)
-        with alone(out), _marked(out, name), interrupts():
+        with alone(out), marked(out, name), interrupts():
             keep_arrived(out)  # of a measurement that was killed
             try:
                 _drive(session, wanted, todo, study, plant, out, output)
@@ -223,19 +223,3 @@ def _be_armed(armed: bool, output: Output) -> None:
     if shown and sys.stdin.isatty() and input(f"Type {WORD} to let it move: ").strip() == WORD:
         return
     raise WrongUseError("nothing was moved", "no word to arm", "look at what is about to happen, then add --arm")
-
-
-@contextmanager
-def _marked(out: Path, port: str) -> Iterator[None]:
-    """Say in the run folder who drives which port, for `loopshape stop`."""
-    import os
-
-    from loopshape.store.files import write_json
-
-    mark = out / MARK
-    write_json(mark, {"pid": os.getpid(), "port": port})
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            mark.unlink()

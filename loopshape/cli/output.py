@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -13,6 +15,11 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 T = TypeVar("T")
+#: what a terminal shows that does not know a sign
+PLAIN = {
+    "±": "+-", "²": "^2", "³": "^3", "·": "*", "∞": "inf", "≥": ">=", "≤": "<=", "≈": "~", "−": "-", "–": "-",
+    "→": "->", "…": "...", "γ": "gamma", "π": "pi", "θ": "theta", "µ": "u",
+}  # fmt: skip
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
@@ -79,6 +86,22 @@ class Output:
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(label, total=total)
             yield lambda word: bar.update(task, advance=1, description=f"{label}: {word}")
+
+
+def for_any_terminal() -> None:
+    """Let no print end in an error where the terminal knows fewer signs: signs become words, letters their number."""
+    codecs.register_error("plain", _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="plain")
+
+
+def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
+    """What stands for the signs that cannot be written."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    signs = error.object[error.start : error.end]
+    return "".join(PLAIN.get(sign) or ascii(sign)[1:-1] for sign in signs), error.end
 
 
 def text(cell: Any) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.controller import Controller
@@ -79,7 +80,7 @@ def plan(
         output.json(answer(found) | {"run": str(run), "study": None, "complete": False, "figure": None})
         return
     study, written, why = _write(held, chosen, found, out or run / f"plan_{loop.name}.toml")
-    figure = save(plan_page(found), run / "figures" / f"plan_{loop.name}.png")
+    figure = save(plan_page(found), figures_of(run) / f"plan_{loop.name}.png")
     _show(found, output)
     then = "" if found.realisations == 1 else ", then loopshape frf RUN --realisations"
     output.say(f"study written to {study}: loopshape measure {study} --out RUN{then}" if written else f"{why}: {study}")

@@ -132,11 +132,11 @@ def gather(
 def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:
     """Run, FRFs and matrices, as far as they are there."""
     from loopshape.errors import UnreadableInputError
-    from loopshape.store.frfs import FOLDER, MATRICES, read_frfs, read_matrices
+    from loopshape.store.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
     from loopshape.store.run_folder import RUN_TOML, read_run
 
-    frfs = read_frfs(folder) if any((folder / FOLDER).glob("*.npz")) else ()
-    matrices = read_matrices(folder) if any((folder / MATRICES).glob("*.npz")) else ()
+    frfs = read_frfs(folder) if has_any(folder, FOLDER) else ()
+    matrices = read_matrices(folder) if has_any(folder, MATRICES) else ()
     if not (folder / RUN_TOML).exists() and not (frfs or matrices):
         raise UnreadableInputError(
             "a report needs recordings or frequency responses",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def schedule_run(
         with output.progress(f"tune {wished.loop}", len(mine)) as step:
             found.append(schedule_loop(mine, wished, robust, fits, seed=seed, starts=starts, step=step))
         _report(found[-1], output)
-        drawn += _draw(run / "figures", found[-1]) if figures else []
+        drawn += _draw(figures_of(run), found[-1]) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.json({"loops": [schedule_json(one) for one in found], "figures": drawn})
     return found

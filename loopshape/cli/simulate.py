@@ -9,6 +9,7 @@ import typer
 
 from loopshape.cli.measure import ControllersFile, StudyFile, record
 from loopshape.cli.output import AsJson, Output, Quiet, point
+from loopshape.cli.pictures import figures_of
 
 
 def simulate(
@@ -37,7 +38,7 @@ def simulate(
     run = read_run(folder)
     rows, figures = [], []
     for recording in run.recordings:
-        figures.append(str(save(responses(recording, run.loops), folder / "figures" / f"{recording.info.name}.png")))
+        figures.append(str(save(responses(recording, run.loops), figures_of(folder) / f"{recording.info.name}.png")))
         for loop in run.loops:
             if loop.reference is None:
                 continue

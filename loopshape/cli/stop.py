@@ -33,17 +33,10 @@ def _interrupted(run: Path) -> str:
     import os
     import signal
 
-    from loopshape.cli.measure_target import MARK
-    from loopshape.errors import UnreadableInputError, WrongUseError
-    from loopshape.store.files import read_json, short
-    from loopshape.store.run_folder import is_held
+    from loopshape.errors import WrongUseError
+    from loopshape.store.measuring import driver
 
-    if not (run / MARK).is_file() or not is_held(run):
-        raise WrongUseError("nothing is measured into this run", str(run), "name the port")
-    mark = read_json(run / MARK)
-    pid = mark.get("pid") if isinstance(mark, dict) else None
-    if not isinstance(pid, int) or isinstance(pid, bool) or pid < 2:
-        raise UnreadableInputError(f"{run / MARK} names no process", short(repr(pid)), "name the port")
+    pid = driver(run)
     try:
         os.kill(pid, signal.SIGINT)
     except OSError as error:

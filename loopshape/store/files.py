@@ -80,6 +80,8 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         own(path)
         os.replace(part, path)
         _sync(path.parent)
+    except UnicodeEncodeError:
+        raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
     except OSError as error:
         raise UnreadableInputError(
             f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"

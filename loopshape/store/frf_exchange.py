@@ -19,7 +19,7 @@ from loopshape.store.frf_foreign import ForeignFRF, Stated, frf_of
 from loopshape.store.frf_mat import read_frf_mat, write_frf_mat
 from loopshape.store.frf_uff import read_frf_uff, write_frf_uff
 from loopshape.store.frf_words import frf_arrays
-from loopshape.store.frfs import FOLDER, read_frfs, write_frfs
+from loopshape.store.frfs import FOLDER, has_any, read_frfs, write_frfs
 from loopshape.store.run_folder import RUN_TOML
 from loopshape.store.words import refuse_doubles
 
@@ -119,7 +119,7 @@ def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -
             f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
             "choose a new or an empty folder",
         )
-    there = read_frfs(folder) if any((folder / FOLDER).glob("*.npz")) else ()
+    there = read_frfs(folder) if has_any(folder, FOLDER) else ()
     old = {(one.recording, one.loop): one for one in there}
     taken = [one for one in frfs if (one.recording, one.loop) in old]
     other = [one for one in taken if not _same(one, old[(one.recording, one.loop)])]

@@ -78,6 +78,11 @@ def _write(path: Path, frf: FRF, source: str) -> None:
     write_whole(path, write)
 
 
+def has_any(run_folder: Path, place: str) -> bool:
+    """Whether a run's folder holds FRFs in a place: FRFs of loops, or matrices."""
+    return any((run_folder / place).glob("*.npz"))
+
+
 def read_frfs(run_folder: Path) -> tuple[FRF, ...]:
     """All FRFs of a run, in the order of their files' names.
 

@@ -24,7 +24,6 @@ from loopshape.store.arriving import ARRIVING, EARLIER, next_earlier
 from loopshape.store.files import PART, inside, make_folder, reading, short, write_toml
 from loopshape.store.held import alone as alone
 from loopshape.store.held import held
-from loopshape.store.held import is_held as is_held
 from loopshape.store.journal import FILE as JOURNAL
 from loopshape.store.journal import note, read_journal
 from loopshape.store.provenance import KEY, file_sha256, versions

@@ -15,7 +15,7 @@ from loopshape.store.arriving import ARRIVING
 from loopshape.store.files import PART, read_toml, reading, short
 from loopshape.store.fits import FILE as FITS
 from loopshape.store.fits import read_fits
-from loopshape.store.frfs import FOLDER, MATRICES, read_frfs, read_matrices
+from loopshape.store.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
 from loopshape.store.journal import FILE as JOURNAL
 from loopshape.store.journal import read_journal
 from loopshape.store.provenance import KEY, file_sha256
@@ -97,8 +97,8 @@ def _study(noted: object, study: Path | None) -> Iterator[Finding]:
 def _made(folder: Path) -> Iterator[Finding]:
     """FRFs, matrices and fits: readable, and of these recordings."""
     for what, there, read in (
-        ("FRFs", any((folder / FOLDER).glob("*.npz")), read_frfs),
-        ("matrices", any((folder / MATRICES).glob("*.npz")), read_matrices),
+        ("FRFs", has_any(folder, FOLDER), read_frfs),
+        ("matrices", has_any(folder, MATRICES), read_matrices),
         ("fits", (folder / FITS).exists(), read_fits),
     ):
         if there:

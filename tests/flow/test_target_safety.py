@@ -14,10 +14,10 @@ from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE
 from python_target_line import Running
 from typer.testing import CliRunner
 
-from loopshape.cli import measure_target
 from loopshape.cli.interrupts import interrupts
 from loopshape.cli.main import app
 from loopshape.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.store import measuring
 from loopshape.store.run_folder import finished, read_run
 from loopshape.target_settings import spoken
 
@@ -239,7 +239,7 @@ def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
             assert VENT in told(running)
             assert "stopped and vented" in error
             assert "Traceback" not in error
-            assert not (run / measure_target.MARK).exists()
+            assert not (run / measuring.MARK).exists()
         assert finished(run) == {"short"}
         assert read_run(run).recording("short").info.ended_early is None
         if how == "SIGKILL":
@@ -351,7 +351,7 @@ def test_while_one_measures_another_is_refused_and_disturbs_nothing(tmp_path):
         until(lambda: finished(run) == {"short"}, process=process)
         with pytest.raises(WrongUseError, match="another process is writing this run"):
             measured(study, run, running.port)
-        assert (run / measure_target.MARK).exists()
+        assert (run / measuring.MARK).exists()
         assert command("stop", run)[0] == 0
         process.communicate(timeout=10)
         assert process.returncode == 130
