@@ -64,7 +64,6 @@ def files(whole, tmp_path):
     return tmp_path / "work"
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize(("file", "name"), PAIRS)
 def test_what_is_no_file_is_refused_at_once(files, file, name):
