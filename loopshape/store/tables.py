@@ -56,6 +56,7 @@ class TableColumns(Mapping[str, Array]):
         self.words = words
         self.loaded: dict[str, Any] = {}
         self._rate_checked = False
+        self._csv_bytes = 0
         check_ending(path.name)
 
     @cached_property
@@ -84,7 +85,8 @@ class TableColumns(Mapping[str, Array]):
         found = self.loaded.get("")  # no column is named so
         if found is None:
             found = self.loaded[""] = read_csv_table(self.path, CsvShape())
-        _RECENT.used(self, "", int(found.frame.memory_usage().sum()))
+            self._csv_bytes = int(found.frame.memory_usage().sum())
+        _RECENT.used(self, "", self._csv_bytes)
         return found
 
     @cached_property
