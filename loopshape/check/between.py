@@ -1,62 +1,141 @@
-"""How 1 + L turns between its lines: along curves, and past resonances that the lines step over."""
+"""How 1 + L runs between its lines: along the smoothed plant, its narrow resonances and the controller as it is.
+
+Where a resonance lies between lines that none of them resolves, all poles that they allow are followed.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.sampling import SHARPEST, HiddenPole
 from loopshape.controller import Controller
+from loopshape.estimate.pole_terms import PLACES
+from loopshape.estimate.smoothing import SEED, drawn_errors
+from loopshape.frf import FRF
+from loopshape.loop import Loop
+from loopshape.smoothed import Dense
 from loopshape.units import TWO_PI, Array, ComplexArray, hz
 
+#: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
+STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
 _CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
 _ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
-#: places between two lines where a curve is followed, as shares of the logarithm of frequency
-_SHARES = np.linspace(0.0, 1.0, 9)
 #: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
 BULGE = 0.5
 #: the path past a pole is followed over this many lines more on either side, where its tails bend
 ASIDE = 2
-#: resonances of the controller as wide as this many lines need no path of their own
+#: resonances of the controller as wide as this many lines need no places of their own
 _WIDE = 16
 
 
-def turns_past(
-    pole: HiddenPole, controller: Controller, f: Array, P: ComplexArray, L: ComplexArray
-) -> tuple[int, int, int, int, bool]:
-    """Lines `first`, `last` about a hidden pole, least and most whole turns that chords of 1 + L leave out of 1 + C P.
+@dataclass(frozen=True, eq=False)
+class Path:
+    """L (n,) at f (n,) in Hz, on lines and on places between them where 1 + L moves far; draws (draws, n) of its error.
 
-    Of all the poles that lines f (nf,) of P (nf,) allow; L (nf,) is C P, or what smoothing made of it. What is smooth
-    of P runs straight between lines, and where it bends so much that the likeliest path might pass -1 on the other side
-    the last answer is False.
+    `line` (n,) is true on lines.
     """
+
+    f: Array
+    L: ComplexArray
+    errors: ComplexArray
+    line: np.ndarray
+
+
+_DONE: WeakKeyDictionary[Loop, tuple[Dense, ComplexArray]] = WeakKeyDictionary()
+
+
+def path_of(loop: Loop) -> Path:
+    """L of a loop between its lines."""
+    dense, C = followed(loop)
+    f = dense.frequency_hz
+    return Path(f, C * dense.response, C * dense.deviations, np.isin(f, loop.frequency_hz))
+
+
+def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far.
+
+    The same loop, the same answer.
+    """
+    if loop not in _DONE:
+        _DONE[loop] = _followed(loop)
+    return _DONE[loop]
+
+
+def _followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+    dense = _known(loop)
+    own = _controller_places(loop.controller, dense.frequency_hz)
+    if own.size:
+        dense = dense.at(np.union1d(dense.frequency_hz, own))
+    C = loop.controller.response(dense.frequency_hz)
+    L = C * dense.response
+    nearest = np.minimum(np.abs(1.0 + L[1:]), np.abs(1.0 + L[:-1]))
+    small = np.maximum(np.abs(L[1:]), np.abs(L[:-1])) < SMALL
+    more = dense.between(np.where(small, 0.0, np.abs(np.diff(L))), nearest, STEP, MOST)
+    return more, C if more is dense else loop.controller.response(more.frequency_hz)
+
+
+def _known(loop: Loop) -> Dense:
+    """The plant where its smoothing tells it; on its lines as they are, with draws of their errors, without that."""
+    f, P, scatter = loop.frequency_hz, loop.plant.siso, loop.scatter
+    if scatter is not None:
+        return scatter.dense or Dense(f, P, scatter.reference, scatter.deviations)
+    errors = drawn_errors(np.random.default_rng(SEED), loop.plant.variance[:, 0, 0], loop.plant.line_overlap)
+    return Dense(f, P, P, errors)
+
+
+def _controller_places(controller: Controller, f: Array) -> Array:
+    """Frequencies in Hz over the narrow resonances of the controller as it runs, within lines f (nf,)."""
+    places = [np.zeros(0)]
+    for *_, a1, a2 in controller.biquads():
+        for z in np.roots([1.0, a1, a2]):
+            s = controller.rate_hz * np.log(z) if z.imag > 0.0 else 0j
+            centre, width = hz(s.imag), max(hz(abs(s.real)), SHARPEST * hz(s.imag))
+            k = int(np.searchsorted(f, centre))
+            if 0 < k < f.size and width < _WIDE * (f[k] - f[k - 1]):
+                places.append(centre + width * PLACES)
+    every = np.concatenate(places)
+    return every[(every > f[0]) & (every < f[-1])]
+
+
+def measured(loop: Loop) -> FRF:
+    """The lines as they were measured: what is smoothed over lines does not show what lies between them."""
+    return loop.plant if loop.raw is None else loop.raw
+
+
+def without_narrow(loop: Loop) -> ComplexArray:
+    """The measured lines (nf,) without the resonances that the path follows."""
+    lines = measured(loop)
+    if loop.scatter is None:
+        return lines.siso
+    return np.asarray(lines.siso - loop.scatter.narrow(lines.frequency_hz))
+
+
+def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int, int, bool]:
+    """Lines `first`, `last` about a hidden pole, least and most whole turns that 1 + L turns more than the path there.
+
+    Of all the poles that the loop's lines allow. What is smooth of P runs straight between lines, and where it bends so
+    much that the likeliest path might pass -1 on the other side the last answer is False.
+    """
+    f, P = loop.frequency_hz, without_narrow(loop)
     first, last = _lines_about(f, pole.low_hz, pole.high_hz)
     first, last = max(first - ASIDE, 0), min(last + ASIDE, f.size - 1)
     own, P_own = f[first : last + 1], P[first : last + 1]
     z, r = (pole.centre_hz + 1j * pole.half_width_hz)[:, None], pole.residue[:, None]
-    at = _path(own, z)
+    at = _places(own, z)
     smooth = P_own - r / (1j * (own - z))
-    path = 1.0 + controller.response(at) * (r / (1j * (at - z)) + _straight(at, own, smooth))
-    C = controller.response(own)
-    turns = _left_out(path, 1.0 + L[first : last + 1])
+    known = 0.0 if loop.scatter is None else loop.scatter.narrow(at)
+    past = 1.0 + loop.controller.response(at) * (r / (1j * (at - z)) + _straight(at, own, smooth) + known)
+    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
+    turns = np.rint((turn(past) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
     gap = np.clip(np.searchsorted(own, at[0, :-1], side="right") - 1, 0, own.size - 2)
-    sure = bool(np.all(chords_to_minus_one(path[0] - 1.0)[0] > bulges(own, C * smooth[0])[gap]))
+    bulge = bulges(own, loop.controller.response(own) * smooth[0])[gap]
+    sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
     return first, last, int(turns.min()), int(turns.max()), sure
-
-
-def turns_of_controller(controller: Controller, f: Array, P: ComplexArray) -> list[tuple[int, int, int]]:
-    """Lines `first`, `last` and whole turns of 1 + C P that chords leave out at resonances of the controller itself."""
-    found = []
-    for z in _poles(controller):
-        first, last = _lines_about(f, z.real - 4.0 * z.imag, z.real + 4.0 * z.imag)
-        if not f[0] < z.real < f[-1] or last - first > _WIDE:
-            continue
-        own, P_own = f[first : last + 1], P[first : last + 1]
-        at = _path(own, np.array([[z]]))
-        path = 1.0 + controller.response(at) * _straight(at, own, P_own[None, :])
-        found.append((first, last, int(_left_out(path, 1.0 + controller.response(own) * P_own)[0])))
-    return found
 
 
 def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
@@ -64,7 +143,7 @@ def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
     return first, int(np.clip(np.searchsorted(f, high_hz, side="left"), first + 1, f.size - 1))
 
 
-def _path(own: Array, z: ComplexArray) -> Array:
+def _places(own: Array, z: ComplexArray) -> Array:
     """Frequencies (nz, n) in Hz along lines `own`, dense about each pole z (nz, 1)."""
     even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
     every = np.concatenate([z.real + np.abs(z.imag) * _ALONG, np.broadcast_to(even, (z.shape[0], even.size))], axis=1)
@@ -79,50 +158,10 @@ def _straight(at: Array, own: Array, values: ComplexArray) -> ComplexArray:
     return np.asarray(values[row, k] + (at - own[k]) * slope[row, k])
 
 
-def _left_out(path: ComplexArray, lines: ComplexArray) -> np.ndarray:
-    """Whole turns (nz,) of paths (nz, n) over those of the chords between lines."""
-    return np.rint((turn(path) - turn(lines)) / TWO_PI).astype(int)
-
-
 def turn(path: ComplexArray) -> Array:
     """Angle in rad that a path (..., n) turns about zero, at most half a turn a step."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.sum(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])), axis=-1))
-
-
-def _poles(controller: Controller) -> list[complex]:
-    """Complex poles of the controller as it runs, as centre + j half width in Hz."""
-    found = []
-    for *_, a1, a2 in controller.biquads():
-        for z in np.roots([1.0, a1, a2]):
-            if z.imag > 0.0:
-                s = controller.rate_hz * np.log(z)
-                centre = hz(s.imag)
-                found.append(complex(centre, max(hz(abs(s.real)), SHARPEST * centre)))
-    return found
-
-
-def curved(L: ComplexArray) -> ComplexArray:
-    """L (nf,) between its lines as a power of f, which integrators and delays are: (nf - 1, places), ends included."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        path = L[:-1, None] * (L[1:] / L[:-1])[:, None] ** _SHARES
-    straight = L[:-1, None] + _SHARES * (L[1:] - L[:-1])[:, None]
-    path = np.where(np.isfinite(path), path, straight)
-    path[:, 0], path[:, -1] = L[:-1], L[1:]
-    return np.asarray(path)
-
-
-def curves_of(controller: Controller, f: Array, P: ComplexArray) -> ComplexArray:
-    """C P between lines f (nf,): P (nf,) along such curves, the controller as it is: (nf - 1, places)."""
-    at = f[:-1, None] * (f[1:] / f[:-1])[:, None] ** _SHARES
-    C = controller.response(at.ravel()).reshape(at.shape)
-    C[:, 0], C[:, -1] = (own := controller.response(f))[:-1], own[1:]
-    return np.asarray(C * curved(P))
-
-
-def turns_of_curves(curves: ComplexArray) -> np.ndarray:
-    """Whole turns (nf - 1,) of 1 + L along curves (nf - 1, places) that the chords between their ends leave out."""
-    return np.rint((turn(1.0 + curves) - turn(1.0 + curves[:, [0, -1]])) / TWO_PI).astype(int)
 
 
 def bulges(f: Array, L: ComplexArray) -> Array:

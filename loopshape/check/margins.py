@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.check.between import followed
 from loopshape.check.controller_bandwidth import controller_bandwidth_hz
 from loopshape.check.crossings import axis_crossings, unit_crossings
 from loopshape.check.low_end import Model, judged_lines, low_models
@@ -15,7 +16,6 @@ from loopshape.check.stability import closed_loop_stability
 from loopshape.kernels import margins as kernel
 from loopshape.loop import Loop
 from loopshape.requirements import Margins
-from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray, db
 
 #: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
@@ -41,8 +41,6 @@ LOGARITHMS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
-#: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
-STEP, SMALL, MOST = 0.05, 0.05, 12
 #: where L is read below its first line, as shares of its frequency
 _DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 #: bandwidths that lie above the last line where nothing was met up to it
@@ -147,19 +145,6 @@ def _judged(loop: Loop) -> _Judged:
     f = np.concatenate([f[:led], dense.frequency_hz])
     L, C = np.concatenate([L[:led], own * dense.response]), np.concatenate([C[:led], own])
     return _Judged(f, L, C, reference, deviations)
-
-
-def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
-    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far."""
-    assert loop.scatter is not None
-    lines = Dense(loop.frequency_hz, loop.plant.siso, loop.scatter.reference, loop.scatter.deviations)
-    dense = loop.scatter.dense or lines
-    C = loop.controller.response(dense.frequency_hz)
-    L = C * dense.response
-    nearest = np.minimum(np.abs(1.0 + L[1:]), np.abs(1.0 + L[:-1]))
-    small = np.maximum(np.abs(L[1:]), np.abs(L[:-1])) < SMALL
-    more = dense.between(np.where(small, 0.0, np.abs(np.diff(L))), nearest, STEP, MOST)
-    return more, C if more is dense else loop.controller.response(more.frequency_hz)
 
 
 def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:

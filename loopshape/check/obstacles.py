@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.check.between import bulges, curves_of, turns_of_controller, turns_of_curves, turns_past
+from loopshape.check.between import Path, measured, turns_past, without_narrow
 from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.doubt import chance_of_error, reach_of
 from loopshape.check.holes import hole
 from loopshape.check.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, visible_residue
 from loopshape.estimate.pooling import FREEDOM, pooled_variance
-from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.units import Array, ComplexArray, deg
 
@@ -27,6 +26,8 @@ REACH_95 = float(np.sqrt(-np.log(0.05)))
 ASIDE = 1.05
 #: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
 TAILS = 3.0
+#: a place between lines that is known so many times worse than they are is a matter of finer lines
+STRAYS = 1.5
 #: nearer to -1 than this a chord says nothing
 ON_IT = 1e-3
 
@@ -41,48 +42,37 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """What lies between lines: whole turns of 1 + L that their chords leave out, and gaps (nf - 1,) where a path was
-    followed past a resonance.
+    """What lies between lines and is not on a path along them: whole turns of 1 + L, and places (n,) of the path that
+    lead past a resonance and were looked at for all that it may be.
 
     `unclear` is the first gap where the lines allow several answers, None where there is none.
     """
 
     turns: int
-    followed: np.ndarray
+    past: np.ndarray
     unclear: Obstacle | None
 
 
-def sampling(loop: Loop) -> Sampling:
-    """Turns of 1 + L along curves between lines, and past resonances of plant and controller that lines step over."""
-    f, P, L = loop.frequency_hz, measured(loop).siso, loop.L
-    if f.size < 2:
-        return Sampling(0, np.zeros(0, dtype=bool), None)
-    curves = curves_of(loop.controller, f, loop.plant.siso)
-    turns, followed, unclear = turns_of_curves(curves), np.zeros(f.size - 1, dtype=bool), None
-
-    def follow(first: int, last: int, left_out: int) -> None:
-        turns[first:last] *= followed[first:last]  # a path takes the place of the curves, not of another path
-        turns[first] += left_out
-        followed[first:last] = True
-
-    for found in turns_of_controller(loop.controller, f, P):
-        follow(*found)
+def sampling(loop: Loop, path: Path) -> Sampling:
+    """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
+    f, turns, past, unclear = loop.frequency_hz, 0, np.zeros(path.f.size, dtype=bool), None
     for pole in _hidden(loop):
-        first, last, least, most, sure = turns_past(pole, loop.controller, f, P, L)
-        follow(first, last, least)
+        first, last, least, most, sure = turns_past(pole, loop, path)
+        turns += least
+        past |= ~path.line & (path.f > f[first]) & (path.f < f[last])
         if (least != most or not sure) and unclear is None:
             unclear = Obstacle(
                 f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
             )
-    return Sampling(int(turns.sum()), followed, unclear or _rough(loop))
+    return Sampling(turns, past, unclear or _rough(loop))
 
 
 def _rough(loop: Loop) -> Obstacle | None:
     """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1."""
-    f, lines = loop.frequency_hz, measured(loop)
-    rough = roughness(f, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
+    f = loop.frequency_hz
+    rough = roughness(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
     if not rough.any():
         return None
     g, C = np.abs(1.0 + loop.L), np.abs(loop.C)
@@ -101,19 +91,15 @@ def may_be_oscillatory(loop: Loop) -> bool:
     return loop.unstable_poles is None or loop.unstable_poles > 1
 
 
-def measured(loop: Loop) -> FRF:
-    """The lines as they were measured: what is smoothed over lines does not show what lies between them."""
-    return loop.plant if loop.raw is None else loop.raw
-
-
-def _spread(lines: FRF) -> tuple[Array, float]:
-    """Variance (nf,) of lines and its degrees of freedom, pooled where few are known."""
+def _spread(loop: Loop) -> tuple[Array, float]:
+    """Variance (nf,) of the measured lines and its degrees of freedom, pooled where few are known."""
+    lines = measured(loop)
     return pooled_variance(lines), max(lines.variance_freedom, FREEDOM)
 
 
 def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
-    lines = measured(loop)
-    return hidden_poles(lines.frequency_hz, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
+    rest = without_narrow(loop)
+    return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
 
 
 def unseen_resonance(loop: Loop) -> tuple[float, float]:
@@ -122,8 +108,8 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     Its peak |C r|/w must be |1 + L| at least, and its tails, r/(j (f - f0)), within the noise; where w is more than
     half a gap the lines meet its peak. Not said of the first and the last gap; nan for fewer than ten lines.
     """
-    f, lines = loop.frequency_hz, measured(loop)
-    residue = visible_residue(f, lines.siso, *_spread(lines), unstable=may_be_oscillatory(loop))
+    f = loop.frequency_hz
+    residue = visible_residue(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
     if not np.isfinite(residue).any():
         return float("nan"), float("nan")
     g, C, middle = np.abs(1.0 + loop.L), np.abs(loop.C), 0.5 * (f[1:] + f[:-1])
@@ -134,19 +120,17 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     return max(float(damping[k]), SHARPEST), float(middle[k])
 
 
-def obstacle(loop: Loop, between: Sampling, before: complex) -> Obstacle | None:
+def obstacle(loop: Loop, path: Path, between: Sampling, before: complex) -> Obstacle | None:
     """The first thing that keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
-    return next((x for x in _obstacles(loop, between, before) if x is not None), None)
+    return next((x for x in _obstacles(loop, path, between, before) if x is not None), None)
 
 
-def _obstacles(loop: Loop, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
-    L, f = loop.L, loop.frequency_hz
-    yield _too_short(loop, L, f)
+def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
+    yield _too_short(loop, loop.L, loop.frequency_hz)
     yield comes_up_again(loop)
-    gaps = list(_gaps(loop, between.followed))
-    yield gaps[0]
-    yield _noise(loop, 1.0 + L, before)
-    yield from gaps[1:]
+    yield on_it(path, between)
+    freedom = loop.plant.variance_freedom if loop.raw is None else np.inf
+    yield doubt(path, between, before if loop.model is None else None, freedom)
     yield between.unclear
     missing = hole(loop)
     yield None if missing is None else Obstacle(*missing)
@@ -182,64 +166,67 @@ def comes_up_again(loop: Loop) -> Obstacle | None:
     return Obstacle(reason, _around(f, np.flatnonzero(size >= 1.0)))
 
 
-def _gaps(loop: Loop, followed: np.ndarray) -> tuple[Obstacle | None, Obstacle | None]:
-    """Gaps where L passes -1 too near, and where it turns or bends too much; not where a path was followed."""
-    f, L = loop.frequency_hz, loop.L
-    if f.size < 2:
-        return None, None
-    chord, share = chords_to_minus_one(L)
-    curves = curves_of(loop.controller, f, loop.plant.siso)
-    curve = chords_to_minus_one(curves)[0].min(axis=1)
-    near = np.where(followed, np.inf, np.minimum(chord, curve))
-    k = int(np.argmin(near))
-    at = f[k] + share[k] * (f[k + 1] - f[k])
-    on_it = Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _gap(f, k)) if near[k] < ON_IT else None
-    largest = np.abs(loop.controller.response(f))
-    bulge = bulges(f, loop.plant.siso) * np.maximum(largest[1:], largest[:-1])  # the controller is known in between
-    return on_it, _unsure_gap(f, L, np.where(followed, np.inf, curve), bulge)
-
-
-def _unsure_gap(f: Array, L: ComplexArray, curve: Array, bulge: Array) -> Obstacle | None:
-    """The gap where L, `curve` (nf - 1,) off -1, turns or bends by `bulge` too much to tell on which side it passes."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steps = np.nan_to_num(np.abs(deg(np.angle((1.0 + L[1:]) / (1.0 + L[:-1])))))
-    coarse = np.flatnonzero((steps > COARSE_DEG) & (curve < 2.0 * bulge))
-    if coarse.size:
-        k = int(coarse[np.argmax(steps[coarse])])
-        where = f"{f[k]:.4g} and {f[k + 1]:.4g} Hz"
-        return Obstacle(f"1 + L turns by {steps[k]:.0f} deg between {where}: measure finer there", _gap(f, k))
-    k = int(np.argmin(curve - bulge))
-    if curve[k] > bulge[k]:
+def on_it(path: Path, between: Sampling, words: str = "L passes -1") -> Obstacle | None:
+    """A place where the path passes -1 so near that nothing tells on which side, or turns too far in one step."""
+    if path.f.size < 2:
         return None
-    where = f"{f[k]:.4g} and {f[k + 1]:.4g} Hz"
-    return Obstacle(
-        f"L bends too much between {where} to tell on which side it passes -1: measure finer there", _gap(f, k)
+    skip = between.past[1:] | between.past[:-1]
+    chord, share = chords_to_minus_one(path.L)
+    near = np.where(skip, np.inf, chord)
+    k = int(np.argmin(near))
+    at = path.f[k] + share[k] * (path.f[k + 1] - path.f[k])
+    if near[k] < ON_IT:
+        return Obstacle(f"{words} within {near[k]:.1g} at {at:.3g} Hz", _gap(path.f, k))
+    steps = np.where(skip, 0.0, np.abs(deg(np.angle((1.0 + path.L[1:]) / (1.0 + path.L[:-1])))))
+    k = int(np.argmax(steps))
+    if steps[k] < COARSE_DEG:
+        return None
+    where = f"{path.f[k]:.4g} and {path.f[k + 1]:.4g} Hz"
+    return Obstacle(f"1 + L turns by {steps[k]:.0f} deg between {where}: measure finer there", _gap(path.f, k))
+
+
+def doubt(
+    path: Path, between: Sampling, before: complex | None, freedom: float, curve: str = "L", point: str = "-1"
+) -> Obstacle | None:
+    """Places where errors may carry the path over -1: one whose 95 % circle holds it, or all of them together.
+
+    Where L starts on the real axis, at `before` - 1, that start is as unsure as the first line.
+    """
+    g, std = 1.0 + path.L, np.sqrt(np.mean(np.abs(path.errors) ** 2, axis=0))
+    reach = np.where(between.past, np.inf, reach_of(g, std, freedom))
+    if before is not None:
+        reach[0] = min(reach[0], float(reach_of(np.array([before]), std[:1], freedom)[0]))
+    k = int(np.argmin(reach))
+    if reach[k] < REACH_95:
+        if not path.line[k] and std[k] > STRAYS * _beside(path, std, k):
+            low, high = _lines_beside(path, k)
+            reason = f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
+            return Obstacle(f"{reason}: measure finer there", (low, high))
+        reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
+        return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
+    chance, share = chance_of_error(reach, path.errors)
+    if chance <= WRONG:
+        return None
+    reason = (
+        f"errors of {curve} may carry it over {point} (chance {100.0 * chance:.1g} %): measure longer or excite more"
     )
+    return Obstacle(reason, _around(path.f, np.flatnonzero(share >= 0.1 * share.max())))
+
+
+def _lines_beside(path: Path, k: int) -> tuple[float, float]:
+    lines = path.f[path.line]
+    j = int(np.clip(np.searchsorted(lines, path.f[k]), 1, lines.size - 1))
+    return float(lines[j - 1]), float(lines[j])
+
+
+def _beside(path: Path, std: Array, k: int) -> float:
+    """The larger deviation of the lines on either side of a place."""
+    low, high = np.searchsorted(path.f, _lines_beside(path, k))
+    return float(max(std[low], std[high]))
 
 
 def _gap(f: Array, k: int) -> tuple[float, float]:
     return float(f[k]), float(f[k + 1])
-
-
-def _noise(loop: Loop, g: ComplexArray, before: complex) -> Obstacle | None:
-    """Lines whose errors may carry L over -1: one whose 95 % circle holds it, or all of them together.
-
-    Where L starts on the real axis, that start is as unsure as the first line.
-    """
-    f, std = loop.frequency_hz, np.abs(loop.C) * np.sqrt(loop.plant.variance[:, 0, 0])
-    freedom = loop.plant.variance_freedom if loop.raw is None else np.inf
-    reach = reach_of(g, std, freedom)
-    if loop.model is None:
-        reach[0] = min(reach[0], float(reach_of(np.array([before]), std[:1], freedom)[0]))
-    k = int(np.argmin(reach))
-    if reach[k] < REACH_95:
-        reason = f"-1 lies within the uncertainty of L at {f[k]:.3g} Hz: measure longer or excite more"
-        return Obstacle(reason, _around(f, np.flatnonzero(reach < REACH_95)))
-    chance, share = chance_of_error(g, reach, before, 1.0, loop.plant.line_overlap)
-    if chance <= WRONG:
-        return None
-    reason = f"errors of L may carry it over -1 (chance {100.0 * chance:.1g} %): measure longer or excite more"
-    return Obstacle(reason, _around(f, np.flatnonzero(share > 0.1 * share.max())))
 
 
 def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.check.low_end import judged_lines
-from loopshape.check.margins import followed
+from loopshape.check.between import followed
 from loopshape.check.stability import count_unstable
 from loopshape.estimate.resonances import Phase, Resonance, resonances
 from loopshape.frf import FRF
@@ -123,7 +123,10 @@ def stretched(loop: Loop, percent: float, name: str) -> Loop:
     lines = loop.frequency_hz * (1.0 + shift) < half_hz
     scatter, beyond = loop.scatter, loop.beyond
     if scatter is not None:
-        scatter = Scatter(scatter.reference[lines], scatter.deviations[:, lines], _moved(scatter.dense, shift, half_hz))
+        scatter = Scatter(
+            scatter.reference[lines], scatter.deviations[:, lines], _moved(scatter.dense, shift, half_hz),
+            scatter.pole_hz * (1.0 + shift), scatter.residue * (1.0 + shift),
+        )  # fmt: skip
     if beyond is not None:
         beyond = moved(beyond) if beyond.frequency_hz[0] * (1.0 + shift) < half_hz else None
     return replace(

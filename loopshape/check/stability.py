@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.check.between import measured, path_of
 from loopshape.check.low_end import crossover_below, judged_lines, low_hz, low_models
-from loopshape.check.obstacles import Obstacle, measured, obstacle, sampling, unseen_resonance
+from loopshape.check.obstacles import Obstacle, obstacle, sampling, unseen_resonance
 from loopshape.estimate.resonances import Phase, resonances
 from loopshape.loop import Loop
 from loopshape.units import ComplexArray, deg
@@ -102,35 +103,26 @@ def unstable_count(loop: Loop) -> int | Obstacle:
     if loop.unstable_poles is None:
         return Obstacle(UNKNOWN_POLES)
     integrators = (loop.integrators or 0) + loop.controller.integrators()
-    between = sampling(loop)
+    path = path_of(loop)
+    between = sampling(loop, path)
     below = loop.controller.response(loop.below_hz) * loop.P_below
     odd = loop.unstable_poles % 2 == 1
-    found = obstacle(loop, between, 1.0 + _before_first(loop.L, integrators, odd, below))
+    found = obstacle(loop, path, between, 1.0 + _before_first(path.L, integrators, odd, below))
     if found is not None:
         return found
-    poles = count_unstable(loop.L, integrators, loop.unstable_poles, below)
+    poles = count_unstable(path.L, integrators, loop.unstable_poles, below)
     if poles is None:
-        poles = count_by_low_models(loop, integrators)
+        poles = _count_by_low_models(loop, path.L, integrators)
     return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
 
 
-def count_by_low_models(loop: Loop, integrators: int) -> int | None:
-    """The count with each of the small models that follow the lowest lines; None where there is none or two differ."""
+def _count_by_low_models(loop: Loop, L: ComplexArray, integrators: int) -> int | None:
+    """The count along L (n,) with each of the small models that follow the lowest lines; None where there is none or two differ."""
     f = low_hz(loop)
     C, unstable = loop.controller.response(f), loop.unstable_poles or 0
     models = () if loop.model is not None else low_models(loop)
-    counts = {count_unstable(loop.L, integrators, unstable, C * model.response(f)) for model in models}
+    counts = {count_unstable(L, integrators, unstable, C * model.response(f)) for model in models}
     return counts.pop() if len(counts) == 1 else None
-
-
-def uncountable(loop: Loop) -> str:
-    """Why the lines cannot carry a count of encirclements, empty where they can."""
-    integrators = (loop.integrators or 0) + loop.controller.integrators()
-    below = loop.controller.response(loop.below_hz) * loop.P_below
-    odd = loop.unstable_poles is not None and loop.unstable_poles % 2 == 1
-    before = 1.0 + _before_first(loop.L, integrators, odd, below)
-    found = obstacle(loop, sampling(loop), before)
-    return "" if found is None else found.reason
 
 
 def _misfit(loop: Loop, integrators: int) -> Obstacle:

@@ -12,7 +12,8 @@ from loopshape.check.detuning import with_detuning
 from loopshape.check.low_frequency import low_frequency_models
 from loopshape.check.margins import margins
 from loopshape.check.points import SEVERITY, point_outcome
-from loopshape.check.stability import count_by_low_models, count_unstable, uncountable
+from loopshape.check.obstacles import Obstacle
+from loopshape.check.stability import unstable_count
 from loopshape.check.words import detuning_warnings
 from loopshape.controller import Controller
 from loopshape.errors import WrongUseError
@@ -21,6 +22,7 @@ from loopshape.frf import FRF
 from loopshape.loop import Loop
 from loopshape.model import Fit
 from loopshape.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
+from loopshape.smoothed import Scatter
 from loopshape.units import db, deg, from_db
 
 #: a fit that misses its lines by more than this, rms, says nothing of the plant below them
@@ -60,7 +62,7 @@ def loops_of(
         )
         beyond, model = _beyond(frf, lines), None if fit is None else fit.model
         plant, scatter = smoothed(frf, band)
-        integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond)
+        integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
         notes += [text for text in (left_out, note, _narrowed(frf, lines, controller)) if text]
     return found, tuple(dict.fromkeys(notes))
@@ -118,13 +120,13 @@ def _witness(fit: Fit, frf: FRF) -> bool:
 
 
 def _open_loop_poles(
-    frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None
+    frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
 ) -> tuple[int | None, int | None, str]:
     """Integrators and unstable poles of the plant (None: not known), and a note where they were assumed."""
     integrators, note = _integrators(frf, requirements, fit)
     if requirements.unstable_poles is not None:
         return integrators, requirements.unstable_poles, note
-    held = _held_poles(frf, integrators, fit, beyond)
+    held = _held_poles(frf, integrators, fit, beyond, raw, scatter)
     if held is not None and held < 0:
         note = (
             f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
@@ -171,7 +173,9 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
     )
 
 
-def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None) -> int | None:
+def _held_poles(
+    frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
+) -> int | None:
     """Unstable poles of the plant by the count of the loop that was recorded, which stood; None where it cannot tell.
 
     A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
@@ -179,15 +183,9 @@ def _held_poles(frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF 
     """
     if frf.held_by is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.held_by.rate_hz:
         return None
-    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond)
-    if uncountable(loop):
-        return None
-    below = frf.held_by.response(loop.below_hz) * loop.P_below
-    order = integrators + frf.held_by.integrators()
-    missing = count_unstable(loop.L, order, 0, below)
-    if missing is None:  # as with an odd number of unstable poles: L starts on the other side
-        missing = count_by_low_models(loop, order)
-    return None if missing is None else -missing
+    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
+    missing = unstable_count(loop)
+    return None if isinstance(missing, Obstacle) else -missing
 
 
 def _low_frequency_order(frf: FRF) -> tuple[float, float]:
