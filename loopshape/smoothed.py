@@ -43,6 +43,7 @@ class Dense:
         own, back = ((f / f[0]) ** -power).reshape(each), ((at / f[0]) ** power).reshape(each)
         straight, off = _curved(f, self.response * own, at, k, share)
         sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
+        sides *= np.sqrt(2.0 / np.mean(np.abs(sides) ** 2))
         drawn = self.deviations * own
         deviations = drawn[:, k] * (1.0 - share) + drawn[:, k + 1] * share
         deviations += np.sqrt(0.5) * BETWEEN * sides.reshape(-1, *[1] * self.response.ndim) * off

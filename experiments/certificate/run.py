@@ -32,7 +32,7 @@ REASONS = {
     "errors of the lines": ("-1 lies within", "errors of L"),
     "resonances between lines": ("a resonance between", "neither noise"),
     "L passes -1": ("L passes",),
-    "turns or bends between lines": ("1 + L turns", "L bends"),
+    "turns or bends between lines": ("L bends",),
     "ends": ("|L| is", "the phase of L"),
     "all": ("",),
 }

@@ -34,7 +34,7 @@ from loopshape.controller import Block, Controller  # noqa: E402
 from loopshape.model import TransferFunction  # noqa: E402
 from loopshape.requirements import Requirements  # noqa: E402
 
-LOOPS, NOISES = 420, (1e-6, 0.01, 0.03, 0.1)
+LOOPS, NOISES = 500, (1e-6, 0.01, 0.03, 0.1)
 STEPS = (0.3, 0.5, 0.7, 0.9, 1.1, 1.4, 2.0, 3.0)
 TOLD = ("declared", "recorded loop", "nothing")
 COLUMNS = ("told", "noise", "unstable_poles", "loops", "stable", "right", "undecided", "wrong")
@@ -42,7 +42,7 @@ REASONS = {
     "errors of the lines": ("-1 lies within", "errors of L"),
     "resonances between lines": ("a resonance between", "neither noise"),
     "L passes -1": ("L passes",),
-    "turns or bends between lines": ("1 + L turns", "L bends"),
+    "turns or bends between lines": ("L bends",),
     "the last line": ("|L| is still",),
     "the first line": ("|L| is", "the phase of L"),
     "integrators": ("the number of integrators",),

@@ -12,18 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.check.between import bulges
-from loopshape.check.crossings import chords_to_minus_one
-from loopshape.check.doubt import chance_of_error, reach_of
+from loopshape.check.between import Path
 from loopshape.check.loci import characteristic_loci
-from loopshape.check.obstacles import COARSE_DEG, ON_IT, REACH_95, WRONG, Obstacle, Sampling, sampling
+from loopshape.check.obstacles import Obstacle, Sampling, doubt, on_it, sampling
 from loopshape.check.sampling import HiddenPole, hidden_poles
 from loopshape.check.several_low_end import LowEnd, low_doubt, low_end, slopes
 from loopshape.controller import Block, Controller
+from loopshape.estimate.smoothing_matrix import smoothed_matrix
 from loopshape.frf import FRF
 from loopshape.loop import Loop
-from loopshape.loop_matrix import LoopMatrix, responses
+from loopshape.loop_matrix import LoopMatrix, responses, sensitivity
 from loopshape.several import Certificate
+from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray, deg, rad
 
 UNKNOWN_POLES = (
@@ -32,6 +32,8 @@ UNKNOWN_POLES = (
 )
 #: phase and slope that the ratio of det(I + L) to that of the recorded loops may have at the first line
 HELD_DEG, HELD_SLOPE = 60.0, 0.5
+#: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
+STEP, SMALL, MOST = 0.2, 0.05, 8
 _SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
 
 
@@ -85,15 +87,15 @@ def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
     ends = low_doubt(loops, loci, low) or _high_doubt(loops, loci)
     if ends is not None:
         return ends
-    f, D = loops.frequency_hz, loops.determinant
-    as_one = _as_one(loops, D, determinant_variance(loops))
-    between = _sampling(loops, as_one)
+    D = loops.determinant
+    path = _path(loops)
+    between = _sampling(loops, _as_one(loops, D, determinant_variance(loops)), path)
     before = 2.0 * D[0] * np.exp(-1j * rad(np.clip(low.phase_deg - 90.0 * low.slope, -60.0, 60.0)))
-    found = _chord_doubt(f, loci, D, between.followed) or _noise_doubt(as_one, D, complex(before)) or between.unclear
+    found = _doubt(loops, path, between, complex(before))
     if found is not None:
         return found
     integrators = (loops.integrators or 0) + loops.controller_integrators()
-    poles = count_by_determinant(D, loci, low, integrators, loops.unstable_poles)
+    poles = count_by_determinant(1.0 + path.L, loci, low, integrators, loops.unstable_poles)
     return poles - 2 * between.turns
 
 
@@ -107,20 +109,52 @@ def count_from_held(loops: LoopMatrix) -> int | Obstacle:
     stood = replace(loops, controllers=loops.held, held=())
     D = loops.determinant / stood.determinant
     more = loops.controller_integrators() - stood.controller_integrators()
-    as_one = _as_one(loops, D, determinant_variance(loops, stood))
-    between = _sampling(loops, as_one)
+    path = _path(loops, stood)
+    between = _sampling(loops, _as_one(loops, D, determinant_variance(loops, stood)), path)
     loci, before = characteristic_loci(loops.L_i), characteristic_loci(stood.L_i)
     f, swing = loops.frequency_hz, float(np.angle(D[0] * 1j**more))
     if abs(deg(swing)) > HELD_DEG or abs(slopes(f, D[:, None])[0] + more) > HELD_SLOPE:
         reason = f"det(I + L) is not in step with that of the recorded loops at the first line, {f[0]:.3g} Hz"
         return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
-    doubts = (_high_doubt(loops, loci), _high_doubt(stood, before), _noise_doubt(as_one, D, complex(2.0 * D[0])))
-    found = next((x for x in (*doubts, _chord_doubt(f, loci, D, between.followed), between.unclear) if x), None)
+    found = _high_doubt(loops, loci) or _high_doubt(stood, before)
+    found = found or _doubt(loops, path, between, complex(2.0 * D[0]))
     if found is not None:
         return found
     end = float(np.sum(np.angle(1.0 + before[-1])) - np.sum(np.angle(1.0 + loci[-1])))
-    turn = swing + float(np.sum(np.angle(D[1:] / D[:-1]))) + end
+    whole = 1.0 + path.L
+    turn = float(np.angle(whole[0] * 1j**more)) + float(np.sum(np.angle(whole[1:] / whole[:-1]))) + end
     return round(0.5 * more - turn / np.pi) - 2 * between.turns
+
+
+def followed_matrix(loops: LoopMatrix) -> Dense:
+    """The smoothed plant with its draws, on lines and on places between them where I + L moves far."""
+    lines, P = loops.frequency_hz, loops.P
+    found = smoothed_matrix(loops.plant)
+    dense = Dense(lines, P, P, np.zeros((1, *P.shape), dtype=complex)) if found is None else found[0]
+    L = dense.response * responses(loops.controllers, dense.frequency_hz)[:, None, :]
+    with np.errstate(divide="ignore"):
+        room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
+    moved = np.linalg.norm(np.diff(L, axis=0), 2, axis=(1, 2))
+    small = np.linalg.norm(L, 2, axis=(1, 2)) < SMALL
+    return dense.between(np.where(small[1:], 0.0, moved), np.minimum(room[1:], room[:-1]), STEP, MOST)
+
+
+def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
+    """det(I + L) - 1 between lines, with `stood` over that of the same plant under other controllers."""
+    dense = followed_matrix(loops)
+    D, moved = _determinant(loops, dense)
+    if stood is not None:
+        before, moved_before = _determinant(stood, dense)
+        D, moved = D / before, moved - moved_before
+    return Path(dense.frequency_hz, D - 1.0, D * moved, np.isin(dense.frequency_hz, loops.frequency_hz))
+
+
+def _determinant(loops: LoopMatrix, dense: Dense) -> tuple[ComplexArray, ComplexArray]:
+    """det(I + L) (n,), and what draws of the plant's error do to its logarithm (draws, n): tr(C S_o dP)."""
+    c = responses(loops.controllers, dense.frequency_hz)
+    whole = np.eye(len(loops.names)) + c[:, :, None] * dense.response
+    slope = np.linalg.inv(whole) * c[:, None, :]
+    return np.linalg.det(whole), np.einsum("fij,dfji->df", slope, dense.deviations, optimize=True)
 
 
 def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
@@ -135,23 +169,24 @@ def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
     return Loop(made, Controller("det", (Block("gain", {"gain": 1.0}),), rate_hz), None, 0)
 
 
-def _sampling(loops: LoopMatrix, as_one: Loop) -> Sampling:
-    """What lies between the lines of det(I + L), where an element of the plant shows a pole there too.
+def _sampling(loops: LoopMatrix, as_one: Loop, path: Path) -> Sampling:
+    """What lies between the lines of det(I + L) and off its path, where an element of the plant shows a pole there too.
 
     The determinant's poles are those of the elements; what only it shows is a bend near a crossover. A pole that the
     elements show and the determinant does not has no weight in it, as far as its own noise lets see.
     """
     f, freedom = loops.frequency_hz, loops.plant.variance_freedom
-    nothing = Sampling(0, np.zeros(max(f.size - 1, 0), dtype=bool), None)
+    nothing, found = Sampling(0, np.zeros(max(f.size - 1, 0), dtype=bool), None), smoothed_matrix(loops.plant)
     poles: list[HiddenPole] = []
-    for element, variance in zip(_elements(loops.P), _elements(loops.plant.variance), strict=True):
+    rest = loops.P if found is None else loops.P - found[1]
+    for element, variance in zip(_elements(rest), _elements(loops.plant.variance), strict=True):
         if element.any():
             poles += hidden_poles(f, element, np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2), freedom)
     if not poles or np.abs(as_one.L).max() < _SAME:
         return nothing
-    found = sampling(as_one)
+    shown = sampling(as_one, path)
     gaps = np.clip(np.searchsorted(f, [pole.centre_hz[0] for pole in poles]) - 1, 0, f.size - 2)
-    return found if found.followed[gaps].any() else nothing
+    return shown if shown.followed[gaps].any() else nothing
 
 
 def _elements(P: np.ndarray) -> np.ndarray:
@@ -193,48 +228,13 @@ def _high_doubt(loops: LoopMatrix, loci: ComplexArray) -> Obstacle | None:
     return Obstacle(f"{reason}: excite more there", (float(f[-1]), float(above.frequency_hz[-1])))
 
 
-def _chord_doubt(f: Array, loci: ComplexArray, D: ComplexArray, followed: np.ndarray) -> Obstacle | None:
-    """Chords that pass 0 too near, turn too far, or bend too much; not where a hidden pole's path was followed."""
-    if f.size < 2:
+def _doubt(loops: LoopMatrix, path: Path, between: Sampling, before: complex) -> Obstacle | None:
+    """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
+    if path.f.size < 2:
         return Obstacle("one line does not make a curve")
-
-    def gap(k: int) -> tuple[float, float]:
-        return float(f[k]), float(f[k + 1])
-
-    distance = np.min([np.where(followed, np.inf, chords_to_minus_one(one)[0]) for one in loci.T], axis=0)
-    k = int(np.argmin(distance))
-    if distance[k] < ON_IT:
-        return Obstacle(f"an eigenvalue of L passes -1 within {distance[k]:.1g} at {f[k]:.3g} Hz", gap(k))
-    every = np.column_stack([1.0 + loci, D])
-    turns = np.where(followed, 0.0, np.abs(deg(np.angle(every[1:] / every[:-1]))).max(axis=1))
-    k = int(np.argmax(turns))
-    words = f"between {f[k]:.4g} and {f[k + 1]:.4g} Hz"
-    if turns[k] > COARSE_DEG:
-        return Obstacle(f"det(I + L) turns by {turns[k]:.0f} deg {words}: measure finer there", gap(k))
-    room = np.where(followed, np.inf, chords_to_minus_one(D - 1.0)[0]) - bulges(f, D - 1.0)
-    k = int(np.argmin(room))
-    if room[k] < 0.0:
-        words = f"between {f[k]:.4g} and {f[k + 1]:.4g} Hz"
-        reason = f"det(I + L) bends too much {words} to tell on which side it passes 0: measure finer there"
-        return Obstacle(reason, gap(k))
-    return None
-
-
-def _noise_doubt(as_one: Loop, D: ComplexArray, before: complex) -> Obstacle | None:
-    """Lines whose errors may carry det(I + L) over 0: one whose 95 % circle holds it, or all of them together."""
-    f, plant = as_one.frequency_hz, as_one.plant
-    reach = reach_of(D, np.sqrt(plant.variance[:, 0, 0]), plant.variance_freedom)
-    chance, share = chance_of_error(D, reach, before, 1.0, plant.line_overlap)
-    k = int(np.argmin(reach))
-    if reach[k] < REACH_95:
-        held = np.flatnonzero(reach < REACH_95)
-        reason = f"0 lies within the uncertainty of det(I + L) at {f[k]:.3g} Hz: measure longer or excite more"
-    elif chance > WRONG:
-        held = np.flatnonzero(share > 0.1 * share.max())
-        reason = f"errors may carry det(I + L) over 0 (chance {100.0 * chance:.1g} %): measure longer or excite more"
-    else:
-        return None
-    return Obstacle(reason, (float(f[max(held[0] - 1, 0)]), float(f[min(held[-1] + 1, f.size - 1)])))
+    near = on_it(path, between, "det(I + L) passes 0")
+    found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
+    return found or between.unclear
 
 
 def determinant_variance(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Array:

@@ -28,9 +28,9 @@ def chance_of_error(reach: Array, errors: ComplexArray) -> tuple[float, Array]:
     to the next: as often as a normal process rises through a level (Rice, Bell System Technical Journal 24, 1945), with
     the correlation of neighbours that the draws show.
     """
-    size = np.sqrt(np.sum(np.abs(errors) ** 2, axis=0)) + 1e-300
+    size = np.maximum(np.sqrt(np.sum(np.abs(errors) ** 2, axis=0)), 1e-150)
     common = np.abs(np.sum(errors[:, 1:] * errors[:, :-1].conj(), axis=0)) / (size[1:] * size[:-1])
-    near = np.minimum(reach[1:], reach[:-1])
-    rising = np.arccos(np.clip(common, 0.0, 1.0)) / TWO_PI * np.exp(-(near**2))
-    share = np.minimum(rising, ndtr(-np.sqrt(2.0) * near))
+    level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
+    rising = np.arccos(np.clip(common, 0.0, 1.0)) / TWO_PI * (level[1:] + level[:-1])
+    share = 0.5 * np.minimum(rising, beyond[1:] + beyond[:-1])  # half of rising, half of coming back
     return min(float(share.sum() + ndtr(-np.sqrt(2.0) * reach.min())), 1.0), np.asarray(share)

@@ -14,10 +14,8 @@ from loopshape.check.holes import hole
 from loopshape.check.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, visible_residue
 from loopshape.estimate.pooling import FREEDOM, pooled_variance
 from loopshape.loop import Loop
-from loopshape.units import Array, ComplexArray, deg
+from loopshape.units import Array, ComplexArray
 
-#: between lines 1 + L may turn by this much before the sampling is called too coarse to count, in deg
-COARSE_DEG = 135.0
 #: a count is not given where the chance that the lines' errors make it wrong is above this
 WRONG = 0.005
 #: radius of 95 % of a circular error, in sqrt E|d|²
@@ -42,41 +40,50 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """What lies between lines and is not on a path along them: whole turns of 1 + L, and places (n,) of the path that
-    lead past a resonance and were looked at for all that it may be.
+    """What lies between lines and is not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) that lead past a
+    resonance and were looked at for all that it may be.
 
     `unclear` is the first gap where the lines allow several answers, None where there is none.
     """
 
     turns: int
-    past: np.ndarray
+    followed: np.ndarray
     unclear: Obstacle | None
+
+    def past(self, path: Path) -> np.ndarray:
+        """Places (n,) of a path within such gaps, its lines not among them."""
+        if not self.followed.size:
+            return np.zeros(path.f.size, dtype=bool)
+        gap = np.clip(np.cumsum(path.line) - 1, 0, self.followed.size - 1)
+        return np.asarray(~path.line & self.followed[gap])
 
 
 def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
-    f, turns, past, unclear = loop.frequency_hz, 0, np.zeros(path.f.size, dtype=bool), None
+    f, turns, unclear = loop.frequency_hz, 0, None
+    followed = np.zeros(max(f.size - 1, 0), dtype=bool)
     for pole in _hidden(loop):
         first, last, least, most, sure = turns_past(pole, loop, path)
         turns += least
-        past |= ~path.line & (path.f > f[first]) & (path.f < f[last])
+        followed[first:last] = True
         if (least != most or not sure) and unclear is None:
             unclear = Obstacle(
                 f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
             )
-    return Sampling(turns, past, unclear or _rough(loop))
+    return Sampling(turns, followed, unclear or _rough(loop, path))
 
 
-def _rough(loop: Loop) -> Obstacle | None:
+def _rough(loop: Loop, path: Path) -> Obstacle | None:
     """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1."""
     f = loop.frequency_hz
     rough = roughness(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
     if not rough.any():
         return None
-    g, C = np.abs(1.0 + loop.L), np.abs(loop.C)
-    gaps = np.flatnonzero(TAILS * np.maximum(C[1:], C[:-1]) * rough > np.minimum(g[1:], g[:-1]))
+    chords, C = chords_to_minus_one(path.L)[0], np.abs(loop.C)
+    near = np.minimum.reduceat(chords, np.flatnonzero(path.line)[:-1])
+    gaps = np.flatnonzero(TAILS * np.maximum(C[1:], C[:-1]) * rough > near)
     if not gaps.size:
         return None
     low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])
@@ -167,22 +174,14 @@ def comes_up_again(loop: Loop) -> Obstacle | None:
 
 
 def on_it(path: Path, between: Sampling, words: str = "L passes -1") -> Obstacle | None:
-    """A place where the path passes -1 so near that nothing tells on which side, or turns too far in one step."""
-    if path.f.size < 2:
+    """A place where the path passes -1 so near that nothing tells on which side."""
+    past = between.past(path)
+    near = np.where(past[1:] | past[:-1], np.inf, chords_to_minus_one(path.L)[0])
+    if not near.size or near.min() >= ON_IT:
         return None
-    skip = between.past[1:] | between.past[:-1]
-    chord, share = chords_to_minus_one(path.L)
-    near = np.where(skip, np.inf, chord)
     k = int(np.argmin(near))
-    at = path.f[k] + share[k] * (path.f[k + 1] - path.f[k])
-    if near[k] < ON_IT:
-        return Obstacle(f"{words} within {near[k]:.1g} at {at:.3g} Hz", _gap(path.f, k))
-    steps = np.where(skip, 0.0, np.abs(deg(np.angle((1.0 + path.L[1:]) / (1.0 + path.L[:-1])))))
-    k = int(np.argmax(steps))
-    if steps[k] < COARSE_DEG:
-        return None
-    where = f"{path.f[k]:.4g} and {path.f[k + 1]:.4g} Hz"
-    return Obstacle(f"1 + L turns by {steps[k]:.0f} deg between {where}: measure finer there", _gap(path.f, k))
+    at = path.f[k] + chords_to_minus_one(path.L)[1][k] * (path.f[k + 1] - path.f[k])
+    return Obstacle(f"{words} within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at))
 
 
 def doubt(
@@ -192,15 +191,19 @@ def doubt(
 
     Where L starts on the real axis, at `before` - 1, that start is as unsure as the first line.
     """
-    g, std = 1.0 + path.L, np.sqrt(np.mean(np.abs(path.errors) ** 2, axis=0))
-    reach = np.where(between.past, np.inf, reach_of(g, std, freedom))
+    std = np.sqrt(np.mean(np.abs(path.errors) ** 2, axis=0))
+    chord = np.concatenate([[np.inf], chords_to_minus_one(path.L)[0], [np.inf]])
+    near = np.minimum(np.abs(1.0 + path.L), np.minimum(chord[1:], chord[:-1]))
+    reach = np.where(between.past(path), np.inf, reach_of(near, std, freedom))
     if before is not None:
         reach[0] = min(reach[0], float(reach_of(np.array([before]), std[:1], freedom)[0]))
     k = int(np.argmin(reach))
     if reach[k] < REACH_95:
-        if not path.line[k] and std[k] > STRAYS * _beside(path, std, k):
-            low, high = _lines_beside(path, k)
-            reason = f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
+        low, high = _lines_beside(path, float(path.f[k]))
+        if not path.line[k] and std[k] > STRAYS * float(std[np.searchsorted(path.f, [low, high])].max()):
+            reason = (
+                f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
+            )
             return Obstacle(f"{reason}: measure finer there", (low, high))
         reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
         return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
@@ -213,20 +216,11 @@ def doubt(
     return Obstacle(reason, _around(path.f, np.flatnonzero(share >= 0.1 * share.max())))
 
 
-def _lines_beside(path: Path, k: int) -> tuple[float, float]:
+def _lines_beside(path: Path, at_hz: float) -> tuple[float, float]:
+    """The lines on either side of a place of a path, in Hz."""
     lines = path.f[path.line]
-    j = int(np.clip(np.searchsorted(lines, path.f[k]), 1, lines.size - 1))
-    return float(lines[j - 1]), float(lines[j])
-
-
-def _beside(path: Path, std: Array, k: int) -> float:
-    """The larger deviation of the lines on either side of a place."""
-    low, high = np.searchsorted(path.f, _lines_beside(path, k))
-    return float(max(std[low], std[high]))
-
-
-def _gap(f: Array, k: int) -> tuple[float, float]:
-    return float(f[k]), float(f[k + 1])
+    k = int(np.clip(np.searchsorted(lines, at_hz), 1, lines.size - 1))
+    return float(lines[k - 1]), float(lines[k])
 
 
 def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:

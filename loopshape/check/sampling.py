@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from loopshape.check.windows import HALF, LEFT, Windows, windows_of
+from loopshape.estimate.pole_terms import CAREFUL, ROUNDED
 from loopshape.units import TWO_PI, Array, ComplexArray
 
 #: chance of a pole where there is none, over all gaps of a record
@@ -32,8 +33,6 @@ WIDEST = 4.0
 ROUGH = 0.02
 #: what a polynomial beside a pole rounds off of it, as a share of residue and half width
 UNEXACT = 0.01
-#: noise leaves over this much at most, in 99.9 % of windows; more is rounding off, and counts so many times
-ROUNDED, CAREFUL = 3.3, 10.0
 #: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
 _PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
 

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.channel import Channel, sum_terms
-from loopshape.check.determinant import closed_loops_stability
+from loopshape.check.determinant import closed_loops_stability, followed_matrix
 from loopshape.check.structured import mu_bounds, refined, upper_at
 from loopshape.errors import WrongUseError
-from loopshape.estimate.smoothing_matrix import smoothed_matrix
 from loopshape.loop_matrix import LoopMatrix, responses, sensitivity
 from loopshape.several import SeveralMargins
 from loopshape.smoothed import Dense
@@ -22,8 +21,6 @@ REACH = 1.972
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
 #: search is needed for each (neighbours are smoothed together and say the same)
 NEAR, MOST, MOST_SEARCHED = 0.7, 40, 16
-#: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
-STEP, SMALL, BETWEEN = 0.2, 0.05, 8
 MIXED = "outputs have different units: singular values of S and T would depend on them and are not given"
 
 #: gauges whose peaks over frequency the margins are
@@ -61,7 +58,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
     the lines show makes them.
     """
-    scatter = _followed(loops)
+    scatter = followed_matrix(loops) if loops.plant.covariance.any() else None
     P, f, c = loops.P, loops.frequency_hz, loops.c
     if scatter is not None:
         P, f = scatter.response, scatter.frequency_hz
@@ -91,18 +88,6 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         intervals={n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches},
         notes=(MIXED,) if mixed else (),
     )
-
-
-def _followed(loops: LoopMatrix) -> Dense | None:
-    """The smoothed plant with its draws, on lines and on places between them where I + L moves far."""
-    found = smoothed_matrix(loops.plant)
-    if found is None:
-        return None
-    L = found.response * responses(loops.controllers, found.frequency_hz)[:, None, :]
-    room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
-    moved = np.linalg.norm(np.diff(L, axis=0), 2, axis=(1, 2))
-    small = np.linalg.norm(L, 2, axis=(1, 2)) < SMALL
-    return found.between(np.where(small[1:], 0.0, moved), np.minimum(room[1:], room[:-1]), STEP, BETWEEN)
 
 
 def _field(name: str, value: float) -> float:

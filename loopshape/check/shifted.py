@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loopshape.check.low_end import judged_lines
 from loopshape.check.between import followed
+from loopshape.check.low_end import judged_lines
 from loopshape.check.stability import count_unstable
 from loopshape.estimate.resonances import Phase, Resonance, resonances
 from loopshape.frf import FRF

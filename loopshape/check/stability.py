@@ -117,7 +117,7 @@ def unstable_count(loop: Loop) -> int | Obstacle:
 
 
 def _count_by_low_models(loop: Loop, L: ComplexArray, integrators: int) -> int | None:
-    """The count along L (n,) with each of the small models that follow the lowest lines; None where there is none or two differ."""
+    """The count along L (n,) with each small model of the lowest lines; None where there is none or two differ."""
     f = low_hz(loop)
     C, unstable = loop.controller.response(f), loop.unstable_poles or 0
     models = () if loop.model is not None else low_models(loop)

@@ -11,8 +11,8 @@ from loopshape.algebra.sampling import HELD
 from loopshape.check.detuning import with_detuning
 from loopshape.check.low_frequency import low_frequency_models
 from loopshape.check.margins import margins
-from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.obstacles import Obstacle
+from loopshape.check.points import SEVERITY, point_outcome
 from loopshape.check.stability import unstable_count
 from loopshape.check.words import detuning_warnings
 from loopshape.controller import Controller

@@ -57,7 +57,7 @@ def smoothed(frf: FRF, band_hz: Band = None) -> tuple[FRF, Scatter]:
 def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
     y, v = frf.siso, pooled_variance(frf)
     if not v.any():
-        return frf, Scatter(y, np.zeros((DRAWS, y.size), dtype=complex))
+        return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
     floor = np.maximum(v, 1e-20 * np.abs(y) ** 2 + 1e-300)
     f, terms = frf.frequency_hz, pole_terms(frf, v)
     poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
@@ -71,8 +71,8 @@ def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
         frf, response=response[:, None, None], covariance=variance[:, None, None] + 0j, noise_covariance=None
     )
     dense = _dense(f, rest, reference - poles, strayed, terms, errors) if terms else None
-    pole_hz, residue = np.array([(x.resonance.pole_hz, x.resonance.residue) for x in terms], dtype=complex).reshape(-1, 2).T
-    return made, Scatter(reference, deviations, dense, pole_hz, residue)
+    narrow = np.array([(x.resonance.pole_hz, x.resonance.residue) for x in terms], dtype=complex).reshape(-1, 2)
+    return made, Scatter(reference, deviations, dense, narrow[:, 0], narrow[:, 1])
 
 
 def _dense(

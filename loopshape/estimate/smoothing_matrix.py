@@ -6,6 +6,8 @@ errors of all elements are drawn together, by the covariance of their line.
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from loopshape.algebra.propagation import pick
@@ -16,24 +18,32 @@ from loopshape.frf import FRF
 from loopshape.smoothed import Dense
 from loopshape.units import Array, ComplexArray
 
+_DONE: WeakKeyDictionary[FRF, tuple[Dense, ComplexArray] | None] = WeakKeyDictionary()
 
-def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> Dense | None:
-    """Smoothed lines of a matrix FRF (n, ny, nu) with draws of their error; None where the FRF has no covariance.
+
+def smoothed_matrix(frf: FRF) -> tuple[Dense, ComplexArray] | None:
+    """Smoothed lines of a matrix FRF (n, ny, nu) with draws of their error, and what its narrow resonances add to them.
+
+    None where the FRF has no covariance. The same FRF, the same answer.
 
     The covariance is believed; the correlations between a line's elements are that line's own, their variances pooled
     with those of neighbours where few degrees of freedom know them. Narrow resonances, which all elements share, are
     taken out before and put back after, between the lines too.
     """
-    if not frf.covariance.any():
-        return None
+    if frf not in _DONE:
+        _DONE[frf] = _smoothed(frf) if frf.covariance.any() else None
+    return _DONE[frf]
+
+
+def _smoothed(frf: FRF) -> tuple[Dense, ComplexArray]:
     ny, nu = frf.response.shape[1:]
     f, elements = frf.frequency_hz, [pick(frf, [i], [j]) for j in range(nu) for i in range(ny)]
     variance = np.stack([pooled_variance(one) for one in elements], axis=1)
-    errors, poles = _drawn(frf, variance, seed), common_poles(elements, variance)
+    errors, poles = _drawn(frf, variance, SEED), common_poles(elements, variance)
     at = np.unique(np.concatenate([f, *(one.places_hz for one in poles)]))
     at = at[(at >= f[0]) & (at <= f[-1])]
     drawn = [one.drawn(errors) for one in poles]
-    response = np.empty((at.size, ny, nu), dtype=complex)
+    response, narrow = np.empty((at.size, ny, nu), dtype=complex), np.empty_like(frf.response, dtype=complex)
     reference, deviations = np.empty_like(response), np.empty((len(errors), at.size, ny, nu), dtype=complex)
     for k, one in enumerate(elements):
         j, i = divmod(k, ny)
@@ -44,12 +54,13 @@ def smoothed_matrix(frf: FRF, *, seed: int = SEED) -> Dense | None:
             return still, np.asarray(sum(moved, np.zeros((1, 1), dtype=complex)))
 
         still, moved = put_back(f)
+        narrow[:, i, j] = still
         found = _smooth(one, still, errors[:, :, k] - moved, variance[:, k])
         if poles:
             found, (still, moved) = found.at(at), put_back(at)
         response[:, i, j], reference[:, i, j] = found.response + still, found.reference + still
         deviations[:, :, i, j] = found.deviations + moved
-    return Dense(at, response, reference, deviations)
+    return Dense(at, response, reference, deviations), narrow
 
 
 def _smooth(one: FRF, poles: ComplexArray, errors: ComplexArray, variance: Array) -> Dense:

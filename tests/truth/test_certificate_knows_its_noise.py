@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of
 
-from loopshape.check.doubt import chance_of_error, line_doubts, reach_of
+from loopshape.check.doubt import chance_of_error, reach_of
 from loopshape.check.obstacles import WRONG
 from loopshape.check.stability import closed_loop_stability
 from loopshape.units import TWO_PI
@@ -87,42 +87,36 @@ def test_a_start_on_the_real_axis_is_as_unsure_as_the_first_line(noise):
     assert "stable" not in outcomes
 
 
-def test_the_chance_of_one_line_is_that_of_drawing_it_anew():
-    rng = np.random.default_rng(11)
-    g, std = np.array([1.0 + 0.5j, 0.3 + 0.1j, 0.2 - 0.6j]), 0.3
-    reach = np.array([1e9, abs(g[1]) / std, 1e9])
-    drawn = g[1] + std * errors(rng, 400_000)
-    turned = np.angle(drawn / g[0]) + np.angle(g[2] / drawn)
-    straight = np.angle(g[1] / g[0]) + np.angle(g[2] / g[1])
-    wrong = np.mean(np.abs(turned - straight) > 1.0)
-    assert line_doubts(g, reach, 1.0 + 0.9j, 1.0)[1] == pytest.approx(wrong, abs=4.0 * np.sqrt(wrong / 400_000))
-    assert wrong > 0.03
-
-
 @pytest.mark.parametrize(("std", "decided"), [(0.06, 1.0), (0.1, 0.85), (0.17, 0.0), (0.25, 0.0)])
-def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std, decided):
-    # sixty lines that pass zero at 0.3, each with its own error
+@pytest.mark.parametrize("shared", [1, 6])
+def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std, decided, shared):
+    # sixty lines that pass zero at 0.3, each with its own error, or `shared` neighbours with one in common
     rng, ends = np.random.default_rng(13), (0.3 - 3.0j, 0.3 + 3.0j)
     path, chances, wrong = 0.3 + 1j * np.linspace(-1.5, 1.5, 60), [], []
+
+    def drawn():
+        white = errors(rng, 60 + shared - 1)
+        return std * np.convolve(white, np.ones(shared), "valid") / np.sqrt(shared)
+
+    draws = np.array([drawn() for _ in range(200)])
     for _ in range(1000):
-        g = path + std * errors(rng, 60)
+        g = path + drawn()
         whole = np.concatenate([ends[:1], g, ends[1:]])
         wrong.append(abs(np.sum(np.angle(whole[1:] / whole[:-1])) - np.angle(ends[1] / ends[0])) > 1.0)
-        chances.append(chance_of_error(g, np.abs(g) / std, *ends)[0])
+        chances.append(chance_of_error(np.abs(g) / std, draws)[0])
     assert np.mean(chances) >= np.mean(wrong)
     sure = np.array(chances) < WRONG
     assert not np.any(np.array(wrong)[sure])
-    assert np.mean(sure) == pytest.approx(decided, abs=0.1)
+    assert np.mean(sure) >= decided - 0.1
     assert (np.mean(wrong) > 0.02) == (std == 0.25)
 
 
 def test_the_chance_of_all_lines_together_is_the_normal_one():
     # the error moves the path as one: it passes zero with the chance that a normal number exceeds the distance
     rng = np.random.default_rng(12)
-    path = 0.2 + 1j * np.linspace(-3.0, 3.0, 2001)
-    error = 0.1 * errors(rng, 20_000)
-    other_side = np.mean(0.2 + error.real < 0.0)
-    chance, _ = chance_of_error(path, np.abs(path) / 0.1, path[0], path[-1])
+    path, draws = 0.2 + 1j * np.linspace(-3.0, 3.0, 2001), 0.1 * errors(rng, 20_000)
+    other_side = np.mean(0.2 + draws.real < 0.0)
+    chance, _ = chance_of_error(np.abs(path) / 0.1, np.tile(draws[:200, None], path.size))
     assert chance == pytest.approx(other_side, rel=0.4)
 
 

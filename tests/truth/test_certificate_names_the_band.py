@@ -45,10 +45,10 @@ def test_below_the_first_line_where_its_phase_does_not_fit():
     assert found.band_hz == pytest.approx((0.01, 0.1))
 
 
-@pytest.mark.parametrize("spacing", [2.0])
+@pytest.mark.parametrize("spacing", [4.0])
 def test_between_two_lines_that_bend_too_much(spacing):
     limit = limit_gain(PLANT)
-    f = np.arange(0.5, 90.0, spacing)
+    f = np.concatenate([np.arange(0.5, spacing, 0.5), np.arange(spacing, 90.0, spacing)])
     found = answer(f, gain=0.995 * limit)
     assert found.outcome == "undecided"
     low, high = found.band_hz

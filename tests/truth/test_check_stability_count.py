@@ -223,8 +223,7 @@ def test_a_sharp_resonance_is_counted_by_its_tails_and_undecided_where_too_few_l
     assert fine.unstable_poles == coarse.unstable_poles == by_roots(num, den, 10.0) == 2
     few = answer(num, den, np.geomspace(0.1, 300.0, 9), 10.0)  # too few to look for tails
     assert few.outcome == "undecided"
-    assert "measure finer" in few.reason
-    assert few.band_hz[0] < 11.0 < few.band_hz[1]
+    assert "no line lies between" in few.reason
 
 
 def test_undecided_where_1_plus_l_turns_too_far_between_two_lines():

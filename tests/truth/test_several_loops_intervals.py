@@ -66,11 +66,11 @@ def test_draws_have_the_covariance_of_the_lines():
     mixed = frf.covariance.copy()
     mixed[:, 0, 3] = mixed[:, 3, 0] = 0.9 * np.sqrt(mixed[:, 0, 0] * mixed[:, 3, 3])
     correlated = type(frf)(F, G, mixed, frf.trusted, frf.inputs, frf.outputs, "mixed", rate_hz=frf.rate_hz)
-    scatter = smoothed_matrix(correlated)
+    scatter, _ = smoothed_matrix(correlated)
     one, two = scatter.deviations[:, :, 0, 0], scatter.deviations[:, :, 1, 1]
     correlation = np.abs(np.vdot(one, two)) / np.sqrt(np.vdot(one, one).real * np.vdot(two, two).real)
     assert correlation > 0.6
-    apart = smoothed_matrix(frf).deviations
+    apart = smoothed_matrix(frf)[0].deviations
     other = np.abs(np.vdot(apart[:, :, 0, 0], apart[:, :, 1, 1])) / np.sqrt(
         np.vdot(apart[:, :, 0, 0], apart[:, :, 0, 0]).real * np.vdot(apart[:, :, 1, 1], apart[:, :, 1, 1]).real
     )
