@@ -44,11 +44,11 @@ class Dense:
         straight, off = _curved(f, self.response * own, at, k, share)
         sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
         sides *= np.sqrt(2.0 / np.mean(np.abs(sides) ** 2))
-        drawn = self.deviations * own
-        deviations = drawn[:, k] * (1.0 - share) + drawn[:, k + 1] * share
-        deviations += np.sqrt(0.5) * BETWEEN * sides.reshape(-1, *[1] * self.response.ndim) * off
+        deviations = self.deviations[:, k] * (back * own[k] * (1.0 - share))
+        deviations += self.deviations[:, k + 1] * (back * own[k + 1] * share)
+        deviations += sides.reshape(-1, *[1] * self.response.ndim) * (np.sqrt(0.5) * BETWEEN * back * off)
         again = _curved(f, self.reference * own, at, k, share)
-        return Dense(at, back * (straight + off), back * (again[0] + again[1]), back * deviations)
+        return Dense(at, back * (straight + off), back * (again[0] + again[1]), deviations)
 
     def between(self, moved: Array, room: Array, step: float, most: int) -> Dense:
         """The same with places between lines that move by more than a `step` of the `room` there; (n - 1,) each."""

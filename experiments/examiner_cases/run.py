@@ -29,7 +29,8 @@ from loops import (  # noqa: E402
     unstable_poles,
 )
 
-from loopshape.check.verdict import check  # noqa: E402
+from loopshape.check.stability import closed_loop_stability  # noqa: E402
+from loopshape.check.verdict import loops_of  # noqa: E402
 from loopshape.controller import Block, Controller  # noqa: E402
 from loopshape.model import TransferFunction  # noqa: E402
 from loopshape.requirements import Requirements  # noqa: E402
@@ -107,8 +108,9 @@ def answers(seed: int, noise: float) -> Iterator[Answer]:
         if stable:
             told["recorded loop"] = replace(frf, held_by=_controller(rng.choice(stable))), wish
         for name, (one, asked) in told.items():
-            found = check([one], _controller(drawn.gain), asked, detuned=False).margins["one"]
-            yield Answer(drawn, name, noise, found.stable, found.stability_reason)
+            (loop,), _ = loops_of([one], _controller(drawn.gain), asked)
+            found = closed_loop_stability(loop)
+            yield Answer(drawn, name, noise, found.outcome, found.reason)
 
 
 def rows(made: list[Answer]) -> Iterator[list]:

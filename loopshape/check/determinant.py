@@ -34,6 +34,8 @@ UNKNOWN_POLES = (
 HELD_DEG, HELD_SLOPE = 60.0, 0.5
 #: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
 STEP, SMALL, MOST = 0.2, 0.05, 8
+#: draws of the plant's error that the deviation of det(I + L) is taken from
+DRAWN = 50
 _SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
 
 
@@ -126,11 +128,12 @@ def count_from_held(loops: LoopMatrix) -> int | Obstacle:
     return round(0.5 * more - turn / np.pi) - 2 * between.turns
 
 
-def followed_matrix(loops: LoopMatrix) -> Dense:
-    """The smoothed plant with its draws, on lines and on places between them where I + L moves far."""
+def followed_matrix(loops: LoopMatrix, draws: int | None = None) -> Dense:
+    """The smoothed plant with (some of) its draws, on lines and on places between them where I + L moves far."""
     lines, P = loops.frequency_hz, loops.P
     found = smoothed_matrix(loops.plant)
     dense = Dense(lines, P, P, np.zeros((1, *P.shape), dtype=complex)) if found is None else found[0]
+    dense = replace(dense, deviations=dense.deviations[:draws])
     L = dense.response * responses(loops.controllers, dense.frequency_hz)[:, None, :]
     with np.errstate(divide="ignore"):
         room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
@@ -141,7 +144,7 @@ def followed_matrix(loops: LoopMatrix) -> Dense:
 
 def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
     """det(I + L) - 1 between lines, with `stood` over that of the same plant under other controllers."""
-    dense = followed_matrix(loops)
+    dense = followed_matrix(loops, DRAWN)
     D, moved = _determinant(loops, dense)
     if stood is not None:
         before, moved_before = _determinant(stood, dense)

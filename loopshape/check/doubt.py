@@ -31,6 +31,9 @@ def chance_of_error(reach: Array, errors: ComplexArray) -> tuple[float, Array]:
     size = np.maximum(np.sqrt(np.sum(np.abs(errors) ** 2, axis=0)), 1e-150)
     common = np.abs(np.sum(errors[:, 1:] * errors[:, :-1].conj(), axis=0)) / (size[1:] * size[:-1])
     level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
+    nearest = int(np.argmin(reach))
+    there = float(beyond[nearest])  # whatever carries the nearest place over
+    level[nearest] = beyond[nearest] = 0.0
     rising = np.arccos(np.clip(common, 0.0, 1.0)) / TWO_PI * (level[1:] + level[:-1])
     share = 0.5 * np.minimum(rising, beyond[1:] + beyond[:-1])  # half of rising, half of coming back
-    return min(float(share.sum() + ndtr(-np.sqrt(2.0) * reach.min())), 1.0), np.asarray(share)
+    return min(there + float(share.sum()), 1.0), np.asarray(share)

@@ -40,8 +40,9 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """What lies between lines and is not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) that lead past a
-    resonance and were looked at for all that it may be.
+    """What lies between lines and not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) past a resonance.
+
+    Of these all that the resonance may be was looked at.
 
     `unclear` is the first gap where the lines allow several answers, None where there is none.
     """
