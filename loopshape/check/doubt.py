@@ -21,7 +21,7 @@ def reach_of(g: ComplexArray, std: Array, freedom: float = np.inf) -> Array:
 
 
 def chance_of_error(reach: Array, errors: ComplexArray) -> tuple[float, Array]:
-    """Chance that errors carry a path over a point, one at most, and the share (n - 1,) of each step.
+    """Chance that errors carry a path over a point, one at most, and the share (n,) of each place.
 
     `reach` (n,) is the distance from the point in deviations, `errors` (draws, n) are draws of the path's error. The
     error along the shortest way is normal; it passes the point at the nearest place, or comes to do so from one place
@@ -32,8 +32,9 @@ def chance_of_error(reach: Array, errors: ComplexArray) -> tuple[float, Array]:
     common = np.abs(np.sum(errors[:, 1:] * errors[:, :-1].conj(), axis=0)) / (size[1:] * size[:-1])
     level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
     nearest = int(np.argmin(reach))
-    there = float(beyond[nearest])  # whatever carries the nearest place over
+    at_nearest = float(beyond[nearest])  # whatever carries it over
     level[nearest] = beyond[nearest] = 0.0
     rising = np.arccos(np.clip(common, 0.0, 1.0)) / TWO_PI * (level[1:] + level[:-1])
-    share = 0.5 * np.minimum(rising, beyond[1:] + beyond[:-1])  # half of rising, half of coming back
-    return min(there + float(share.sum()), 1.0), np.asarray(share)
+    share = np.append(0.0, 0.5 * np.minimum(rising, beyond[1:] + beyond[:-1]))  # half of rising, half of coming back
+    share[nearest] += at_nearest
+    return min(float(share.sum()), 1.0), share
