@@ -20,6 +20,8 @@ from loopshape.loop import Loop
 from loopshape.smoothed import Dense
 from loopshape.units import TWO_PI, Array, ComplexArray, hz
 
+#: draws of the errors of lines that were not smoothed
+DRAWN = 50
 #: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
 STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
@@ -84,8 +86,10 @@ def _known(loop: Loop) -> Dense:
     f, P, scatter = loop.frequency_hz, loop.plant.siso, loop.scatter
     if scatter is not None:
         return scatter.dense or Dense(f, P, scatter.reference, scatter.deviations)
-    errors = drawn_errors(np.random.default_rng(SEED), loop.plant.variance[:, 0, 0], loop.plant.line_overlap)
-    return Dense(f, P, P, errors)
+    variance = loop.plant.variance[:, 0, 0]
+    if not variance.any():
+        return Dense(f, P, P, np.zeros((1, f.size), dtype=complex))
+    return Dense(f, P, P, drawn_errors(np.random.default_rng(SEED), variance, loop.plant.line_overlap, DRAWN))
 
 
 def _controller_places(controller: Controller, f: Array) -> Array:

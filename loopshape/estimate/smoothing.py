@@ -105,11 +105,11 @@ def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
     return csr_array((weights[inside], (rows, columns)), shape=(lines, lines))
 
 
-def drawn_errors(rng: np.random.Generator, v: Array, overlap: float) -> ComplexArray:
-    """Circular errors (DRAWS, nf) of variance v (nf,), neighbours correlated as `overlap` lines of one's worth."""
+def drawn_errors(rng: np.random.Generator, v: Array, overlap: float, draws: int = DRAWS) -> ComplexArray:
+    """Circular errors (draws, nf) of variance v (nf,), neighbours correlated as `overlap` lines of one's worth."""
     taps = _taps(overlap)
     lines = v.size + taps.size - 1
-    white = rng.standard_normal((DRAWS, lines)) + 1j * rng.standard_normal((DRAWS, lines))
+    white = rng.standard_normal((draws, lines)) + 1j * rng.standard_normal((draws, lines))
     error = sum(tap * white[:, k : k + v.size] for k, tap in enumerate(taps))
     return np.asarray(error * np.sqrt(0.5 * v / float(taps @ taps)))
 
