@@ -84,8 +84,8 @@ def _influence(one: Resonance, f: Array, left: ComplexArray, std: Array) -> Comp
     rest = left[rows] / std[rows]
     rest = rest - A @ (inverse @ rest)
     left = float(np.sum(np.abs(rest) ** 2)) / max(rest.size - A.shape[1], 1)
-    excess = max(CAREFUL * left if left > ROUNDED else left, 1.0)
-    return np.asarray(np.sqrt(excess) * inverse[:2] / std[rows])
+    excess = float(np.sqrt(max(CAREFUL * left if left > ROUNDED else left, 1.0)))
+    return np.asarray(excess * inverse[:2] / std[rows])
 
 
 def _columns(one: Resonance, f: Array) -> ComplexArray:
