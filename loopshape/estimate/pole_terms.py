@@ -83,8 +83,8 @@ def _influence(one: Resonance, f: Array, left: ComplexArray, std: Array) -> Comp
     inverse = np.linalg.pinv(A, rcond=1e-12)
     rest = left[rows] / std[rows]
     rest = rest - A @ (inverse @ rest)
-    left = float(np.sum(np.abs(rest) ** 2)) / max(rest.size - A.shape[1], 1)
-    excess = float(np.sqrt(max(CAREFUL * left if left > ROUNDED else left, 1.0)))
+    misfit = float(np.sum(np.abs(rest) ** 2)) / max(rest.size - A.shape[1], 1)
+    excess = float(np.sqrt(max(CAREFUL * misfit if misfit > ROUNDED else misfit, 1.0)))
     return np.asarray(excess * inverse[:2] / std[rows])
 
 
