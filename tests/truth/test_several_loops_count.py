@@ -141,7 +141,7 @@ def test_undecided_where_integrators_are_not_known():
 
 def test_undecided_where_noise_covers_the_limit_and_not_beside_it():
     G = np.array([[1.0, 0.3], [-0.2, 1.0]]) * (60.0 / (S * (0.02 * S + 1.0) * (0.01 * S + 1.0)))[:, None, None]
-    near = [gain("a", 2.2), gain("b", 2.2)]
+    near = [gain("a", 1.05 * 1.4885), gain("b", 1.05 * 1.4885)]  # unstable from 1.4885 on
     assert closed_loops_stability(loops(F, G, near, 2)).outcome != "undecided"
     found = undecided(F, G, near, relative=0.3)
     assert "uncertainty" in found.reason or "errors" in found.reason
