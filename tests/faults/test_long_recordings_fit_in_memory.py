@@ -72,6 +72,7 @@ def test_minutes_in_the_memory_of_seconds(tmp_path, long_rows):
 
 
 @pytest.mark.long
+@pytest.mark.hour
 @pytest.mark.timeout(1500)
 def test_two_hours_at_10_khz_within_one_and_a_half_gigabytes(tmp_path):
     files = recorded(tmp_path, 72_000_000, 1_000_000)

@@ -140,6 +140,7 @@ def test_a_command_between_anothers_reading_and_writing(place, first, second):
 
 
 @pytest.mark.long
+@pytest.mark.hour
 @pytest.mark.parametrize("second", WRITERS)
 @pytest.mark.parametrize("first", READERS)
 def test_a_command_at_every_step_of_another(place, first, second):

@@ -33,6 +33,7 @@ def test_a_task_is_as_many_jobs_as_take_the_seconds_of_a_batch():
 
 
 @pytest.mark.long
+@pytest.mark.hour
 @pytest.mark.timeout(1800)
 def test_none_of_them_is_lost_with_a_worker(tmp_path):
     distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
