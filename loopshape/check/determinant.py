@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.check.between import Path
+from loopshape.check.crossings import chords_to_minus_one
 from loopshape.check.loci import characteristic_loci
-from loopshape.check.obstacles import Obstacle, Sampling, doubt, on_it, sampling
+from loopshape.check.obstacles import ON_IT, Obstacle, Sampling, doubt, sampling
 from loopshape.check.sampling import HiddenPole, hidden_poles
 from loopshape.check.several_low_end import LowEnd, low_doubt, low_end, slopes
 from loopshape.controller import Block, Controller
@@ -93,7 +94,7 @@ def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
     path = _path(loops)
     between = _sampling(loops, _as_one(loops, D, determinant_variance(loops)), path)
     before = 2.0 * D[0] * np.exp(-1j * rad(np.clip(low.phase_deg - 90.0 * low.slope, -60.0, 60.0)))
-    found = _doubt(loops, path, between, complex(before))
+    found = _doubt(loops, loci, path, between, complex(before))
     if found is not None:
         return found
     integrators = (loops.integrators or 0) + loops.controller_integrators()
@@ -119,7 +120,7 @@ def count_from_held(loops: LoopMatrix) -> int | Obstacle:
         reason = f"det(I + L) is not in step with that of the recorded loops at the first line, {f[0]:.3g} Hz"
         return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     found = _high_doubt(loops, loci) or _high_doubt(stood, before)
-    found = found or _doubt(loops, path, between, complex(2.0 * D[0]))
+    found = found or _doubt(loops, loci, path, between, complex(2.0 * D[0]))
     if found is not None:
         return found
     end = float(np.sum(np.angle(1.0 + before[-1])) - np.sum(np.angle(1.0 + loci[-1])))
@@ -231,11 +232,23 @@ def _high_doubt(loops: LoopMatrix, loci: ComplexArray) -> Obstacle | None:
     return Obstacle(f"{reason}: excite more there", (float(f[-1]), float(above.frequency_hz[-1])))
 
 
-def _doubt(loops: LoopMatrix, path: Path, between: Sampling, before: complex) -> Obstacle | None:
+def _on_it(f: Array, loci: ComplexArray, followed: np.ndarray) -> Obstacle | None:
+    """A gap in which an eigenvalue of L passes -1 so near that nothing tells the side; none of those `followed`."""
+    near = np.min([chords_to_minus_one(one)[0] for one in loci.T], axis=0)
+    near = np.where(followed, np.inf, near) if followed.size else near
+    k = int(np.argmin(near))
+    if near[k] >= ON_IT:
+        return None
+    return Obstacle(
+        f"an eigenvalue of L passes -1 within {near[k]:.1g} at {f[k]:.3g} Hz", (float(f[k]), float(f[k + 1]))
+    )
+
+
+def _doubt(loops: LoopMatrix, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
     """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
     if path.f.size < 2:
         return Obstacle("one line does not make a curve")
-    near = on_it(path, between, "det(I + L) passes 0")
+    near = _on_it(loops.frequency_hz, loci, between.followed)
     found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
     return found or between.unclear
 

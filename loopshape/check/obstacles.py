@@ -174,7 +174,7 @@ def comes_up_again(loop: Loop) -> Obstacle | None:
     return Obstacle(reason, _around(f, np.flatnonzero(size >= 1.0)))
 
 
-def on_it(path: Path, between: Sampling, words: str = "L passes -1") -> Obstacle | None:
+def on_it(path: Path, between: Sampling) -> Obstacle | None:
     """A place where the path passes -1 so near that nothing tells on which side."""
     past = between.past(path)
     near = np.where(past[1:] | past[:-1], np.inf, chords_to_minus_one(path.L)[0])
@@ -182,7 +182,7 @@ def on_it(path: Path, between: Sampling, words: str = "L passes -1") -> Obstacle
         return None
     k = int(np.argmin(near))
     at = path.f[k] + chords_to_minus_one(path.L)[1][k] * (path.f[k + 1] - path.f[k])
-    return Obstacle(f"{words} within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at))
+    return Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at))
 
 
 def doubt(
