@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.errors import UnreadableInputError
-from loopshape.store.files import make_folder, reading, short
+from loopshape.store.files import make_folder, reading, write_all, writing
 from loopshape.store.journal import note
 from loopshape.store.tables import TIME, write_table
 from loopshape.units import Array
@@ -49,13 +49,13 @@ def arriving(
     head = {"format": FORMAT, "recording": dict(about), "rate_hz": rate_hz, "columns": list(columns)}
     line = json.dumps(head).encode() + b"\n"
     over = threading.Event()
-    with _writing(path):
+    with writing(path):
         handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
     thread = threading.Thread(target=_sync_now_and_then, args=(handle, over), daemon=True)
     thread.start()
     try:
-        with _writing(path):
-            _write_all(handle, line)
+        with writing(path):
+            write_all(handle, line)
         check = zlib.crc32(line)
 
         def append(rows: Mapping[str, Array]) -> None:
@@ -63,29 +63,14 @@ def arriving(
             table = np.column_stack([rows[column] for column in columns]).astype("<f8")
             data = table.tobytes()
             check = zlib.crc32(data, check)
-            with _writing(path):
-                _write_all(handle, _BLOCK.pack(len(table), check) + data)
+            with writing(path):
+                write_all(handle, _BLOCK.pack(len(table), check) + data)
 
         yield append
     finally:
         over.set()
         thread.join()
         os.close(handle)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise UnreadableInputError(
-            f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
-        ) from None
-
-
-def _write_all(handle: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(handle, data) :]
 
 
 def _sync_now_and_then(handle: int, over: threading.Event) -> None:

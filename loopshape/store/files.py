@@ -74,21 +74,35 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
         raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
     part = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}{PART}")
     try:
-        write(part)
-        _sync(part)
-        refuse_changed()
-        own(path)
-        os.replace(part, path)
-        _sync(path.parent)
+        with writing(path):
+            write(part)
+            _sync(part)
+            refuse_changed()
+            own(path)
+            os.replace(part, path)
+            _sync(path.parent)
     except UnicodeEncodeError:
         raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A folder or disk that cannot be written is refused with `UnreadableInputError`."""
+    try:
+        yield
     except OSError as error:
         raise UnreadableInputError(
             f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
         ) from None
-    finally:
-        with suppress(OSError):
-            part.unlink()
+
+
+def write_all(handle: int, data: bytes) -> None:
+    """Write it to its end: a full disk takes a part and says so at the next one only."""
+    while data:
+        data = data[os.write(handle, data) :]
 
 
 def _sync(path: Path) -> None:

@@ -13,8 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from loopshape.errors import UnreadableInputError
-from loopshape.store.files import json_ready, reading, short
+from loopshape.store.files import json_ready, reading, write_all, writing
 from loopshape.store.seen import own
 
 FILE = "journal.jsonl"
@@ -27,25 +26,15 @@ def note(folder: Path, event: str, **words: object) -> None:
     line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
     path = folder / FILE
     own(path)
-    try:
+    with writing(path):
         handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o644)
         try:
             torn = _torn(handle)
             first, text = "\n" * torn, json.dumps(line, ensure_ascii=False)
-            _write_all(handle, f"{first}{text}\n".encode("utf-8", "replace"))
+            write_all(handle, f"{first}{text}\n".encode("utf-8", "replace"))
             os.fsync(handle)
         finally:
             os.close(handle)
-    except OSError as error:
-        raise UnreadableInputError(
-            f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
-        ) from None
-
-
-def _write_all(handle: int, data: bytes) -> None:
-    """Write it to its end: a full disk takes a part and says so at the next one only."""
-    while data:
-        data = data[os.write(handle, data) :]
 
 
 def _torn(handle: int) -> bool:

@@ -175,6 +175,17 @@ def test_a_line_on_the_limit_itself_is_undecided_without_a_warning():
     assert found.reason
 
 
+@pytest.mark.parametrize("share", [1.0 - 1e-4, 1.0 + 1e-4])
+def test_an_eigenvalue_as_good_as_on_the_limit_is_undecided_however_large_the_others(share):
+    # alone the first loop is unstable above a gain of 2.5; the second stays stable and makes det(I + L) large
+    G = np.zeros((F.size, 2, 2), dtype=complex)
+    G[:, 0, 0] = 60.0 / (S * (0.02 * S + 1.0) * (0.01 * S + 1.0))
+    G[:, 1, 1] = 600.0 / (S + 1.0)
+    near = closed_loops_stability(loops(F, G, [gain("a", 2.5 * share), gain("b")], 1))
+    assert near.outcome == "undecided"
+    assert "an eigenvalue of L passes -1" in near.reason
+
+
 def test_noise_alone_changes_no_answer():
     rng = np.random.default_rng(0)
     f = np.arange(0.1, 12.0, 0.1)
