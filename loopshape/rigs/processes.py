@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
 from threading import Thread
 from typing import Any, Generic, TypeVar
@@ -124,6 +124,7 @@ class _Process(Generic[J]):
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
     """What is started meanwhile hears no Ctrl-C: its parent does, and ends it."""
+    resource_tracker.ensure_running()  # which else comes with the first process and lifts the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

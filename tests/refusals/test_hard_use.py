@@ -278,6 +278,24 @@ def test_however_a_campaign_ends_no_process_is_left_and_nothing_finished_is_lost
     assert any(finished(run) for run in runs)
 
 
+DEAF = """
+import signal
+from loopshape.rigs.processes import by_processes
+
+def deaf(job):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+if __name__ == "__main__":
+    print(*[told for _, told in by_processes(deaf, range(6), 2)])
+"""
+
+
+def test_no_worker_hears_ctrl_c_not_even_the_first_of_an_interpreter(tmp_path):
+    (tmp_path / "deaf.py").write_text(DEAF)
+    done = subprocess.run([sys.executable, str(tmp_path / "deaf.py")], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True"] * 6
+
+
 def test_a_full_disk_ends_a_campaign_in_a_sentence(files):
     def little_room():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
