@@ -20,7 +20,9 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
-from loopshape.check.words import (
+from loopshape.core.errors import WrongUseError
+from loopshape.data.requirements import LIMITS, Verdict
+from loopshape.data.verdict_words import (
     WORDS,
     comparison_text,
     line_text,
@@ -28,10 +30,8 @@ from loopshape.check.words import (
     stability_text,
     verdict_text,
 )
-from loopshape.check_files import Baseline, LoopCheck, against, check_files
-from loopshape.errors import WrongUseError
-from loopshape.requirements import LIMITS, Verdict
-from loopshape.store.requirements import read_requirements
+from loopshape.io.check_files import Baseline, LoopCheck, against, check_files
+from loopshape.io.requirements import read_requirements
 
 AnyPath = str | PathLike[str]
 STABILITY = "stability"
@@ -50,7 +50,7 @@ def assert_controller(
     Raises AssertionError with the verdict where a requirement is missed or not decided by these data, where a loop is
     not known to be stable, or where something is worse than the `baseline` (a verdict that `loopshape check
     --save-verdict` kept; with `allow_worse` it is only part of the message). Files that cannot be read raise
-    `loopshape.errors.LoopshapeError`: the test has an error, it does not fail.
+    `loopshape.core.errors.LoopshapeError`: the test has an error, it does not fail.
     """
     __tracebackhide__ = True
     test = ControllerTest(run, controller, require)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from loopshape.experiment import Experiment
-from loopshape.plants.arm import closed_loop2 as kernel
-from loopshape.plants.arm.arm2 import POINT_KEYS, Arm2
-from loopshape.plants.arm.closed_loop import COMPLETE, CONTROL
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.data.experiment import Experiment
+from loopshape.model.arm import closed_loop2 as kernel
+from loopshape.model.arm.arm2 import POINT_KEYS, Arm2
+from loopshape.model.arm.closed_loop import COMPLETE, CONTROL
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
 
 ARM = Arm2()
 MIDDLE = (0.0, 0.0, 0.4, 0.4)  # deg, deg, bar, bar

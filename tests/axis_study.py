@@ -9,12 +9,12 @@ from python_target_machine import Axes
 
 from loopshape.cli.measure import record
 from loopshape.cli.output import Output
-from loopshape.kernels.noise import start_state
-from loopshape.rigs.described import DescribedRig
-from loopshape.rigs.simulated import experiment as experiment_of
-from loopshape.rigs.simulated import plan
-from loopshape.store.run_folder import read_run
-from loopshape.store.study import read_study
+from loopshape.core.kernels.noise import start_state
+from loopshape.io.run_folder import read_run
+from loopshape.io.study import read_study
+from loopshape.rig.described import DescribedRig
+from loopshape.rig.simulated import experiment as experiment_of
+from loopshape.rig.simulated import plan
 
 RATE_HZ = 1000.0
 LOOP = """

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.tune.bound_nodes import nodes
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.design.bound_nodes import nodes
 
 RATE = 2000.0
 

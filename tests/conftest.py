@@ -8,7 +8,7 @@ import pytest
 from hypothesis import settings
 from hypothesis.configuration import set_hypothesis_home_dir
 
-from loopshape.experiment import Experiment
+from loopshape.data.experiment import Experiment
 
 # the same examples in every run, and no folder .hypothesis at the root, which pytest would look into
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -28,7 +28,7 @@ def shared():
 
 @pytest.fixture(scope="session")
 def arm():
-    from loopshape.plants.arm.arm1 import Arm1
+    from loopshape.model.arm.arm1 import Arm1
 
     return Arm1()
 
@@ -42,7 +42,7 @@ def quiet():
 @pytest.fixture(scope="session")
 def arm_constants():
     """The kernel's constants for named parameter changes."""
-    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
     return lambda **changes: constants(ARM1_PARAMETERS.vector(changes))
 
@@ -80,7 +80,7 @@ def arm_open_loop():
 
     `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
     """
-    from loopshape.plants.arm import closed_loop, memory
+    from loopshape.model.arm import closed_loop, memory
 
     sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9])  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])

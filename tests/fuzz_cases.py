@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
-from loopshape.errors import LoopshapeError
+from loopshape.core.errors import LoopshapeError
 
 #: names that lead out of a folder, or that no file can have
 NAMES = (

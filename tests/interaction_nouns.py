@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from loopshape.frf import FRF
-from loopshape.units import from_db
+from loopshape.core.units import from_db
+from loopshape.data.frf import FRF
 
 F = np.arange(1, 81) * 0.1  # 0.1 to 8 Hz
 

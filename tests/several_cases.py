@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.linalg import block_diag
 
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop_matrix import LoopMatrix
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop_matrix import LoopMatrix
 
 RATE_HZ = 1e6  # far above all lines: Tustin's warping does not matter
 

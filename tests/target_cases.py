@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 import loopshape
-from loopshape.rigs.frames import Frame, Receiver
-from loopshape.rigs.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
+from loopshape.rig.frames import Frame, Receiver
+from loopshape.rig.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
 
-TARGET = Path(loopshape.__file__).parent / "target"
+TARGET = Path(loopshape.__file__).parent / "rig" / "c_target"
 CORE = ("target.c", "configure.c", "loops.c", "run.c", "stream.c", "frames.c")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from loopshape.baseline import Checked
-from loopshape.controller import Block, Controller
-from loopshape.requirements import LIMITS, Line, Margins, Verdict
+from loopshape.data.baseline import Checked
+from loopshape.data.controller import Block, Controller
+from loopshape.data.requirements import LIMITS, Line, Margins, Verdict
 
 CONTROLLER = Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))

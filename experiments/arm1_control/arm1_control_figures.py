@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from loopshape.draw.contours import constant_s, nichols_coordinates
-from loopshape.draw.curves import frequency_axis, unwrapped_deg
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
-from loopshape.loop import Loop
-from loopshape.plants.arm.source import value
-from loopshape.units import Array, db, deg
+from loopshape.core.units import Array, db, deg
+from loopshape.data.loop import Loop
+from loopshape.model.arm.source import value
+from loopshape.view.contours import constant_s, nichols_coordinates
+from loopshape.view.curves import frequency_axis, unwrapped_deg
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 LOW_HZ, HIGH_HZ = 0.15, 12.0
 DASHES: dict[float, Any] = {0.0: "-", 15.0: (0, (5, 2)), 30.0: (0, (1, 1.2))}

@@ -9,11 +9,11 @@ from arm1_loops import Judged, PressurePlant, Spread, implied_pressure_gain, mee
 from arm1_motion import Crossing, Followed, Moved, fastest_rise_s, pressure_rates, stiffness_line_deg_s
 from arm1_scores import AGREES, APART, DIFFERS, PARTLY, Score, holds, judged
 
-from loopshape.loop import Loop
-from loopshape.plants.arm.source import number, value
-from loopshape.prediction import Indicators
-from loopshape.requirements import Margins
-from loopshape.units import rad
+from loopshape.core.units import rad
+from loopshape.data.loop import Loop
+from loopshape.data.prediction import Indicators
+from loopshape.data.requirements import Margins
+from loopshape.model.arm.source import number, value
 
 WORDS = {
     "source": "table 5.1",

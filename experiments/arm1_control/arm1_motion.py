@@ -10,22 +10,22 @@ import numpy as np
 from arm1_sweeps import Arm
 from scipy.signal import cont2discrete
 
-from loopshape.check.indicators import indicators, recorded_steps, tracking
-from loopshape.controller import Controller
-from loopshape.model import TransferFunction
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.equilibrium import rest
-from loopshape.plants.arm.model import derivatives
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants
-from loopshape.plants.arm.published import angle_controller
-from loopshape.plants.arm.source import value
-from loopshape.prediction import Indicators, StepComparison
-from loopshape.recording import Recording
-from loopshape.rigs.effects import moves
-from loopshape.rigs.simulated import header, measure, plan
-from loopshape.run import Run
-from loopshape.study import Study
-from loopshape.units import Array, deg, rad
+from loopshape.core.units import Array, deg, rad
+from loopshape.data.controller import Controller
+from loopshape.data.model import TransferFunction
+from loopshape.data.prediction import Indicators, StepComparison
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
+from loopshape.data.study import Study
+from loopshape.loop.indicators import indicators, recorded_steps, tracking
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.equilibrium import rest
+from loopshape.model.arm.model import derivatives
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.model.arm.published import angle_controller
+from loopshape.model.arm.source import value
+from loopshape.rig.effects import moves
+from loopshape.rig.simulated import header, measure, plan
 
 P_AB = "p_a_bar + p_b_bar"
 

@@ -31,14 +31,14 @@ from arm1_motion import Crossing, Followed, Moved, cells, moved, printed_step, r
 from arm1_scores import write_scores  # noqa: E402
 from arm1_sweeps import Found  # noqa: E402
 
-from loopshape.controller import Controller  # noqa: E402
-from loopshape.draw.style import png  # noqa: E402
-from loopshape.plants.arm.published import angle_controller, pressure_controller, third_order_plant  # noqa: E402
-from loopshape.plants.arm.source import value  # noqa: E402
-from loopshape.store.controllers import read_controllers  # noqa: E402
-from loopshape.store.files import write_bytes_whole  # noqa: E402
-from loopshape.store.study import read_study  # noqa: E402
-from loopshape.units import deg  # noqa: E402
+from loopshape.core.units import deg  # noqa: E402
+from loopshape.data.controller import Controller  # noqa: E402
+from loopshape.io.controllers import read_controllers  # noqa: E402
+from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.study import read_study  # noqa: E402
+from loopshape.model.arm.published import angle_controller, pressure_controller, third_order_plant  # noqa: E402
+from loopshape.model.arm.source import value  # noqa: E402
+from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 SHIPPED = HERE.parent.parent / "examples" / "arm" / "controller.toml"

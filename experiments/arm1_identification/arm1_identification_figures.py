@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from loopshape.draw.curves import frequency_axis, unwrapped_deg
-from loopshape.draw.frequency import spectra
-from loopshape.draw.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, shades, styled
-from loopshape.plants.arm.published import third_order_plant
-from loopshape.plants.arm.source import value
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.model.arm.published import third_order_plant
+from loopshape.model.arm.source import value
+from loopshape.view.curves import frequency_axis, unwrapped_deg
+from loopshape.view.frequency import spectra
+from loopshape.view.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, shades, styled
 
 LOW_HZ, HIGH_HZ = 0.15, 12.0
 SIZE_DB = (-50.0, 15.0)

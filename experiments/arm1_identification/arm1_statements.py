@@ -10,9 +10,9 @@ import numpy as np
 from arm1_scores import AGREES, DIFFERS, PARTLY, Score, holds, judged, within
 from arm1_sweeps import Found
 
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS
-from loopshape.plants.arm.source import number, value
-from loopshape.units import Array, db
+from loopshape.core.units import Array, db
+from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.model.arm.source import number, value
 
 GAP = "experiments/source_arm_gap"
 PARAMETERS = (("kappa", "kappa"), ("f", "f_hz"), ("zeta", "zeta"))

@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 from scipy.signal import csd
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit, structure_by_name
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.linear import Linearisation, linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.recording import Recording
-from loopshape.rigs.effects import moves
-from loopshape.rigs.simulated import header, measure, plan
-from loopshape.run import Run
-from loopshape.study import Study
-from loopshape.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
+from loopshape.data.study import Study
+from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.linear import Linearisation, linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.rig.effects import moves
+from loopshape.rig.simulated import header, measure, plan
 
 Point = tuple[float, float]
 

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.check.indicators import indicators, recorded_steps
-from loopshape.controller import Block, Controller
-from loopshape.experiment import Experiment
-from loopshape.plants.arm.arm2 import Arm2
-from loopshape.plants.arm.closed_linear2 import ClosedLinear2, close2
-from loopshape.plants.arm.equilibrium2 import pressures2
-from loopshape.plants.arm.linear2 import Linearisation2, linearise2, linearise_pairs2
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.plants.arm.source import value
-from loopshape.plants.arm.strategies2 import DUAL, PAIRS, Strategy
-from loopshape.units import hz, rad
+from loopshape.core.units import hz, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment
+from loopshape.loop.indicators import indicators, recorded_steps
+from loopshape.model.arm.arm2 import Arm2
+from loopshape.model.arm.closed_linear2 import ClosedLinear2, close2
+from loopshape.model.arm.equilibrium2 import pressures2
+from loopshape.model.arm.linear2 import Linearisation2, linearise2, linearise_pairs2
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.model.arm.source import value
+from loopshape.model.arm.strategies2 import DUAL, PAIRS, Strategy
 
 DAMPING = (
     "strategy", "theta2_gain_factor", "gain_v_bar", "pressure_hz", "theta2_hz", "overshoot_percent", "rise_time_s",

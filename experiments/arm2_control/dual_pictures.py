@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from loopshape.draw.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
-from loopshape.recording import Recording
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.data.recording import Recording
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
 
 PANELS = 8  # of a loop page
 _ROWS = (

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.check.indicators import recorded_steps
-from loopshape.controller import Controller
-from loopshape.experiment import LoopSetup
-from loopshape.plants.arm.arm2 import Arm2
-from loopshape.recording import Recording
-from loopshape.rigs.simulated import measure
-from loopshape.store.study import read_study
-from loopshape.units import Array, deg
+from loopshape.core.units import Array, deg
+from loopshape.data.controller import Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording
+from loopshape.io.study import read_study
+from loopshape.loop.indicators import recorded_steps
+from loopshape.model.arm.arm2 import Arm2
+from loopshape.rig.simulated import measure
 
 STEPS = (
     "experiment", "loop", "at_s", "size", "unit", "rise_time_s", "settling_time_s", "settling_time_5_s", "overshoot",

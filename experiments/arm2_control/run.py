@@ -18,30 +18,30 @@ from dual_pictures import draw_damping, draw_steps, entitled  # noqa: E402
 from dual_scores import Found, scores  # noqa: E402
 from dual_steps import INTERACTION, STEPS, interaction_rows, step_rows, stepped  # noqa: E402
 
-from loopshape.algebra.propagation import pick  # noqa: E402
-from loopshape.check.several import check_several  # noqa: E402
-from loopshape.check.verdict import check, loops_of  # noqa: E402
-from loopshape.controller import Block, Controller  # noqa: E402
-from loopshape.draw.loops import loop_page  # noqa: E402
-from loopshape.draw.nichols import nichols  # noqa: E402
-from loopshape.draw.style import png  # noqa: E402
-from loopshape.estimate.frequency_response import estimate_realisations  # noqa: E402
-from loopshape.estimate.matrix import estimate_matrix  # noqa: E402
-from loopshape.frf import FRF  # noqa: E402
-from loopshape.plants.arm.arm2 import Arm2  # noqa: E402
-from loopshape.plants.arm.closed_linear2 import close2  # noqa: E402
-from loopshape.plants.arm.linear2 import linearise2  # noqa: E402
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
-from loopshape.plants.arm.published import controller  # noqa: E402
-from loopshape.plants.arm.source import value  # noqa: E402
-from loopshape.plants.arm.strategies2 import DUAL  # noqa: E402
-from loopshape.requirements import Requirements, Verdict  # noqa: E402
-from loopshape.rigs.simulated import header, measure  # noqa: E402
-from loopshape.several import SeveralVerdict  # noqa: E402
-from loopshape.store.files import write_bytes_whole  # noqa: E402
-from loopshape.store.requirements import read_requirements  # noqa: E402
-from loopshape.store.study import read_study  # noqa: E402
-from loopshape.units import db  # noqa: E402
+from loopshape.core.units import db  # noqa: E402
+from loopshape.data.algebra.propagation import pick  # noqa: E402
+from loopshape.data.controller import Block, Controller  # noqa: E402
+from loopshape.data.frf import FRF  # noqa: E402
+from loopshape.data.requirements import Requirements, Verdict  # noqa: E402
+from loopshape.data.several import SeveralVerdict  # noqa: E402
+from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
+from loopshape.identify.matrix import estimate_matrix  # noqa: E402
+from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
+from loopshape.io.study import read_study  # noqa: E402
+from loopshape.loop.several import check_several  # noqa: E402
+from loopshape.loop.verdict import check, loops_of  # noqa: E402
+from loopshape.model.arm.arm2 import Arm2  # noqa: E402
+from loopshape.model.arm.closed_linear2 import close2  # noqa: E402
+from loopshape.model.arm.linear2 import linearise2  # noqa: E402
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
+from loopshape.model.arm.published import controller  # noqa: E402
+from loopshape.model.arm.source import value  # noqa: E402
+from loopshape.model.arm.strategies2 import DUAL  # noqa: E402
+from loopshape.rig.simulated import header, measure  # noqa: E402
+from loopshape.view.loops import loop_page  # noqa: E402
+from loopshape.view.nichols import nichols  # noqa: E402
+from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 ANGLES = ("theta1", "theta2")

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.linalg import expm
 from valves import Plant, Valves, rates
 
-from loopshape.experiment import Experiment
-from loopshape.kernels import biquads
-from loopshape.kernels.compiled import compiled
-from loopshape.plants.arm.simulation import sections
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import Array, ComplexArray, angular
+from loopshape.core.kernels import biquads
+from loopshape.core.kernels.compiled import compiled
+from loopshape.core.units import Array, ComplexArray, angular
+from loopshape.data.experiment import Experiment
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.model.arm.simulation import sections
 
 
 def held(plant: Plant, tick_s: float) -> tuple[Array, Array]:

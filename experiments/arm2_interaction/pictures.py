@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from loopshape.draw.curves import draw_band, frequency_axis
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, styled
-from loopshape.frf import FRF
-from loopshape.units import ComplexArray, db
+from loopshape.core.units import ComplexArray, db
+from loopshape.data.frf import FRF
+from loopshape.view.curves import draw_band, frequency_axis
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, styled
 
 #: |P| in dB that the source reads off its figure 5.8, in rad/V
 SOURCE_DB = {(0, 0): -10.0, (0, 1): -30.0, (1, 0): -40.0, (1, 1): -20.0}

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.kernels.compiled import compiled
-from loopshape.recording import Recording
-from loopshape.run import Run
-from loopshape.units import Array, ComplexArray, angular
+from loopshape.core.kernels.compiled import compiled
+from loopshape.core.units import Array, ComplexArray, angular
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
 
 ATMOSPHERE_BAR, PWM_S, PWM_TICKS, DEAD_ZONE = 1.01325, 0.02, 20, 0.01
 

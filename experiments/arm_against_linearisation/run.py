@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, head, new_figure, png, styled
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.expected import command_amplitude, expected_angle_response
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.recording import Recording
-from loopshape.rigs.simulated import header, measure
-from loopshape.run import Run
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.study import read_study
-from loopshape.units import db, deg
+from loopshape.core.units import db, deg
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.study import read_study
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.expected import command_amplitude, expected_angle_response
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.rig.simulated import header, measure
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, head, new_figure, png, styled
 
 HERE = Path(__file__).parent
 FIGURES = HERE.parent.parent / "figures" / HERE.name

@@ -10,9 +10,9 @@ from beyond_supply import AtSupply
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from loopshape.draw.style import COLOURS, MARKERS, head, new_figure, styled
-from loopshape.recording import Recording
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.data.recording import Recording
+from loopshape.view.style import COLOURS, MARKERS, head, new_figure, styled
 
 Tables = Mapping[str, Sequence[Mapping]]
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from loopshape.controller import Controller
-from loopshape.excitation import Profile
-from loopshape.experiment import Experiment
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.equilibrium import LOWEST_BAR
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.model import derivatives
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants
-from loopshape.recording import Recording
-from loopshape.units import Array, angular, deg, rad
+from loopshape.core.units import Array, angular, deg, rad
+from loopshape.data.controller import Controller
+from loopshape.data.excitation import Profile
+from loopshape.data.experiment import Experiment
+from loopshape.data.recording import Recording
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.equilibrium import LOWEST_BAR
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.model import derivatives
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
 
 RATE_HZ = 1000.0
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.errors import WrongUseError
-from loopshape.plants.arm.equilibrium import pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.plants.arm.source import value
+from loopshape.core.errors import WrongUseError
+from loopshape.model.arm.equilibrium import pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import value
 
 ANGLES_DEG = np.arange(0.0, 45.1, 0.5)
 

@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.check.indicators import recorded_steps
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.experiment import Experiment
-from loopshape.fit.fit import fit, structure_by_name
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.linear import Linearisation, linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.recording import Recording
-from loopshape.requirements import Margins, Objective, Requirements
-from loopshape.rigs.simulated import header, measure
-from loopshape.study import Study
-from loopshape.tune.schedule import Schedule, schedule
-from loopshape.tune.tune import tune
-from loopshape.units import db, deg, rad
+from loopshape.core.units import db, deg, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.recording import Recording
+from loopshape.data.requirements import Margins, Objective, Requirements
+from loopshape.data.study import Study
+from loopshape.design.schedule import Schedule, schedule
+from loopshape.design.tune import tune
+from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.loop.indicators import recorded_steps
+from loopshape.loop.verdict import check
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.linear import Linearisation, linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.rig.simulated import header, measure
 
 
 @dataclass(frozen=True, eq=False)

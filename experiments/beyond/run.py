@@ -19,11 +19,11 @@ from beyond_prestress import prestress_rows  # noqa: E402
 from beyond_scores import scores  # noqa: E402
 from beyond_supply import at_supply, point_rows, pressure_controller, supply_row  # noqa: E402
 
-from loopshape.draw.style import png  # noqa: E402
-from loopshape.store.controllers import read_controllers  # noqa: E402
-from loopshape.store.files import write_bytes_whole  # noqa: E402
-from loopshape.store.requirements import read_requirements  # noqa: E402
-from loopshape.store.study import read_study  # noqa: E402
+from loopshape.io.controllers import read_controllers  # noqa: E402
+from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
+from loopshape.io.study import read_study  # noqa: E402
+from loopshape.view.style import png  # noqa: E402
 
 ROOT = HERE.parent.parent
 FIGURES = ROOT / "figures" / HERE.name

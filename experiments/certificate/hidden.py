@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from loops import LINEAR, LOGARITHMIC, between
 
-from loopshape.check.sampling import hidden_poles
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.model import TransferFunction
+from loopshape.loop.sampling import hidden_poles
 
 RECORDS = 1000
 WIDTHS, TAILS = (0.03, 0.1, 0.3, 1.0), (2.0, 4.0, 6.0, 8.0, 12.0, 20.0)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
-from loopshape.controller import Block, Controller
-from loopshape.estimate.smoothing import smoothed
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI, Array, hz
+from loopshape.core.units import TWO_PI, Array, hz
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.identify.smoothing import smoothed
 
 KINDS = (
     "no integrator", "one integrator", "two integrators", "three integrators", "delay", "unstable pole",

@@ -13,12 +13,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from loopshape.draw.curves import draw_band, frequency_axis
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
-from loopshape.errors import WrongUseError
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.units import Array, db
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, db
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.view.curves import draw_band, frequency_axis
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 SCALE = Normalize(-60.0, 0.0)
 MAP = "viridis"

@@ -15,20 +15,20 @@ sys.path.insert(0, str(HERE.parent / "arm2_interaction"))  # its valves
 
 from valves import Plant, best_gains, replayed, valves  # noqa: E402
 
-from loopshape.estimate.interaction import interaction  # noqa: E402
-from loopshape.estimate.matrix import estimate_matrix  # noqa: E402
-from loopshape.frf import FRF  # noqa: E402
-from loopshape.interaction import Interaction  # noqa: E402
-from loopshape.plants.arm.arm1 import Arm1  # noqa: E402
-from loopshape.plants.arm.equilibrium import pressures  # noqa: E402
-from loopshape.plants.arm.linear import Linearisation, linearise  # noqa: E402
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
-from loopshape.plants.arm.source import value  # noqa: E402
-from loopshape.recording import Recording  # noqa: E402
-from loopshape.rigs.simulated import header, measure  # noqa: E402
-from loopshape.run import Run  # noqa: E402
-from loopshape.study import Study  # noqa: E402
-from loopshape.units import ComplexArray, deg  # noqa: E402
+from loopshape.core.units import ComplexArray, deg  # noqa: E402
+from loopshape.data.frf import FRF  # noqa: E402
+from loopshape.data.interaction import Interaction  # noqa: E402
+from loopshape.data.recording import Recording  # noqa: E402
+from loopshape.data.run import Run  # noqa: E402
+from loopshape.data.study import Study  # noqa: E402
+from loopshape.identify.interaction import interaction  # noqa: E402
+from loopshape.identify.matrix import estimate_matrix  # noqa: E402
+from loopshape.model.arm.arm1 import Arm1  # noqa: E402
+from loopshape.model.arm.equilibrium import pressures  # noqa: E402
+from loopshape.model.arm.linear import Linearisation, linearise  # noqa: E402
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
+from loopshape.model.arm.source import value  # noqa: E402
+from loopshape.rig.simulated import header, measure  # noqa: E402
 
 LOOPS = ("theta2", "p_ab")
 LIMIT_DB = value("figure_h_7.interaction")

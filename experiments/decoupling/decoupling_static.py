@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 from decoupling_measure import LIMIT_DB, LOOPS, Found
 
-from loopshape.check.margins import margins
-from loopshape.check.verdict import loops_of
-from loopshape.controller import Controller
-from loopshape.estimate.interaction import interaction
-from loopshape.fit.fit import fit, structure_by_name
-from loopshape.frf import FRF
-from loopshape.interaction import BandVerdict
-from loopshape.requirements import Margins, Requirements
-from loopshape.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.interaction import BandVerdict
+from loopshape.data.requirements import Margins, Requirements
+from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.interaction import interaction
+from loopshape.loop.margins import margins
+from loopshape.loop.verdict import loops_of
 
 
 def mixed(frf: FRF, W: Array) -> FRF:

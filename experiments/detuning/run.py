@@ -10,17 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.check.verdict import check
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit
-from loopshape.fit.structures import Rational
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.requirements import Requirements, Verdict
-from loopshape.store.import_file import import_file
-from loopshape.store.requirements import read_requirements
-from loopshape.tune.tune import tune
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Requirements, Verdict
+from loopshape.design.tune import tune
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import Rational
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.import_file import import_file
+from loopshape.io.requirements import read_requirements
+from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent.parent / "examples"

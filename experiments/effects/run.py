@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.draw.effects import effects_page
-from loopshape.draw.style import png
-from loopshape.effect_sheet import EffectSheet
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.effect_study import effect_study, paths, signals
-from loopshape.rigs.effect_sheets import sheets
-from loopshape.rigs.effects import asked
-from loopshape.store.files import write_bytes_whole
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.data.effect_sheet import EffectSheet
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.effect_study import effect_study, paths, signals
+from loopshape.rig.effect_sheets import sheets
+from loopshape.rig.effects import asked
+from loopshape.view.effects import effects_page
+from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's own second file, however it is started

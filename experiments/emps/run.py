@@ -11,21 +11,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.optimize import least_squares
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, head, new_figure, png, styled
-from loopshape.effect import EffectForm
-from loopshape.gap import attribute
-from loopshape.gap.evidence import Evidence
-from loopshape.gap.fitting import Fitted
-from loopshape.gap.hypothesis import Hypothesis, candidates
-from loopshape.plants.servo_axis import following, nominal
-from loopshape.plants.servo_axis.axis import ServoAxis
-from loopshape.plants.servo_axis.effects import quadratic_drag
-from loopshape.plants.servo_axis.following import Followed
-from loopshape.run import Run
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.import_file import import_file
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.data.effect import EffectForm
+from loopshape.data.run import Run
+from loopshape.diagnose import attribute
+from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.fitting import Fitted
+from loopshape.diagnose.hypothesis import Hypothesis, candidates
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.import_file import import_file
+from loopshape.model.servo_axis import following, nominal
+from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.model.servo_axis.effects import quadratic_drag
+from loopshape.model.servo_axis.following import Followed
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, head, new_figure, png, styled
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

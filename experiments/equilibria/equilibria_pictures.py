@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from standing import MODELS, arm, off_square_deg
 
-from loopshape.draw.equilibria import contours_by_angle, contours_by_pressures
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
-from loopshape.plants.arm.source import value
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.model.arm.source import value
+from loopshape.view.equilibria import contours_by_angle, contours_by_pressures
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 Maps = Mapping[str, tuple[Array, ...]]
 Rows = Sequence[Sequence[object]]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.plants.arm.equilibrium import acceleration, angle_deg, pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
-from loopshape.plants.arm.source import number, value
-from loopshape.units import TWO_PI, Array, deg, rad
+from loopshape.core.units import TWO_PI, Array, deg, rad
+from loopshape.model.arm.equilibrium import acceleration, angle_deg, pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
+from loopshape.model.arm.source import number, value
 
 Moves = Mapping[str, float]
 STIFFNESS = ("b_bar", "k0", "k1", "k2", "c0", "c1")

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.kernels import margins as kernel
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.kernels import margins as kernel
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.loop.verdict import check
 
 RATE_HZ, DRAWS = 20_000.0, 100
 W8, W5 = TWO_PI * 8.0, TWO_PI * 5.0

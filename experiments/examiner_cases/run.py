@@ -29,11 +29,11 @@ from loops import (  # noqa: E402
     unstable_poles,
 )
 
-from loopshape.check.stability import closed_loop_stability  # noqa: E402
-from loopshape.check.verdict import loops_of  # noqa: E402
-from loopshape.controller import Block, Controller  # noqa: E402
-from loopshape.model import TransferFunction  # noqa: E402
-from loopshape.requirements import Requirements  # noqa: E402
+from loopshape.data.controller import Block, Controller  # noqa: E402
+from loopshape.data.model import TransferFunction  # noqa: E402
+from loopshape.data.requirements import Requirements  # noqa: E402
+from loopshape.loop.stability import closed_loop_stability  # noqa: E402
+from loopshape.loop.verdict import loops_of  # noqa: E402
 
 LOOPS, NOISES = 500, (1e-6, 0.01, 0.03, 0.1)
 STEPS = (0.3, 0.5, 0.7, 0.9, 1.1, 1.4, 2.0, 3.0)

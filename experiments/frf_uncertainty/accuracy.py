@@ -10,11 +10,11 @@ import numpy as np
 from known import LOOP, RATE_HZ, Plant, closed, coloured, noise_records, one_resonance, two_resonances, white
 from scipy.fft import next_fast_len
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.kernels.spectra import hann
-from loopshape.recording import Recording
-from loopshape.units import Array, ComplexArray
+from loopshape.core.kernels.spectra import hann
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.recording import Recording
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 
 DAMPINGS, SECONDS, SNRS_DB = (0.02, 0.05, 0.1, 0.2, 0.5), (20.0, 60.0, 120.0), (20.0, 40.0, 60.0)
 #: errors are taken here, by straight lines between an estimate's own lines: a resonance between them is missed

@@ -13,13 +13,13 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from scipy.stats import f as f_distribution
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, png, styled
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.frf import FRF
-from loopshape.store.files import write_bytes_whole
-from loopshape.units import Array, ComplexArray, db
+from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.frf import FRF
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
+from loopshape.io.files import write_bytes_whole
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parent.parent.parent / "figures" / Path(__file__).parent.name
 GRIDS = {("one", "open"): "one resonance, open loop", ("two", "closed"): "two resonances and a delay, closed loop"}

@@ -22,14 +22,14 @@ from known import (
 )
 from scipy.stats import f as f_distribution
 
-from loopshape.estimate.frequency_response import estimate_frf, estimate_realisations
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import Multisine, Sweep
-from loopshape.excitation_sets import orthogonal
-from loopshape.frf import FRF
-from loopshape.recording import Recording
-from loopshape.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.excitation import Multisine, Sweep
+from loopshape.data.excitation_sets import orthogonal
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording
+from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
 
 BAND_HZ = (1.0, 15.0)
 PLACES = {"control": "open", "controller_input": "closed, n at the controller", "plant_input": "closed, n at the plant"}

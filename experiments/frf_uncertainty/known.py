@@ -1,4 +1,4 @@
-"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `loopshape.loop`."""
+"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `loopshape.data.loop`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, cont2discrete, freqz, lfilter
 
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
 
 RATE_HZ = 100.0
 #: samples run before a recording begins: a plant with a damping of 0.02 at 5 Hz then rings at 1e-5

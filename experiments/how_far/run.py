@@ -9,22 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.check.verdict import check, loops_of
-from loopshape.draw.schedule import schedule_page
-from loopshape.draw.style import png
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import Fit
-from loopshape.requirements import BlockTemplate, Requirements
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.requirements import read_requirements
-from loopshape.tune import bound as bound_module
-from loopshape.tune import bound_regions
-from loopshape.tune.bound import bound, excluded
-from loopshape.tune.bound_reach import reach
-from loopshape.tune.schedule import schedule
-from loopshape.tune.tune import tune
-from loopshape.units import TWO_PI, ComplexArray
+from loopshape.core.units import TWO_PI, ComplexArray
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import Fit
+from loopshape.data.requirements import BlockTemplate, Requirements
+from loopshape.design import bound as bound_module
+from loopshape.design import bound_regions
+from loopshape.design.bound import bound, excluded
+from loopshape.design.bound_reach import reach
+from loopshape.design.schedule import schedule
+from loopshape.design.tune import tune
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.requirements import read_requirements
+from loopshape.loop.verdict import check, loops_of
+from loopshape.view.schedule import schedule_page
+from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.model import Fit, TransferFunction
-from loopshape.plants.arm.published import controller
-from loopshape.plants.arm.source import value
-from loopshape.requirements import Requirements, Verdict
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit, TransferFunction
+from loopshape.data.requirements import Requirements, Verdict
+from loopshape.loop.verdict import check
+from loopshape.model.arm.published import controller
+from loopshape.model.arm.source import value
 
 #: lines of a model's FRF, and the relative standard deviation that stands for exactly known
 GRID_HZ, EXACT = np.unique(np.concatenate([np.geomspace(0.05, 20.0, 500), np.linspace(1.2, 2.6, 600)])), 1e-6

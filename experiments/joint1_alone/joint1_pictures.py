@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.plants.arm.linear2 import Linearisation2
-from loopshape.recording import Recording
-from loopshape.units import db, deg
+from loopshape.core.units import db, deg
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.recording import Recording
+from loopshape.model.arm.linear2 import Linearisation2
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
 
 PANELS = 8  # of a loop page
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loopshape.model import Fit
-from loopshape.plants.arm.source import number, value
-from loopshape.requirements import Margins, Verdict
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Margins, Verdict
+from loopshape.model.arm.source import number, value
 
 #: "about so many Hz" agrees within this factor; two spans agree where one lies in the other, partly where they meet
 ABOUT = 1.5

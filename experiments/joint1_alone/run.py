@@ -18,31 +18,31 @@ from joint1_pictures import draw_plant, draw_steps, entitled  # noqa: E402
 from joint1_scores import scores  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from loopshape.check.indicators import recorded_steps  # noqa: E402
-from loopshape.check.verdict import check, loops_of  # noqa: E402
-from loopshape.controller import Controller  # noqa: E402
-from loopshape.draw.loops import loop_page  # noqa: E402
-from loopshape.draw.nichols import nichols  # noqa: E402
-from loopshape.draw.style import png  # noqa: E402
-from loopshape.estimate.frequency_response import estimate_realisations  # noqa: E402
-from loopshape.fit.fit import fit, structure_by_name  # noqa: E402
-from loopshape.frf import FRF  # noqa: E402
-from loopshape.loop import Loop  # noqa: E402
-from loopshape.model import Fit  # noqa: E402
-from loopshape.plants.arm.arm2 import Arm2  # noqa: E402
-from loopshape.plants.arm.closed_linear2 import close2  # noqa: E402
-from loopshape.plants.arm.linear2 import Linearisation2, linearise_pairs2  # noqa: E402
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
-from loopshape.plants.arm.published import controller  # noqa: E402
-from loopshape.plants.arm.strategies2 import PAIRS  # noqa: E402
-from loopshape.recording import Recording  # noqa: E402
-from loopshape.requirements import Requirements, Verdict  # noqa: E402
-from loopshape.rigs.simulated import header, measure  # noqa: E402
-from loopshape.store.files import write_bytes_whole  # noqa: E402
-from loopshape.store.requirements import read_requirements  # noqa: E402
-from loopshape.store.study import read_study  # noqa: E402
-from loopshape.tune.tune import tune  # noqa: E402
-from loopshape.units import TWO_PI  # noqa: E402
+from loopshape.core.units import TWO_PI  # noqa: E402
+from loopshape.data.controller import Controller  # noqa: E402
+from loopshape.data.frf import FRF  # noqa: E402
+from loopshape.data.loop import Loop  # noqa: E402
+from loopshape.data.model import Fit  # noqa: E402
+from loopshape.data.recording import Recording  # noqa: E402
+from loopshape.data.requirements import Requirements, Verdict  # noqa: E402
+from loopshape.design.tune import tune  # noqa: E402
+from loopshape.identify.fit.fit import fit, structure_by_name  # noqa: E402
+from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
+from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
+from loopshape.io.study import read_study  # noqa: E402
+from loopshape.loop.indicators import recorded_steps  # noqa: E402
+from loopshape.loop.verdict import check, loops_of  # noqa: E402
+from loopshape.model.arm.arm2 import Arm2  # noqa: E402
+from loopshape.model.arm.closed_linear2 import close2  # noqa: E402
+from loopshape.model.arm.linear2 import Linearisation2, linearise_pairs2  # noqa: E402
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
+from loopshape.model.arm.published import controller  # noqa: E402
+from loopshape.model.arm.strategies2 import PAIRS  # noqa: E402
+from loopshape.rig.simulated import header, measure  # noqa: E402
+from loopshape.view.loops import loop_page  # noqa: E402
+from loopshape.view.nichols import nichols  # noqa: E402
+from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 NUMBERS = constants2(ARM2_PARAMETERS.vector())

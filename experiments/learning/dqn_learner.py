@@ -17,7 +17,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 
-from loopshape.units import Array
+from loopshape.core.units import Array
 
 warnings.filterwarnings("ignore", module="stable_baselines3")
 

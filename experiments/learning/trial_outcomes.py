@@ -9,7 +9,7 @@ import numpy as np
 from nine_actions import Rules, Trace
 from scipy.stats import binomtest
 
-from loopshape.units import Array
+from loopshape.core.units import Array
 
 RATE_HZ = 1000.0
 

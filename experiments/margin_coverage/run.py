@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.check.margins import margins
-from loopshape.controller import Block, Controller
-from loopshape.estimate.smoothing import smoothed
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.requirements import Margins
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Margins
+from loopshape.identify.smoothing import smoothed
+from loopshape.loop.margins import margins
 
 HERE = Path(__file__).parent
 RATE = 1000.0

@@ -12,11 +12,11 @@ from muscle_findings import Found
 from muscle_law import diameter_m, nominal_length_m
 from muscle_points import BAND, Measured
 
-from loopshape.draw.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, png, shades, styled
-from loopshape.frf import FRF
-from loopshape.plants.arm.source import value
-from loopshape.store.files import write_bytes_whole
-from loopshape.units import db, deg
+from loopshape.core.units import db, deg
+from loopshape.data.frf import FRF
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.source import value
+from loopshape.view.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, png, shades, styled
 
 
 def draw_bench(found: Found, words: Mapping[str, Any], folder: Path) -> None:

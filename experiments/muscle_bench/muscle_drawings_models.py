@@ -13,10 +13,10 @@ from muscle_findings import Found
 from muscle_law import damping, printed, volume_slopes
 from muscle_parameters import printed_box, reach
 
-from loopshape.draw.style import COLOURS, LIMIT, QUIET, head, new_figure, png, shades, styled
-from loopshape.plants.arm.source import value
-from loopshape.store.files import write_bytes_whole
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.source import value
+from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, shades, styled
 
 
 def draw_models(found: Found, words: Mapping[str, Any], folder: Path) -> None:

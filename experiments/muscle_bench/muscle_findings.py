@@ -20,9 +20,9 @@ from muscle_models import Comparison, compare_models, taylor
 from muscle_points import Measured, Point, columns, coverage, grid, muscles, sweep
 from muscle_records import Bench, measure
 
-from loopshape.estimate.h1_h2 import TwoEstimates
-from loopshape.plants.arm.source import value
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.identify.h1_h2 import TwoEstimates
+from loopshape.model.arm.source import value
 
 FIVE_MM = (150, 160, 170, 180, 190)
 

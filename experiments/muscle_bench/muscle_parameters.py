@@ -14,8 +14,8 @@ import numpy as np
 from muscle_law import Digits, printed
 from scipy.optimize import linprog
 
-from loopshape.plants.arm.source import number
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.model.arm.source import number
 
 NAMES = ("b", "k0", "k1", "k2", "c0", "c1")
 

@@ -10,9 +10,9 @@ import numpy as np
 from muscle_law import Muscle, damping, printed, slope_closed
 from muscle_records import Bench, SpringDamper, measure, spring_damper
 
-from loopshape.estimate.h1_h2 import TwoEstimates
-from loopshape.plants.arm.source import value
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.identify.h1_h2 import TwoEstimates
+from loopshape.model.arm.source import value
 
 Point = tuple[float, float]
 BAND = 1.96  # a 95 % interval in standard deviations

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from muscle_law import Muscle, pulls
 
-from loopshape.estimate.h1_h2 import TwoEstimates, h1_h2
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import BandNoise
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.plants.arm.source import value
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import Array, angular
+from loopshape.core.units import Array, angular
+from loopshape.data.excitation import BandNoise
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.h1_h2 import TwoEstimates, h1_h2
+from loopshape.identify.settings import Settings
+from loopshape.model.arm.source import value
 
 LOOP = LoopSetup("muscle", None, None, "h_m", "pull_n", None)
 

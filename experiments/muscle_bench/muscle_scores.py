@@ -15,9 +15,9 @@ from muscle_models import taylor
 from muscle_parameters import NAMES
 from muscle_points import BAND
 
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS
-from loopshape.plants.arm.source import number, value
-from loopshape.units import Array
+from loopshape.core.units import Array
+from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.model.arm.source import number, value
 
 Row = tuple[str, str, str, str, str, str]
 TABLE, ANALYTICAL = printed(), printed("analytical")

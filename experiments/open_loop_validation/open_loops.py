@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.plants.arm import effect_parameters as e
-from loopshape.plants.arm import parameters as k
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.model import geometry, muscle, nominal_length
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.rigs.simulated import experiment, plan
-from loopshape.store.study import read_study
-from loopshape.units import Array, deg
+from loopshape.core.units import Array, deg
+from loopshape.io.study import read_study
+from loopshape.model.arm import effect_parameters as e
+from loopshape.model.arm import parameters as k
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.model import geometry, muscle, nominal_length
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.rig.simulated import experiment, plan
 
 STUDY = Path(__file__).parent / "study.toml"
 PA = 1e5  # Pa per bar

@@ -27,12 +27,12 @@ from open_loops import (  # noqa: E402
 )
 from standing import ANALYTICAL, arm, within_digits  # noqa: E402
 
-from loopshape.draw.style import png  # noqa: E402
-from loopshape.effect import EffectForm  # noqa: E402
-from loopshape.plants.arm.effects import FORMS  # noqa: E402
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS  # noqa: E402
-from loopshape.plants.arm.source import value  # noqa: E402
-from loopshape.store.files import read_toml, write_bytes_whole  # noqa: E402
+from loopshape.data.effect import EffectForm  # noqa: E402
+from loopshape.io.files import read_toml, write_bytes_whole  # noqa: E402
+from loopshape.model.arm.effects import FORMS  # noqa: E402
+from loopshape.model.arm.parameters import ARM1_PARAMETERS  # noqa: E402
+from loopshape.model.arm.source import value  # noqa: E402
+from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 RUNS = ("figure-4-16", "figure-4-17", "figure-4-18-wide")

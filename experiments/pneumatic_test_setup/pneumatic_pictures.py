@@ -10,9 +10,9 @@ import pneumatic_models as models
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, styled
-from loopshape.plants.arm.source import value
-from loopshape.store.files import write_bytes_whole
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.source import value
+from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parent.parent.parent / "figures" / Path(__file__).parent.name
 FOUR = ("p_c", "p_1", "p_2", "p_m")

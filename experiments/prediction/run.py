@@ -19,31 +19,31 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.check.prediction import plant_behind, predict
-from loopshape.check.remeasured import Remeasured, remeasure
-from loopshape.check.verdict import check
 from loopshape.cli.fit import fit_run
 from loopshape.cli.frf import estimate_and_report
 from loopshape.cli.measure import record
 from loopshape.cli.output import Output
-from loopshape.draw.prediction import comparison_grid, prediction_page, steps_grid
-from loopshape.draw.style import png
-from loopshape.fit.fit import fit
-from loopshape.fit.structures import Integrator, Structure, ThirdOrder
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.prediction import Prediction
-from loopshape.requirements import LIMITS, Margins, Requirements, Verdict
-from loopshape.run import Run
-from loopshape.store.controllers import read_controllers, write_controllers
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.fits import read_fits
-from loopshape.store.frfs import read_frfs
-from loopshape.store.predictions import write_predictions
-from loopshape.store.requirements import read_requirements
-from loopshape.store.run_folder import read_run
-from loopshape.tune.tune import tune
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.prediction import Prediction
+from loopshape.data.requirements import LIMITS, Margins, Requirements, Verdict
+from loopshape.data.run import Run
+from loopshape.design.tune import tune
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import Integrator, Structure, ThirdOrder
+from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.fits import read_fits
+from loopshape.io.frfs import read_frfs
+from loopshape.io.predictions import write_predictions
+from loopshape.io.requirements import read_requirements
+from loopshape.io.run_folder import read_run
+from loopshape.loop.prediction import plant_behind, predict
+from loopshape.loop.remeasured import Remeasured, remeasure
+from loopshape.loop.verdict import check
+from loopshape.view.prediction import comparison_grid, prediction_page, steps_grid
+from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from loopshape.kernels import pwm
-from loopshape.kernels.compiled import compiled
-from loopshape.plants.arm.source import value
-from loopshape.units import TWO_PI, angular, deg
+from loopshape.core.kernels import pwm
+from loopshape.core.kernels.compiled import compiled
+from loopshape.core.units import TWO_PI, angular, deg
+from loopshape.model.arm.source import value
 
 
 @compiled

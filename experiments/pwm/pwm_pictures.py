@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, styled
-from loopshape.plants.arm.source import value
-from loopshape.store.files import write_bytes_whole
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.source import value
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parent.parent.parent / "figures" / Path(__file__).parent.name
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from pneumatic_tables import AGREES, DIFFERS, NOT_COMPARABLE, PARTLY, verdict
 
-from loopshape.plants.arm.source import number, value
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.model.arm.source import number, value
 
 HARDLY_MBAR = 5.0  # half a percent of the figures' axis
 CONDITION_IDEAL, CONDITION_OWN = "neither", "noise and converters"

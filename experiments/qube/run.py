@@ -14,14 +14,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.signal import lfilter
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, styled
-from loopshape.estimate.faults import saturated
-from loopshape.kernels.spectra import cross_spectra, hann, independent_share
-from loopshape.recording import Recording
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.import_file import import_file
-from loopshape.units import TWO_PI, Array, ComplexArray, db, deg
+from loopshape.core.kernels.spectra import cross_spectra, hann, independent_share
+from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg
+from loopshape.data.recording import Recording
+from loopshape.identify.faults import saturated
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.import_file import import_file
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import cont2discrete, freqz, lfilter
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 
 RATE_HZ = 100.0
 BAND_HZ = (0.5, 6.0)

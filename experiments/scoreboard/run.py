@@ -1,6 +1,6 @@
 """The scoreboard: each table and figure of the source, what it says, what we get, and whether they agree.
 
-Reads `items.csv` (what the source has), `loopshape/plants/arm/source.csv` (its numbers) and each study's `scores.csv`;
+Reads `items.csv` (what the source has), `loopshape/model/arm/source.csv` (its numbers) and each study's `scores.csv`;
 writes `experiments/README.md`. It computes nothing: a score is what its study wrote.
 """
 
@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from loopshape.errors import UnreadableInputError
-from loopshape.plants.arm.source import number
-from loopshape.store.files import write_bytes_whole
+from loopshape.core.errors import UnreadableInputError
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.source import number
 
 HERE = Path(__file__).parent
 STUDIES = HERE.parent

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.plants.arm.source import number, value
-from loopshape.units import Array, db
+from loopshape.core.units import Array, db
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import number, value
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares, minimize
 
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, shades, styled
-from loopshape.effect import EffectForm
-from loopshape.errors import WrongUseError
-from loopshape.plants.arm.effects import FORMS
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
-from loopshape.store.files import write_bytes_whole
-from loopshape.units import Array, angular, rad
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, angular, rad
+from loopshape.data.effect import EffectForm
+from loopshape.io.files import write_bytes_whole
+from loopshape.model.arm.effects import FORMS
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
+from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, shades, styled
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's own files, however it is started

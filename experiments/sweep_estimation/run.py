@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.frf import FRF
-from loopshape.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.frf import FRF
+from loopshape.identify.frequency_response import estimate_frf
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent.parent / "tests" / "truth"))

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from loopshape.draw.curves import frequency_axis
-from loopshape.draw.style import COLOURS, QUIET, head, new_figure, png, styled
-from loopshape.estimate.distortion import Distortion, Lines, distortion
-from loopshape.store.files import write_bytes_whole
-from loopshape.store.import_file import import_file
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.identify.distortion import Distortion, Lines, distortion
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.import_file import import_file
+from loopshape.view.curves import frequency_axis
+from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

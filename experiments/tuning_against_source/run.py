@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.check.verdict import check
-from loopshape.controller import Controller
-from loopshape.frf import FRF
-from loopshape.model import Fit
-from loopshape.plants.arm.published import angle_controller
-from loopshape.requirements import Requirements, Verdict
-from loopshape.store.requirements import read_requirements
-from loopshape.tune.tune import tune
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Requirements, Verdict
+from loopshape.design.tune import tune
+from loopshape.io.requirements import read_requirements
+from loopshape.loop.verdict import check
+from loopshape.model.arm.published import angle_controller
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "how_far"))

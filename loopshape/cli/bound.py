@@ -11,7 +11,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.tune import RequireFile
 
 if TYPE_CHECKING:
-    from loopshape.tune.bound import Bound
+    from loopshape.design.bound import Bound
 
 
 def bound(
@@ -27,12 +27,12 @@ def bound(
 
 def bound_run(run: Path, controller: Path, require: Path, output: Output) -> list[Bound]:
     """Bound each loop of a requirements file and report."""
-    from loopshape.check_files import controller_of
     from loopshape.cli.verdicts import fits_of
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.requirements import read_requirements
-    from loopshape.tune.bound import bound as bound_loop
+    from loopshape.design.bound import bound as bound_loop
+    from loopshape.io.check_files import controller_of
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
 
     controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
     found = []

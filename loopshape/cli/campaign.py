@@ -15,11 +15,11 @@ from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.campaign import Campaign, Machine, Part
-    from loopshape.rigs.many import Job
-    from loopshape.rigs.simulated import Rig
-    from loopshape.run import Run
-    from loopshape.study import Study
+    from loopshape.data.campaign import Campaign, Machine, Part
+    from loopshape.data.run import Run
+    from loopshape.data.study import Study
+    from loopshape.rig.many import Job
+    from loopshape.rig.simulated import Rig
 
 NAMED_S = 1.0  # so long may tables that are whole wait to be named in run.toml: naming them together costs it once
 
@@ -39,10 +39,10 @@ def campaign(
     """Do a study to many simulated machines: draws of the ordinary spread, amplitudes, effects."""
     import time
 
-    from loopshape.rigs.many import check_workers
-    from loopshape.store.campaigns import write_index
-    from loopshape.store.files import make_folder
-    from loopshape.store.run_folder import alone
+    from loopshape.io.campaigns import write_index
+    from loopshape.io.files import make_folder
+    from loopshape.io.run_folder import alone
+    from loopshape.rig.many import check_workers
 
     check_workers(workers)
     output = Output(as_json, quiet)
@@ -66,8 +66,8 @@ def campaign(
 
 def _part(text: str | None, merge: bool) -> Part | None:
     """The part that is asked for, K/N."""
-    from loopshape.campaign import Part
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
+    from loopshape.data.campaign import Part
 
     if text is None:
         return None
@@ -94,9 +94,9 @@ class _Planned:
 
 def _planned(file: Path) -> _Planned:
     """Read and check a campaign; refuses what its machines cannot do, before anything is written."""
-    from loopshape import registry
-    from loopshape.rigs.simulated import plan
-    from loopshape.store.provenance import file_sha256
+    from loopshape.io.provenance import file_sha256
+    from loopshape.model import registry
+    from loopshape.rig.simulated import plan
 
     asked, study_file = _read(file)
     plant = registry.plant(asked.study.plant)
@@ -107,9 +107,9 @@ def _planned(file: Path) -> _Planned:
 
 
 def _read(file: Path) -> tuple[Campaign, Path]:
-    from loopshape import registry
-    from loopshape.rigs.effects import asked
-    from loopshape.store.campaigns import read_campaign
+    from loopshape.io.campaigns import read_campaign
+    from loopshape.model import registry
+    from loopshape.rig.effects import asked
 
     def of(plant: str, words: Iterable[str]) -> dict[str, float]:
         listed = list(words)
@@ -122,8 +122,8 @@ def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str 
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
     import time
 
-    from loopshape.rigs.many import carried_out
-    from loopshape.store.run_folder import adopt, sweep
+    from loopshape.io.run_folder import adopt, sweep
+    from loopshape.rig.many import carried_out
 
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
@@ -160,9 +160,9 @@ def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str 
 
 def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str]) -> Iterator[Job]:
     """What is missing of the recordings with the numbers `wanted`; notes of which machines."""
-    from loopshape.rigs.many import Job
-    from loopshape.rigs.simulated import listed
-    from loopshape.store.run_folder import finished, start_run
+    from loopshape.io.run_folder import finished, start_run
+    from loopshape.rig.many import Job
+    from loopshape.rig.simulated import listed
 
     count = len(planned.names)
     there = {path.name for path in out.iterdir()}
@@ -185,10 +185,10 @@ def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str
 
 def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> dict[str, Any]:
     """What a worker does with a job: leave the table in its run's folder, whole, and say what it is."""
-    from loopshape.errors import RigError
-    from loopshape.rigs.many import done
-    from loopshape.store.campaigns import INDEX
-    from loopshape.store.run_folder import read_unlisted, write_unlisted
+    from loopshape.core.errors import RigError
+    from loopshape.io.campaigns import INDEX
+    from loopshape.io.run_folder import read_unlisted, write_unlisted
+    from loopshape.rig.many import done
 
     if not (out / INDEX).is_file():
         raise RigError(
@@ -203,8 +203,8 @@ def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> dict[st
 
 def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> Run:
     """The run of a machine, without recordings."""
-    from loopshape.rigs.simulated import header
-    from loopshape.store.provenance import KEY, versions
+    from loopshape.io.provenance import KEY, versions
+    from loopshape.rig.simulated import header
 
     provenance = {**versions(), "study": origin["study"], "seed": study.seed, "machine": machine}
     return header(study, plant, {"study_sha256": origin["study_sha256"], KEY: provenance})
@@ -212,8 +212,8 @@ def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> R
 
 def _merge(out: Path, planned: _Planned) -> int:
     """Join the recordings of all parts in the runs of a whole campaign, and remove the parts."""
-    from loopshape.store.campaigns import parts, remove_parts, write_index
-    from loopshape.store.run_folder import adopt, finished
+    from loopshape.io.campaigns import parts, remove_parts, write_index
+    from loopshape.io.run_folder import adopt, finished
 
     folders = parts(out)
     for folder in folders:
@@ -232,9 +232,9 @@ def _merge(out: Path, planned: _Planned) -> int:
 
 def _gathered(sources: Iterable[Path], target: Path, run: Run, have: set[str]) -> list[Mapping[str, Any]]:
     """Put the tables of a machine's parts into its run's folder, which does not list them yet; gives their words."""
-    from loopshape.store.campaigns import same_file
-    from loopshape.store.files import make_folder
-    from loopshape.store.run_folder import entries_of, has_run
+    from loopshape.io.campaigns import same_file
+    from loopshape.io.files import make_folder
+    from loopshape.io.run_folder import entries_of, has_run
 
     make_folder(target)
     found = {}
@@ -248,7 +248,7 @@ def _gathered(sources: Iterable[Path], target: Path, run: Run, have: set[str]) -
 
 
 def _refuse_incomplete(machine: str, have: set[str], names: Sequence[str]) -> None:
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     if missing := [name for name in names if name not in have]:
         raise WrongUseError(

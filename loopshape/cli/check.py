@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.check.words import WORDS, outcome_of
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
@@ -19,9 +18,10 @@ from loopshape.cli.verdicts import (
     report_verdicts,
     verdict_json,
 )
+from loopshape.data.verdict_words import WORDS, outcome_of
 
 if TYPE_CHECKING:
-    from loopshape.check_files import Baseline, LoopCheck
+    from loopshape.io.check_files import Baseline, LoopCheck
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,13 @@ def check_run(
     figures: bool = True,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
-    from loopshape.check_files import against, check_files
+    from loopshape.io.check_files import against, check_files
 
     reports = reports or Reports()
     if require is None:
         return _margins(run, controller, output, reports, figures)
     if reports.allow_worse and reports.baseline is None:
-        from loopshape.errors import WrongUseError
+        from loopshape.core.errors import WrongUseError
 
         raise WrongUseError("--allow-worse speaks of a baseline", "none", "name it: --baseline FILE")
     loops = check_files(run, controller, require)
@@ -110,8 +110,8 @@ def check_run(
 
 def _margins(run: Path, controller: Path, output: Output, reports: Reports, figures: bool) -> tuple[bool, list[str]]:
     """Margins and stability of each loop with nothing required; refuses reports of a verdict."""
-    from loopshape.check_files import check_files
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.check_files import check_files
 
     if reports != Reports():
         raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
@@ -127,9 +127,9 @@ def _margins(run: Path, controller: Path, output: Output, reports: Reports, figu
 
 
 def _write(reports: Reports, loops: Sequence[LoopCheck], compared: Baseline | None) -> None:
-    from loopshape.store.junit import write_junit
-    from loopshape.store.markdown import write_markdown
-    from loopshape.store.verdicts import write_verdicts
+    from loopshape.io.junit import write_junit
+    from loopshape.io.markdown import write_markdown
+    from loopshape.io.verdicts import write_verdicts
 
     verdicts = [loop.verdict for loop in loops]
     if reports.junit is not None:

@@ -13,9 +13,9 @@ from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.frf import FRF
-    from loopshape.several import SeveralMargins, SeveralVerdict
+    from loopshape.data.controller import Controller
+    from loopshape.data.frf import FRF
+    from loopshape.data.several import SeveralMargins, SeveralVerdict
 
 _COLUMNS = [
     "recordings",
@@ -47,12 +47,12 @@ def check_several(
     Each loop is held against its limits with all others closed, then all together: stability by det(I + L), and what
     the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
     """
-    from loopshape.check.several import check_several as check
-    from loopshape.check.words import WORDS
     from loopshape.cli.verdicts import report_verdicts, verdict_json
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.junit import write_junit
-    from loopshape.store.requirements import read_requirements, read_several
+    from loopshape.data.verdict_words import WORDS
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.junit import write_junit
+    from loopshape.io.requirements import read_requirements, read_several
+    from loopshape.loop.several import check_several as check
 
     output = Output(as_json, quiet)
     wished, several = read_requirements(require), read_several(require)
@@ -84,8 +84,8 @@ def check_several(
 
 def _matrices(run: Path) -> list[FRF]:
     """A run's matrices: those that `frf --matrix` left, else imported FRFs of several inputs; refuses a run without."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.frfs import MATRICES, read_frfs, read_matrices
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.frfs import MATRICES, read_frfs, read_matrices
 
     found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
     found = found or [one for one in read_frfs(run) if len(one.inputs) > 1]
@@ -99,7 +99,7 @@ def _matrices(run: Path) -> list[FRF]:
 
 def _held(run: Path) -> Sequence[Controller]:
     """Controllers under which the run was recorded, as far as it knows them."""
-    from loopshape.store.run_folder import RUN_TOML, read_run
+    from loopshape.io.run_folder import RUN_TOML, read_run
 
     if not (run / RUN_TOML).exists():
         return ()
@@ -107,7 +107,7 @@ def _held(run: Path) -> Sequence[Controller]:
 
 
 def _row(recording: str, m: SeveralMargins) -> list[Any]:
-    from loopshape.check.words import interval_text
+    from loopshape.data.verdict_words import interval_text
 
     numbers: list[Any] = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
     numbers += [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
@@ -124,7 +124,7 @@ def _changes_text(m: SeveralMargins) -> str:
 def _changes(m: SeveralMargins) -> list[dict[str, float]]:
     import numpy as np
 
-    from loopshape.units import db, deg
+    from loopshape.core.units import db, deg
 
     return [{"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for x in m.worst_changes]
 
@@ -147,9 +147,9 @@ def _draw(
     run: Path, verdict: SeveralVerdict, frfs: Sequence[FRF], controllers: Sequence[Controller], several: Any
 ) -> list[str]:
     """A page for each operating point."""
-    from loopshape.check.several import loop_matrices
     from loopshape.cli.pictures import save
-    from loopshape.draw.several import several_page
+    from loopshape.loop.several import loop_matrices
+    from loopshape.view.several import several_page
 
     drawn = []
     matrices = loop_matrices(frfs, controllers, several, loops=verdict.loops)[0]

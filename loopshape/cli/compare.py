@@ -13,8 +13,8 @@ from loopshape.cli.pictures import figures_of
 from loopshape.cli.predict import STEP_COLUMNS, indicator_text
 
 if TYPE_CHECKING:
-    from loopshape.check.remeasured import Remeasured
-    from loopshape.prediction import Comparison, StepComparison
+    from loopshape.data.prediction import Comparison, StepComparison
+    from loopshape.loop.remeasured import Remeasured
 
 
 def compare(
@@ -29,11 +29,11 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Say of each prediction whether it held, where it did not and by how much; exit code 0 where all held."""
-    from loopshape.check.remeasured import remeasure
-    from loopshape.estimate.settings import Settings
-    from loopshape.store.frfs import FOLDER, has_any, read_frfs
-    from loopshape.store.predictions import read_predictions
-    from loopshape.store.run_folder import read_run
+    from loopshape.identify.settings import Settings
+    from loopshape.io.frfs import FOLDER, has_any, read_frfs
+    from loopshape.io.predictions import read_predictions
+    from loopshape.io.run_folder import read_run
+    from loopshape.loop.remeasured import remeasure
 
     output = Output(as_json, quiet)
     frfs = read_frfs(run) if has_any(run, FOLDER) else ()
@@ -99,7 +99,7 @@ def _row(c: Comparison) -> list[Any]:
 
 
 def _step_row(s: StepComparison) -> list[Any]:
-    from loopshape.prediction import INDICATORS
+    from loopshape.data.prediction import INDICATORS
 
     cells = []
     for name in INDICATORS:
@@ -144,7 +144,7 @@ def _json(one: Remeasured) -> dict[str, Any]:
 
 def _draw(found: Sequence[Remeasured], folder: Path) -> list[str]:
     from loopshape.cli.pictures import save
-    from loopshape.draw.prediction import comparison_grid, steps_grid
+    from loopshape.view.prediction import comparison_grid, steps_grid
 
     drawn = []
     for loop in dict.fromkeys(one.prediction.loop for one in found):

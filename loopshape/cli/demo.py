@@ -19,7 +19,7 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Identify, fit, tune and check the simulated arm at 24 equilibria and a real motor bench; diagnose a gap."""
-    from loopshape.errors import UnreadableInputError
+    from loopshape.core.errors import UnreadableInputError
 
     if not (examples / "arm").is_dir():
         raise UnreadableInputError(
@@ -76,7 +76,7 @@ def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     """Record an arm with an effect, diagnose it without being told, and compare."""
     from loopshape.cli.gap import diagnose_run
     from loopshape.cli.measure import record
-    from loopshape.store.study import read_study
+    from loopshape.io.study import read_study
 
     study = examples / "gap.toml"
     figure = figures_of(run) / "gap.png"
@@ -101,6 +101,6 @@ def _pages(run: Path, recordings: set[str]) -> list[str]:
     """Overview and maps of each loop, and the pages of a few recordings."""
     from loopshape.cli.figures import draw_estimates
     from loopshape.cli.verdicts import fits_of
-    from loopshape.store.frfs import read_frfs
+    from loopshape.io.frfs import read_frfs
 
     return draw_estimates(figures_of(run), read_frfs(run), fits_of(run), Output(quiet=True), pages=recordings)

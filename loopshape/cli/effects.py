@@ -11,7 +11,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.effect import EffectForm
+    from loopshape.data.effect import EffectForm
 
 COLUMNS = ("effect", "block", "form", "words", "unit", "usual", "bounds", "source")
 
@@ -32,8 +32,8 @@ def effects(
     quiet: Quiet = False,
 ) -> None:
     """List a plant's catalogue of effects: where each lives, its forms, and the magnitudes that usually occur."""
-    from loopshape import registry
-    from loopshape.rigs.effects import catalogue
+    from loopshape.model import registry
+    from loopshape.rig.effects import catalogue
 
     output = Output(as_json, quiet)
     rows = catalogue_rows(catalogue(registry.plant(plant)))
@@ -49,7 +49,7 @@ def effects(
 
 def catalogue_rows(forms: Iterable[EffectForm]) -> list[list[Any]]:
     """The catalogue as cells: forms numbered within their effect, ranges in the unit."""
-    from loopshape.rigs.effects import bounds
+    from loopshape.rig.effects import bounds
 
     rows: list[list[Any]] = []
     for form in forms:
@@ -84,12 +84,12 @@ def markdown_table(rows: Sequence[Sequence[Any]]) -> str:
 def draw_effects(plant: str, path: Path, words: Sequence[str]) -> list[str]:
     """Pages of what effects do, at most eleven a page; gives the files. Refuses another plant than the 1-DoF arm."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.effects import effects_page
-    from loopshape.errors import WrongUseError
-    from loopshape.plants.arm.arm1 import Arm1
-    from loopshape.plants.arm.effect_study import effect_study, paths, signals
-    from loopshape.rigs.effect_sheets import sheets
-    from loopshape.rigs.effects import asked
+    from loopshape.core.errors import WrongUseError
+    from loopshape.model.arm.arm1 import Arm1
+    from loopshape.model.arm.effect_study import effect_study, paths, signals
+    from loopshape.rig.effect_sheets import sheets
+    from loopshape.rig.effects import asked
+    from loopshape.view.effects import effects_page
 
     arm = Arm1()
     if plant != arm.name:

@@ -24,8 +24,8 @@ def emulator(
     seed: Annotated[int, typer.Option(help="Seed of what the line does to frames.")] = 0,
 ) -> None:
     """The 1-DoF arm behind the target's protocol; prints the port for `loopshape measure --port`, runs until Ctrl-C."""
-    from loopshape.plants.arm.emulated import plant_file
-    from loopshape.rigs.emulator import Emulator, running
+    from loopshape.model.arm.emulated import plant_file
+    from loopshape.rig.emulator import Emulator, running
 
     plant = plant_file(_changes(change or []), {"theta2_deg": theta2_deg, "p_ab_bar": p_ab_bar}, rate_hz)
     wanted = Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed)
@@ -35,7 +35,7 @@ def emulator(
 
 
 def _changes(words: list[str]) -> dict[str, float]:
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     out = {}
     for word in words:

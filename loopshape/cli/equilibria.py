@@ -16,10 +16,10 @@ def equilibria(
     quiet: Quiet = False,
 ) -> None:
     """Draw the 1-DoF arm's equilibria (figures 4.7, 4.8 of the source) and list its 24 operating points."""
-    from loopshape.plants.arm.equilibrium import pressures
-    from loopshape.plants.arm.linear import linearise
-    from loopshape.plants.arm.operating_points import EQUILIBRIA
-    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.model.arm.equilibrium import pressures
+    from loopshape.model.arm.linear import linearise
+    from loopshape.model.arm.operating_points import EQUILIBRIA
+    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
     output = Output(as_json, quiet)
     vector = ARM1_PARAMETERS.vector()
@@ -41,11 +41,11 @@ def draw_equilibria(folder: Path) -> list[str]:
     import numpy as np
 
     from loopshape.cli.pictures import save
-    from loopshape.draw.equilibria import contours_by_angle, contours_by_pressures
-    from loopshape.draw.style import figure_of
-    from loopshape.plants.arm.equilibrium import angle_map, pressure_map
-    from loopshape.plants.arm.operating_points import EQUILIBRIA
-    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.model.arm.equilibrium import angle_map, pressure_map
+    from loopshape.model.arm.operating_points import EQUILIBRIA
+    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.view.equilibria import contours_by_angle, contours_by_pressures
+    from loopshape.view.style import figure_of
 
     c = constants(ARM1_PARAMETERS.vector())
     grid = np.linspace(0.15, 1.2, 43)

@@ -14,11 +14,11 @@ from loopshape.cli.output import AsJson, Output, Quiet
 if TYPE_CHECKING:
     import numpy as np
 
-    from loopshape.effect import EffectForm
+    from loopshape.data.effect import EffectForm
+    from loopshape.data.experiment import Experiment
+    from loopshape.data.recording import Recording
+    from loopshape.data.run import Run
     from loopshape.examiner.score import Scores
-    from loopshape.experiment import Experiment
-    from loopshape.recording import Recording
-    from loopshape.run import Run
 
 FORMAT = "loopshape-exam/1"
 PLANT = "arm-1dof"
@@ -62,8 +62,8 @@ def exam(
     quiet: Quiet = False,
 ) -> None:
     """Sit an exam on arms whose effects are sealed, then open the seals and score the answers."""
-    from loopshape.store.files import make_folder
-    from loopshape.store.run_folder import alone
+    from loopshape.io.files import make_folder
+    from loopshape.io.run_folder import alone
 
     output = Output(as_json, quiet)
     plan = {"single": single, "healthy": healthy}
@@ -113,8 +113,8 @@ def rounds(forms: Mapping[str, Sequence[Any]], count: int, rng: np.random.Genera
 
 def seal_up(out: Path, cases: Sequence[Case], words: Mapping[str, Any], output: Output) -> None:
     """Write the seals before anything is diagnosed, or refuse a folder that holds something else."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.files import read_json, write_json
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.files import read_json, write_json
 
     sealed = {"format": FORMAT, **words, "cases": [{"case": c.name, "seal": c.seal} for c in cases]}
     path = out / "sealed.json"
@@ -136,7 +136,7 @@ def seal_up(out: Path, cases: Sequence[Case], words: Mapping[str, Any], output: 
 
 def sit_all(out: Path, cases: Sequence[Case], jobs: int, keep_runs: bool, output: Output) -> None:
     """Diagnose what has no answer yet; each answer is written whole as it comes."""
-    from loopshape.store.files import make_folder, write_json
+    from loopshape.io.files import make_folder, write_json
 
     make_folder(out / "answers")
     todo = [c for c in cases if not answer_file(out, c.name).exists()]
@@ -189,7 +189,7 @@ def sit(case: Case, runs: Path | None) -> dict[str, Any]:
     """Make a case's run and have it diagnosed: what diagnoses gets the run, and a name that says nothing."""
     run = made(case)
     if runs is not None:
-        from loopshape.store.run_folder import write_run
+        from loopshape.io.run_folder import write_run
 
         write_run(runs / case.name, run)
     return diagnosed(run, case.name)
@@ -201,8 +201,8 @@ def diagnosed(run: Run, name: str) -> dict[str, Any]:
     import traceback
 
     from loopshape.cli.gap import answer
-    from loopshape.gap.diagnose import diagnose
-    from loopshape.registry import diagnosable
+    from loopshape.diagnose.diagnose import diagnose
+    from loopshape.model.registry import diagnosable
 
     began = time.perf_counter()
     try:
@@ -214,7 +214,7 @@ def diagnosed(run: Run, name: str) -> dict[str, Any]:
 
 def made(case: Case) -> Run:
     """The run of a case; an arm that leaves its range is drawn again, with the same effects."""
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
     from loopshape.examiner import make_run
 
     for k in range(TRIES):
@@ -229,7 +229,7 @@ def made(case: Case) -> Run:
 
 def catalogue() -> dict[str, list[EffectForm]]:
     """The library's forms by effect, where the form's own number carries the magnitude."""
-    from loopshape.registry import diagnosable
+    from loopshape.model.registry import diagnosable
 
     out: dict[str, list[EffectForm]] = {}
     for form in diagnosable(PLANT).effects:
@@ -252,11 +252,11 @@ def library_run(labels: Mapping[str, float], variant: int, seed: int) -> Run:
 
     import numpy as np
 
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
+    from loopshape.data.recording import Recording
+    from loopshape.diagnose.hypothesis import Hypothesis
     from loopshape.examiner import make_run
-    from loopshape.gap.hypothesis import Hypothesis
-    from loopshape.recording import Recording
-    from loopshape.registry import diagnosable
+    from loopshape.model.registry import diagnosable
 
     plant, session, rng = diagnosable(PLANT), make_run({}, seed), np.random.default_rng([seed, 1])
     forms = [(catalogue()[name][variant], m) for name, m in labels.items()]
@@ -285,7 +285,7 @@ def _again(session: Run, r: Recording, lead: int, seed: int) -> Experiment:
     """A session's recording to be done again, after a lead at its first references where the loops are closed."""
     import numpy as np
 
-    from loopshape.experiment import Experiment
+    from loopshape.data.experiment import Experiment
 
     driven = [str(loop.injected if r.info.closed_loop else loop.control) for loop in session.loops]
     references = np.stack([r.column(str(loop.reference)) for loop in session.loops], axis=1)
@@ -300,9 +300,9 @@ def _again(session: Run, r: Recording, lead: int, seed: int) -> Experiment:
 def conclude(out: Path, cases: Sequence[Case]) -> Scores:
     """Open the labels against their seals, score the answers, write tables and figures."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.exam import confusion_figure, reliability_figure, shrink_figure
     from loopshape.examiner.score import BARS, Label, as_csv, as_json, mark, score
-    from loopshape.store.files import read_json, write_json, write_text_whole
+    from loopshape.io.files import read_json, write_json, write_text_whole
+    from loopshape.view.exam import confusion_figure, reliability_figure, shrink_figure
 
     opened = open_labels(out, cases)
     labels = [Label(c.name, c.kind, c.labels, c.variant) for c in opened]
@@ -324,8 +324,8 @@ def conclude(out: Path, cases: Sequence[Case]) -> Scores:
 
 def open_labels(out: Path, cases: Sequence[Case]) -> list[Case]:
     """Labels as they stand in the folder, written there the first time; refuses what does not fit its seal."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.files import read_json, reading, write_json
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.files import read_json, reading, write_json
 
     path = out / "labels.json"
     if not path.exists():

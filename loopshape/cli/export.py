@@ -18,9 +18,9 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write each FRF of a run as a file, all of them or none; import-frf reads them back."""
-    from loopshape.store.files import inside
-    from loopshape.store.frf_exchange import export_frfs
-    from loopshape.store.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
+    from loopshape.io.files import inside
+    from loopshape.io.frf_exchange import export_frfs
+    from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
 
     output = Output(as_json, quiet)
     folder = out or inside(run, "export", "the folder of exported FRFs")

@@ -18,8 +18,8 @@ def export_controller(
     quiet: Quiet = False,
 ) -> None:
     """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them."""
-    from loopshape.store.controller_export import export_controllers
-    from loopshape.store.controllers import read_controllers
+    from loopshape.io.controller_export import export_controllers
+    from loopshape.io.controllers import read_controllers
 
     output, controllers = Output(as_json, quiet), read_controllers(controller)
     paths = export_controllers(out, controllers, to)

@@ -19,11 +19,11 @@ def export_excitation(
     quiet: Quiet = False,
 ) -> None:
     """Write what a study injects and where its setpoints go, sample by sample, for a rig that loads files."""
-    from loopshape import registry
-    from loopshape.rigs.described import DescribedRig
-    from loopshape.rigs.simulated import experiment, plan
-    from loopshape.store.excitation_export import export_signals
-    from loopshape.store.study import read_study
+    from loopshape.io.excitation_export import export_signals
+    from loopshape.io.study import read_study
+    from loopshape.model import registry
+    from loopshape.rig.described import DescribedRig
+    from loopshape.rig.simulated import experiment, plan
 
     output, read = Output(as_json, quiet), read_study(study)
     plant = DescribedRig(read.loops) if read.loops else registry.plant(read.plant)

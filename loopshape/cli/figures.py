@@ -12,10 +12,10 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.frf import FRF
-    from loopshape.model import Fit
-    from loopshape.requirements import Requirements, Verdict
+    from loopshape.data.controller import Controller
+    from loopshape.data.frf import FRF
+    from loopshape.data.model import Fit
+    from loopshape.data.requirements import Requirements, Verdict
 
 
 def figures(
@@ -27,11 +27,11 @@ def figures(
     quiet: Quiet = False,
 ) -> None:
     """Draw FRFs with their fits, parameter maps, and with a controller its loops."""
-    from loopshape.check.verdict import check
     from loopshape.cli.verdicts import fits_of
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.requirements import read_requirements
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
+    from loopshape.loop.verdict import check
 
     output = Output(as_json, quiet)
     folder = out or figures_of(run)
@@ -48,7 +48,7 @@ def figures(
 
 
 def _wish(wishes: Sequence[Requirements], loop: str) -> Requirements:
-    from loopshape.requirements import Requirements
+    from loopshape.data.requirements import Requirements
 
     return next((w for w in wishes if w.loop == loop), Requirements(loop))
 
@@ -58,9 +58,9 @@ def draw_estimates(
 ) -> list[str]:
     """Overview, pages (of the recordings named, or all) and parameter maps of each loop."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.fits import parameter_map
-    from loopshape.draw.frequency import frf_overview, frf_page
-    from loopshape.draw.style import figure_of
+    from loopshape.view.fits import parameter_map
+    from loopshape.view.frequency import frf_overview, frf_page
+    from loopshape.view.style import figure_of
 
     drawn = []
     with output.progress("draw", len(frfs)) as step:
@@ -88,15 +88,15 @@ def draw_loops(
     verdict: Verdict | None,
 ) -> list[str]:
     """Pictures of one loop at all operating points; with several a Bode page of the worst one too."""
-    from loopshape.check.points import worst_of
-    from loopshape.check.verdict import loops_of
     from loopshape.cli.pictures import save
-    from loopshape.draw.atlas import sensitivity_atlas
-    from loopshape.draw.bode import bode_page
-    from loopshape.draw.loops import loop_page, sensitivities
-    from loopshape.draw.nichols import nichols
-    from loopshape.draw.style import figure_of
-    from loopshape.draw.verdicts import margins_map
+    from loopshape.loop.points import worst_of
+    from loopshape.loop.verdict import loops_of
+    from loopshape.view.atlas import sensitivity_atlas
+    from loopshape.view.bode import bode_page
+    from loopshape.view.loops import loop_page, sensitivities
+    from loopshape.view.nichols import nichols
+    from loopshape.view.style import figure_of
+    from loopshape.view.verdicts import margins_map
 
     loops, _ = loops_of(frfs, controller, requirements, fits)
     page = bode_page(loops[0], requirements, verdict=verdict) if len(loops) == 1 else None

@@ -10,7 +10,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.model import Estimate, Fit
+    from loopshape.data.model import Estimate, Fit
 
 #: phase in rad at the highest line that a delay must turn to be one
 NO_DELAY_RAD = 1e-6
@@ -61,12 +61,12 @@ def fit_run(
     **orders: Any,
 ) -> None:
     """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
-    from loopshape.errors import WrongUseError
-    from loopshape.fit.fit import fit as fit_one
-    from loopshape.fit.fit import fit_automatically, structure_by_name
-    from loopshape.store.fits import read_fits, write_fits
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.held import held
+    from loopshape.core.errors import WrongUseError
+    from loopshape.identify.fit.fit import fit as fit_one
+    from loopshape.identify.fit.fit import fit_automatically, structure_by_name
+    from loopshape.io.fits import read_fits, write_fits
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.held import held
 
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
@@ -147,7 +147,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
 
 def _report_modes(fits: list[Fit], output: Output) -> None:
     """Zeros and poles of rational fits: pairs by frequency and damping, real ones by time constant."""
-    from loopshape.fit.fit import modes
+    from loopshape.identify.fit.fit import modes
 
     rows = []
     for f in fits:
@@ -161,7 +161,7 @@ def _report_modes(fits: list[Fit], output: Output) -> None:
 
 def _parameter(f: Fit, p: Estimate) -> str:
     """A parameter with its interval; a delay that turns no line's phase is none."""
-    from loopshape.units import TWO_PI
+    from loopshape.core.units import TWO_PI
 
     if p.name == "delay_s" and abs(p.value) * TWO_PI * f.band_hz[1] < NO_DELAY_RAD:
         return "none"
@@ -173,7 +173,7 @@ def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> lis
 
     A real root that the lines up to `highest_hz` do not tell from one at infinity has a bound in place of a value.
     """
-    from loopshape.units import TWO_PI
+    from loopshape.core.units import TWO_PI
 
     if abs(damping.value) < 1.0 - 1e-9:
         return [*(f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)), None]

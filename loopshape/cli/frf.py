@@ -13,10 +13,10 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.estimate.settings import Settings
-    from loopshape.frf import FRF
-    from loopshape.recording import Recording
-    from loopshape.run import Run
+    from loopshape.data.frf import FRF
+    from loopshape.data.recording import Recording
+    from loopshape.data.run import Run
+    from loopshape.identify.settings import Settings
 
 
 def frf(
@@ -78,12 +78,12 @@ def estimate_and_report(
     The plant's matrix is estimated where it is asked for, and where recordings excite several loops at once, which
     give no FRF of one loop.
     """
-    from loopshape.errors import BadSignalError
-    from loopshape.estimate.frequency_response import excited_recordings
-    from loopshape.estimate.settings import Settings
-    from loopshape.store.frfs import frf_csv, write_frfs, write_matrices
-    from loopshape.store.held import held
-    from loopshape.store.run_folder import check_recordings, read_run
+    from loopshape.core.errors import BadSignalError
+    from loopshape.identify.frequency_response import excited_recordings
+    from loopshape.identify.settings import Settings
+    from loopshape.io.frfs import frf_csv, write_frfs, write_matrices
+    from loopshape.io.held import held
+    from loopshape.io.run_folder import check_recordings, read_run
 
     run = read_run(folder)
     warnings = check_recordings(run)
@@ -115,9 +115,9 @@ def _estimate(
     run: Run, recordings: list[Recording], settings: Settings, realisations: bool, output: Output, warnings: list[str]
 ) -> list[FRF]:
     """FRFs of single loops; a recording that ended early and gives none is a warning."""
-    from loopshape.errors import BadSignalError
-    from loopshape.estimate import groups
-    from loopshape.estimate.frequency_response import estimate_frf, estimate_realisations
+    from loopshape.core.errors import BadSignalError
+    from loopshape.identify import groups
+    from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 
     grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
     found = []
@@ -139,7 +139,7 @@ def _estimate(
 
 def distortion_words(run: Run, recordings: list[Recording]) -> list[str]:
     """What periodic recordings with lines left out say of distortion: a sentence for each loop and operating point."""
-    from loopshape.estimate.distortion import distortion
+    from loopshape.identify.distortion import distortion
 
     words: list[str] = []
     first: dict[Any, Recording] = {}
@@ -155,7 +155,7 @@ def distortion_words(run: Run, recordings: list[Recording]) -> list[str]:
 def draw_frfs(folder: Path, frfs: list[FRF], output: Output) -> list[str]:
     """A page for each FRF, an overview of each loop."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.frequency import frf_overview, frf_page
+    from loopshape.view.frequency import frf_overview, frf_page
 
     drawn = []
     loops = list(dict.fromkeys(one.loop for one in frfs))

@@ -11,8 +11,8 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.gap_report import GapReport, Proposal, Ranked
-    from loopshape.study import ExperimentTemplate, Setpoint, Study
+    from loopshape.data.gap_report import GapReport, Proposal, Ranked
+    from loopshape.data.study import ExperimentTemplate, Setpoint, Study
 
 FORMAT = "loopshape-gap/1"
 SHOWN = 6
@@ -56,10 +56,10 @@ def diagnose_run(
 
     Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
     """
-    from loopshape.errors import WrongUseError
-    from loopshape.gap.diagnose import diagnose
-    from loopshape.registry import diagnosable
-    from loopshape.store.run_folder import read_run
+    from loopshape.core.errors import WrongUseError
+    from loopshape.diagnose.diagnose import diagnose
+    from loopshape.io.run_folder import read_run
+    from loopshape.model.registry import diagnosable
 
     check_files(save_answer, report, next_study)
     run = read_run(folder)
@@ -73,14 +73,14 @@ def diagnose_run(
         found = diagnose(diagnosable(run.plant), run, folder.name, table=not quick, say=step)
     show(found, output)
     if save_answer is not None:
-        from loopshape.store.files import make_folder, write_json
+        from loopshape.io.files import make_folder, write_json
 
         make_folder(save_answer.parent)
         write_json(save_answer, answer(found))
         output.say(f"answer written to {save_answer}")
     if report is not None:
         from loopshape.cli.pictures import save
-        from loopshape.draw.gap_report import gap_figure
+        from loopshape.view.gap_report import gap_figure
 
         output.say(f"figure written to {save(gap_figure(found), report)}")
     if next_study is not None:
@@ -94,7 +94,7 @@ def diagnose_run(
 
 def check_files(save_answer: Path | None, report: Path | None, study: Path | None = None) -> None:
     """Refuse, before anything is computed, a picture of another kind than PNG and a folder in a file's place."""
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     if report is not None and report.suffix.lower() != ".png":
         raise WrongUseError("a report is a picture as PNG", str(report), "name a file that ends in .png")
@@ -240,7 +240,7 @@ def _rank_json(r: Ranked) -> dict[str, Any]:
 
 def propose(found: GapReport, path: Path, output: Output) -> None:
     """Write the study that would part the leading two hypotheses; say so where there is none to write."""
-    from loopshape.store.files import make_folder, write_toml
+    from loopshape.io.files import make_folder, write_toml
 
     if found.proposal is None:
         output.warn([f"no experiment of this rig parts the leading hypotheses: {path} is not written"])

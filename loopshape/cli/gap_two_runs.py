@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from loopshape.cli.output import Output, point
 
 if TYPE_CHECKING:
-    from loopshape.gap_table import GapRow, GapTable, NuGapRow, TimeRow
+    from loopshape.data.gap_table import GapRow, GapTable, NuGapRow, TimeRow
 
 FORMAT = "loopshape-gap-table/1"
 COLUMNS = (
@@ -35,9 +35,9 @@ def two_runs(
     their floor. Nothing is written where anything is refused.
     """
     from loopshape.cli.gap import check_files
-    from loopshape.gap.table import compare
-    from loopshape.store.files import make_folder, write_json
-    from loopshape.store.run_folder import read_run
+    from loopshape.diagnose.table import compare
+    from loopshape.io.files import make_folder, write_json
+    from loopshape.io.run_folder import read_run
 
     output = output or Output()
     check_files(save_answer, report)
@@ -75,15 +75,15 @@ def _draw(table: GapTable, report: Path | None) -> Path | None:
     if report is None or not table.rows:
         return None
     from loopshape.cli.pictures import save
-    from loopshape.draw.gap_table import gap_map
-    from loopshape.draw.style import figure_of
+    from loopshape.view.gap_table import gap_map
+    from loopshape.view.style import figure_of
 
     return save(figure_of(gap_map(table)), report)
 
 
 def gap_cells(table: GapTable, row: GapRow) -> Sequence[Any]:
     """One FRF row as cells; `*` marks what stands out of the noise."""
-    from loopshape.units import SUFFIXES
+    from loopshape.core.units import SUFFIXES
 
     return (
         row.path,
@@ -132,7 +132,7 @@ def _given(values: Mapping[str, float] | None) -> Mapping[str, float]:
 
 def time_cells(row: TimeRow) -> Sequence[Any]:
     """One stretch of a signal as cells."""
-    from loopshape.units import SUFFIXES
+    from loopshape.core.units import SUFFIXES
 
     return (
         row.recording,

@@ -11,7 +11,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.run import Run
+    from loopshape.data.run import Run
 
 
 def import_file(
@@ -28,9 +28,9 @@ def import_file(
 
 def _add(out: Path, run: Run) -> None:
     """Add a run's recordings to the run that is there, or start one; refuses another recording of the same name."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.files import make_folder
-    from loopshape.store.run_folder import alone, finished, holds, write_run
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.files import make_folder
+    from loopshape.io.run_folder import alone, finished, holds, write_run
 
     make_folder(out)
     with alone(out):
@@ -47,11 +47,11 @@ def _add(out: Path, run: Run) -> None:
 
 def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False) -> None:
     """Import, check, write and report; what is there already, number for number, is left as it is."""
-    from loopshape.estimate.signals import has_instrument
-    from loopshape.store.import_file import import_file as read
-    from loopshape.store.replacing import replace_run
-    from loopshape.store.run_folder import check_recordings
-    from loopshape.stretches import extent
+    from loopshape.core.stretches import extent
+    from loopshape.identify.signals import has_instrument
+    from loopshape.io.import_file import import_file as read
+    from loopshape.io.replacing import replace_run
+    from loopshape.io.run_folder import check_recordings
 
     run = read(file, map_file, next((p for p in (out, *out.absolute().parents) if p.is_dir()), None))
     warnings = check_recordings(run)

@@ -10,7 +10,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.frf import FRF
+    from loopshape.data.frf import FRF
 
 
 def import_frf(
@@ -31,9 +31,9 @@ def import_frf(
     quiet: Quiet = False,
 ) -> None:
     """Take a FRF from a file, with its error or a stated one; the files' keys are in docs/files.md."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.frf_exchange import add_frfs, read_frf_file
-    from loopshape.store.frf_foreign import Stated
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.frf_exchange import add_frfs, read_frf_file
+    from loopshape.io.frf_foreign import Stated
 
     if (hold and not rate_hz) or (delay_s and not hold):
         raise WrongUseError("a hold is that of a rate, and a delay goes with it", "", "say --hold with --rate-hz")
@@ -42,7 +42,7 @@ def import_frf(
     )  # fmt: skip
     found = read_frf_file(file, stated)
     if hold:
-        from loopshape.algebra import held
+        from loopshape.data.algebra import held
 
         found = held(found, rate_hz, delay_s)
     frfs = _picked(found, pick or [], loop)
@@ -59,8 +59,8 @@ def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
     """The elements asked for, each a loop of its own; all in one without any."""
     from dataclasses import replace
 
-    from loopshape.algebra import channels
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
+    from loopshape.data.algebra import channels
 
     if not pairs:
         return [frf]
@@ -79,8 +79,8 @@ def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
 
 def _check_units(frfs: list[FRF]) -> None:
     """Names must end in their unit: fits and pictures read it there."""
-    from loopshape.channel import Channel
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
+    from loopshape.data.channel import Channel
 
     for frf in frfs:
         for option, names in (("--inputs", frf.inputs), ("--outputs", frf.outputs)):

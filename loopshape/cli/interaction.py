@@ -12,9 +12,9 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.frf import FRF
-    from loopshape.interaction import BandVerdict, Interaction
+    from loopshape.data.controller import Controller
+    from loopshape.data.frf import FRF
+    from loopshape.data.interaction import BandVerdict, Interaction
 
 _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", "95 % from", "to", "at [Hz]", "verdict"]
 
@@ -32,7 +32,7 @@ def interaction(
     quiet: Quiet = False,
 ) -> None:
     """Judge the interaction of loops, with bounds, from the matrix FRFs of a run; needs `frf RUN --matrix` before."""
-    from loopshape.estimate.interaction import interaction as analyse
+    from loopshape.identify.interaction import interaction as analyse
 
     output = Output(as_json, quiet)
     chosen, rows = _names(loops), _names(outputs)
@@ -53,7 +53,7 @@ def _names(text: str | None) -> tuple[str, ...] | None:
 
 def _bands(text: str | None) -> tuple[tuple[float, float], ...] | None:
     """Bands of a text such as 0.5-1,1-4; refuses what are no two numbers."""
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     made = []
     for part in text.split(",") if text else ():
@@ -67,8 +67,8 @@ def _bands(text: str | None) -> tuple[tuple[float, float], ...] | None:
 
 def _matrices(run: Path) -> list[FRF]:
     """A run's matrices: those that `frf --matrix` left, and imported FRFs of several inputs; refuses a run without."""
-    from loopshape.errors import WrongUseError
-    from loopshape.store.frfs import MATRICES, read_frfs, read_matrices
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.frfs import MATRICES, read_frfs, read_matrices
 
     found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
     if not found:
@@ -83,8 +83,8 @@ def _matrices(run: Path) -> list[FRF]:
 
 def _controllers(run: Path, file: Path | None) -> Mapping[str, Controller]:
     """Controllers by loop: of a file, else of the run, else none."""
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.run_folder import RUN_TOML, read_run
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.run_folder import RUN_TOML, read_run
 
     if file is not None:
         return {one.loop: one for one in read_controllers(file)}
@@ -96,8 +96,8 @@ def _controllers(run: Path, file: Path | None) -> Mapping[str, Controller]:
 def _draw(run: Path, found: Sequence[Interaction], output: Output) -> list[str]:
     """The page of each interaction, and of its matrix, named by recordings and loops."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.interaction import interaction_page
-    from loopshape.draw.matrix import matrix_page
+    from loopshape.view.interaction import interaction_page
+    from loopshape.view.matrix import matrix_page
 
     drawn = []
     with output.progress("draw", len(found)) as step:
@@ -140,7 +140,7 @@ def _json(one: Interaction) -> dict[str, Any]:
     """One matrix: its words, a table a pair and band, and the largest of what is not by band."""
     import numpy as np
 
-    from loopshape.units import db, deg
+    from loopshape.core.units import db, deg
 
     use = one.frf.trusted
     return {

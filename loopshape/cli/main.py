@@ -37,7 +37,7 @@ from loopshape.cli.stop import stop
 from loopshape.cli.study import study
 from loopshape.cli.tune import tune
 from loopshape.cli.verify import verify
-from loopshape.errors import LoopshapeError
+from loopshape.core.errors import LoopshapeError
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
@@ -94,7 +94,7 @@ def run() -> None:
 
     So does the end of a command whose files another process changed after they were read.
     """
-    from loopshape.store.seen import noting, refuse_changed
+    from loopshape.io.seen import noting, refuse_changed
 
     for_any_terminal()
     try:

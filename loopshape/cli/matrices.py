@@ -10,10 +10,10 @@ from loopshape.cli.output import Output, point
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.estimate.settings import Settings
-    from loopshape.frf import FRF
-    from loopshape.recording import Recording
-    from loopshape.run import Run
+    from loopshape.data.frf import FRF
+    from loopshape.data.recording import Recording
+    from loopshape.data.run import Run
+    from loopshape.identify.settings import Settings
 
 _KEYS = (
     "recordings",
@@ -29,9 +29,9 @@ _KEYS = (
 
 def estimate_matrices(run: Run, recordings: Sequence[Recording], settings: Settings, output: Output) -> list[FRF]:
     """The plant's matrix at each operating point whose recordings excite two loops or more; refuses a run without."""
-    from loopshape.errors import BadSignalError
-    from loopshape.estimate.groups import matrices
-    from loopshape.estimate.matrix import estimate_matrix
+    from loopshape.core.errors import BadSignalError
+    from loopshape.identify.groups import matrices
+    from loopshape.identify.matrix import estimate_matrix
 
     groups = matrices([r for r in recordings if r.info.ended_early is None])
     if not groups:
@@ -70,7 +70,7 @@ def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
 def draw_matrices(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str]:
     """A page for each matrix."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.matrix import matrix_page
+    from loopshape.view.matrix import matrix_page
 
     drawn = []
     for k, one in enumerate(frfs):

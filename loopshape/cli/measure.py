@@ -13,7 +13,7 @@ from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
-    from loopshape.controller import Block
+    from loopshape.data.controller import Block
 
 StudyFile = Annotated[Path, typer.Argument(help="A study (TOML).", show_default=False)]
 ControllersFile = Annotated[
@@ -41,7 +41,7 @@ def measure(
     """
     from loopshape.cli.frf import estimate_and_report
     from loopshape.cli.measure_target import StoppedAtLimitError
-    from loopshape.errors import LoopshapeError
+    from loopshape.core.errors import LoopshapeError
 
     output = Output(as_json, quiet)
     try:
@@ -74,14 +74,14 @@ def measure(
 
 def _is_target(study_file: Path) -> bool:
     """Whether a study drives a real-time target."""
-    from loopshape.store.study import read_study
+    from loopshape.io.study import read_study
 
     return read_study(study_file).target is not None
 
 
 def _excited(run: Path) -> bool:
     """Whether a recording of a run excites a loop."""
-    from loopshape.store.run_folder import read_run
+    from loopshape.io.run_folder import read_run
 
     return any(r.info.excites is not None for r in read_run(run).recordings)
 
@@ -106,15 +106,15 @@ def record(
     """
     from dataclasses import replace
 
-    from loopshape import registry
     from loopshape.cli.measure_target import record_on_target
-    from loopshape.errors import WrongUseError
-    from loopshape.rigs.described import DescribedRig
-    from loopshape.rigs.effects import asked, merged
-    from loopshape.rigs.simulated import header, measure, plan
-    from loopshape.store.provenance import KEY, file_sha256, versions
-    from loopshape.store.run_folder import add_recording, alone, finished, start_run, whole
-    from loopshape.store.study import read_study
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.provenance import KEY, file_sha256, versions
+    from loopshape.io.run_folder import add_recording, alone, finished, start_run, whole
+    from loopshape.io.study import read_study
+    from loopshape.model import registry
+    from loopshape.rig.described import DescribedRig
+    from loopshape.rig.effects import asked, merged
+    from loopshape.rig.simulated import header, measure, plan
 
     study = read_study(study_file)
     if study.rig not in ("simulated", "target"):
@@ -146,7 +146,7 @@ def record(
 
 def ended_early(run: Path) -> list[str]:
     """What of a run ended early, a sentence each."""
-    from loopshape.store.run_folder import read_run
+    from loopshape.io.run_folder import read_run
 
     return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(run).recordings if r.info.ended_early]
 
@@ -155,8 +155,8 @@ def blocks_of(controllers: Path, rate_hz: float) -> dict[str, tuple[Block, ...]]
     """Blocks by loop of a controller file; refuses another rate, and what the simulated rig does not run otherwise."""
     from dataclasses import MISSING, fields
 
-    from loopshape.errors import WrongUseError
-    from loopshape.store.controllers import read_controllers
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.controllers import read_controllers
 
     found = read_controllers(controllers)
     for one in found:

@@ -11,17 +11,17 @@ import typer
 
 from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import Output, point
-from loopshape.errors import RigError
+from loopshape.core.errors import RigError
 
 if TYPE_CHECKING:
-    from loopshape.experiment import LoopSetup
-    from loopshape.recording import RecordingInfo
-    from loopshape.rigs.messages import Configuration, Identity
-    from loopshape.rigs.session import Session
-    from loopshape.rigs.simulated import Planned, Rig
-    from loopshape.rigs.taking import Arrived
-    from loopshape.study import Study
-    from loopshape.target_settings import TargetSettings
+    from loopshape.data.experiment import LoopSetup
+    from loopshape.data.recording import RecordingInfo
+    from loopshape.data.study import Study
+    from loopshape.data.target_settings import TargetSettings
+    from loopshape.rig.messages import Configuration, Identity
+    from loopshape.rig.session import Session
+    from loopshape.rig.simulated import Planned, Rig
+    from loopshape.rig.taking import Arrived
 
 WORD = "ARM"
 
@@ -35,15 +35,15 @@ def record_on_target(
     again: bool, extra: dict[str, object],
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target, or only `show` it. Moves nothing that was not armed."""
-    from loopshape.errors import LoopshapeError, WrongUseError
-    from loopshape.rigs.link import open_link
-    from loopshape.rigs.session import Session
-    from loopshape.rigs.simulated import header, plan
-    from loopshape.rigs.target import configuration
-    from loopshape.store.arriving import keep_arrived
-    from loopshape.store.journal import note
-    from loopshape.store.measuring import marked
-    from loopshape.store.run_folder import alone, finished, start_run, whole
+    from loopshape.core.errors import LoopshapeError, WrongUseError
+    from loopshape.io.arriving import keep_arrived
+    from loopshape.io.journal import note
+    from loopshape.io.measuring import marked
+    from loopshape.io.run_folder import alone, finished, start_run, whole
+    from loopshape.rig.link import open_link
+    from loopshape.rig.session import Session
+    from loopshape.rig.simulated import header, plan
+    from loopshape.rig.target import configuration
 
     settings = study.target
     if settings is None or not (name := port or settings.port):
@@ -93,7 +93,7 @@ def record_on_target(
 
 def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out: Path, todo: Sequence[str]) -> None:
     """A real machine that stopped at a limit is an error, though what it recorded is kept."""
-    from loopshape.store.run_folder import finished
+    from loopshape.io.run_folder import finished
 
     way = "held at a limit and was vented after it" if settings.on_limit == "hold" else "vented at a limit"
     done = finished(out)
@@ -116,7 +116,7 @@ def _go_on(identity: Identity, port: str) -> str:
 
 
 def _at_limit(out: Path, name: str) -> str | None:
-    from loopshape.store.run_folder import read_run
+    from loopshape.io.run_folder import read_run
 
     return read_run(out).recording(name).info.ended_early
 
@@ -129,11 +129,11 @@ def _drive(
     from contextlib import closing
     from importlib import import_module
 
-    from loopshape.rigs.simulated import experiment
-    from loopshape.rigs.target import arm, drive, vented_on_error
-    from loopshape.store.arriving import adopted, arriving
-    from loopshape.store.run_folder import add_recording
-    from loopshape.store.run_tables import recording_table
+    from loopshape.io.arriving import adopted, arriving
+    from loopshape.io.run_folder import add_recording
+    from loopshape.io.run_tables import recording_table
+    from loopshape.rig.simulated import experiment
+    from loopshape.rig.target import arm, drive, vented_on_error
 
     def keeper(info: RecordingInfo, rate_hz: float, names: Sequence[str]) -> AbstractContextManager[Arrived]:
         return arriving(out, info.name, recording_table(info), rate_hz, names)
@@ -151,7 +151,7 @@ def _drive(
 
 
 def _refuse_what_only_models_do(study: Study) -> None:
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     asked = ["effects"] if study.effects else []
     asked += [f"parameters of experiment {e.name}" for e in study.experiments if e.parameters]
@@ -163,8 +163,8 @@ def _refuse_what_only_models_do(study: Study) -> None:
 
 def _refuse_points_beyond_limits(settings: TargetSettings, todo: Sequence[Planned], study: Study, plant: Rig) -> None:
     """Refuse an operating point, or a setpoint on the way, outside the limits of the column that it is held on."""
-    from loopshape.errors import WrongUseError
-    from loopshape.rigs.simulated import experiment
+    from loopshape.core.errors import WrongUseError
+    from loopshape.rig.simulated import experiment
 
     for one in todo:
         e = experiment(study, plant, one)
@@ -184,9 +184,9 @@ def _show(
     output: Output,
 ) -> None:  # fmt: skip
     """What is about to happen: machine, limits, and each recording with the amplitude of what is injected."""
-    from loopshape.channel import Channel
-    from loopshape.rigs.simulated import experiment
-    from loopshape.target_settings import spoken
+    from loopshape.data.channel import Channel
+    from loopshape.data.target_settings import spoken
+    from loopshape.rig.simulated import experiment
 
     kind = "emulated, nothing real moves" if identity.emulated else "a real machine"
     output.say(f"target: {identity.board} {identity.version} at {port} ({kind}), {identity.rate_hz:g} Hz\n")
@@ -215,7 +215,7 @@ def _be_armed(armed: bool, output: Output) -> None:
     """Nothing moves before a person says so: --arm, or the word typed at a terminal."""
     import sys
 
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     if armed:
         return

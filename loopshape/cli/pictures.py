@@ -11,16 +11,16 @@ if TYPE_CHECKING:
 
 def figures_of(run: Path) -> Path:
     """The folder of a run's figures; refuses a link that leads out of the run."""
-    from loopshape.store.files import inside
-    from loopshape.store.run_inputs import FIGURES
+    from loopshape.io.files import inside
+    from loopshape.io.run_inputs import FIGURES
 
     return inside(run, FIGURES, "the folder of a run's figures")
 
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, whole or not at all; gives the path."""
-    from loopshape.draw.style import png
-    from loopshape.store.files import write_bytes_whole
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.view.style import png
 
     write_bytes_whole(path, png(figure))
     return path

@@ -11,11 +11,11 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.estimate.plan_nouns import Plan
-    from loopshape.recording import Recording
-    from loopshape.run import Run
-    from loopshape.study import Study
+    from loopshape.data.controller import Controller
+    from loopshape.data.recording import Recording
+    from loopshape.data.run import Run
+    from loopshape.data.study import Study
+    from loopshape.identify.plan_nouns import Plan
 
 #: lines of the table that are shown, the crossover's among them
 SHOWN = 12
@@ -50,11 +50,11 @@ def plan(
     Where the first recording has that accuracy already nothing is proposed.
     """
     from loopshape.cli.pictures import save
-    from loopshape.draw.plan import plan_page
-    from loopshape.estimate.plan import plan as planned
-    from loopshape.estimate.plan_nouns import Wish
-    from loopshape.estimate.plan_record import first_record
-    from loopshape.store.run_folder import read_run
+    from loopshape.identify.plan import plan as planned
+    from loopshape.identify.plan_nouns import Wish
+    from loopshape.identify.plan_record import first_record
+    from loopshape.io.run_folder import read_run
+    from loopshape.view.plan import plan_page
 
     output = Output(as_json, quiet)
     wish = Wish(
@@ -93,8 +93,8 @@ def plan(
 
 def _std(std_db: float | None, std_percent: float | None, std_deg: float | None) -> float:
     """The wish as a relative std of |G|; refuses none, or several."""
-    from loopshape.errors import WrongUseError
-    from loopshape.units import from_db, rad
+    from loopshape.core.errors import WrongUseError
+    from loopshape.core.units import from_db, rad
 
     given = {"--std-db": std_db, "--std-percent": std_percent, "--std-deg": std_deg}
     named = [name for name, value in given.items() if value is not None]
@@ -111,8 +111,8 @@ def _std(std_db: float | None, std_percent: float | None, std_deg: float | None)
 
 def _first(run: Run, name: str | None) -> Recording:
     """The recording to plan from; refuses a run with several where none is named, and one that excites no loop."""
-    from loopshape.errors import WrongUseError
-    from loopshape.estimate.frequency_response import excited_recordings
+    from loopshape.core.errors import WrongUseError
+    from loopshape.identify.frequency_response import excited_recordings
 
     if name is None:
         found = excited_recordings(run)
@@ -131,8 +131,8 @@ def _first(run: Run, name: str | None) -> Recording:
 def _controller(path: Path | None, loop: str) -> Controller | None:
     if path is None:
         return None
-    from loopshape.check_files import controller_of
-    from loopshape.store.controllers import read_controllers
+    from loopshape.io.check_files import controller_of
+    from loopshape.io.controllers import read_controllers
 
     return controller_of(read_controllers(path), loop)
 
@@ -140,8 +140,8 @@ def _controller(path: Path | None, loop: str) -> Controller | None:
 def _write(run: Run, recording: Recording, plan: Plan, path: Path) -> tuple[Path, bool, str]:
     """Write the study, or the signal alone where no rig is known that could do it; the path, which, and why not."""
     from loopshape.cli.gap import study_table
-    from loopshape.errors import LoopshapeError
-    from loopshape.store.files import make_folder, write_text_whole, write_toml
+    from loopshape.core.errors import LoopshapeError
+    from loopshape.io.files import make_folder, write_text_whole, write_toml
 
     make_folder(path.parent)
     try:
@@ -160,11 +160,11 @@ def _write(run: Run, recording: Recording, plan: Plan, path: Path) -> tuple[Path
 
 def study_of(run: Run, recording: Recording, plan: Plan) -> Study:
     """The study that does the plan on the run's rig, where the first recording stood; refuses a rig that cannot."""
-    from loopshape import registry
-    from loopshape.channel import Channel
-    from loopshape.errors import WrongUseError
-    from loopshape.rigs.simulated import plan as doable
-    from loopshape.study import ExperimentTemplate, Study
+    from loopshape.core.errors import WrongUseError
+    from loopshape.data.channel import Channel
+    from loopshape.data.study import ExperimentTemplate, Study
+    from loopshape.model import registry
+    from loopshape.rig.simulated import plan as doable
 
     if run.plant is None:
         raise WrongUseError("run.toml names no plant", "no key plant", "name one, or play the signal")
@@ -199,7 +199,7 @@ def study_of(run: Run, recording: Recording, plan: Plan) -> Study:
 
 def signal_csv(run: Run, plan: Plan) -> str:
     """The signal as a table: time from its start, and what is added where it is injected, a column a realisation."""
-    from loopshape.excitation_sets import realised
+    from loopshape.data.excitation_sets import realised
 
     place, count = plan.column, plan.realisations
     made = [realised({plan.loop: plan.excitation}, k)[plan.loop].signal(run.rate_hz) for k in range(count)]

@@ -11,7 +11,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.prediction import Indicators, Prediction
+    from loopshape.data.prediction import Indicators, Prediction
 
 
 def predict(
@@ -24,12 +24,12 @@ def predict(
     quiet: Quiet = False,
 ) -> None:
     """Predict S, T and the step of each loop under a controller; `loopshape compare` holds a later run against it."""
-    from loopshape.check.prediction import predict as predict_loop
     from loopshape.cli.verdicts import fits_of
-    from loopshape.errors import WrongUseError
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.predictions import write_predictions
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.predictions import write_predictions
+    from loopshape.loop.prediction import predict as predict_loop
 
     output = Output(as_json, quiet)
     frfs, fits, controllers = read_frfs(run), fits_of(run), read_controllers(controller)
@@ -52,7 +52,7 @@ def predict(
 
 
 def _report(made: Sequence[Prediction], output: Output) -> None:
-    from loopshape.units import db
+    from loopshape.core.units import db
 
     for loop in dict.fromkeys(one.loop for one in made):
         mine = [one for one in made if one.loop == loop]
@@ -80,7 +80,7 @@ STEP_COLUMNS = ("t_r [s]", "t_s 2 % [s]", "t_s 5 % [s]", "overshoot [%]", "e_ss 
 
 def _cells(read: Indicators | None) -> list[str]:
     """Indicators with their 95 % intervals as people read them."""
-    from loopshape.prediction import INDICATORS
+    from loopshape.data.prediction import INDICATORS
 
     if read is None:
         return ["-"] * len(INDICATORS)
@@ -89,7 +89,7 @@ def _cells(read: Indicators | None) -> list[str]:
 
 def indicator_text(read: Indicators, name: str) -> str:
     """One indicator with its interval, shares as percent."""
-    from loopshape.prediction import INDICATORS
+    from loopshape.data.prediction import INDICATORS
 
     scale = 100.0 if INDICATORS[name] == "1" else 1.0
     value, interval = scale * getattr(read, name), read.intervals.get(name)
@@ -119,7 +119,7 @@ def _json(one: Prediction) -> dict[str, Any]:
 
 def _draw(made: Sequence[Prediction], out: Path) -> list[str]:
     from loopshape.cli.pictures import save
-    from loopshape.draw.prediction import prediction_page
+    from loopshape.view.prediction import prediction_page
 
     drawn = []
     for loop in dict.fromkeys(one.loop for one in made):

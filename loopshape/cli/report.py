@@ -12,13 +12,13 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.verdicts import WORDS, fits_of
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.frf import FRF
-    from loopshape.model import Fit
-    from loopshape.recording import Recording
-    from loopshape.requirements import Requirements
-    from loopshape.run import Run
-    from loopshape.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
+    from loopshape.data.controller import Controller
+    from loopshape.data.frf import FRF
+    from loopshape.data.model import Fit
+    from loopshape.data.recording import Recording
+    from loopshape.data.requirements import Requirements
+    from loopshape.data.run import Run
+    from loopshape.data.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 
 #: pictures that a report carries, together
 FIGURES_MB = 0.7
@@ -61,8 +61,8 @@ def report(
 
 def write_report(path: Path, made: RunReport) -> int:
     """Write the page whole; gives its size in bytes."""
-    from loopshape.draw.html.page import page
-    from loopshape.store.files import write_bytes_whole
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.view.html.page import page
 
     data = page(made).encode("utf-8")
     write_bytes_whole(path, data)
@@ -71,7 +71,7 @@ def write_report(path: Path, made: RunReport) -> int:
 
 def _bytes(megabytes: float) -> int:
     if not 0.0 <= megabytes <= MOST_MB:
-        from loopshape.errors import WrongUseError
+        from loopshape.core.errors import WrongUseError
 
         raise WrongUseError(
             f"the size of the embedded pictures is a number of 0 .. {MOST_MB:g} MB",
@@ -92,10 +92,10 @@ def gather(
 ) -> RunReport:
     """All that is known of a run and of a controller held against its FRFs. Refuses a folder that holds neither
     recordings nor FRFs, FRFs that are not those of the recordings, and damaged files."""
-    from loopshape.run_report import RunReport
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.requirements import read_requirements
-    from loopshape.store.run_inputs import given_text, input_files, stored_figures
+    from loopshape.data.run_report import RunReport
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.requirements import read_requirements
+    from loopshape.io.run_inputs import given_text, input_files, stored_figures
 
     run, frfs, matrices = _measured(folder)
     fits = fits_of(folder)
@@ -131,9 +131,9 @@ def gather(
 
 def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:
     """Run, FRFs and matrices, as far as they are there."""
-    from loopshape.errors import UnreadableInputError
-    from loopshape.store.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
-    from loopshape.store.run_folder import RUN_TOML, read_run
+    from loopshape.core.errors import UnreadableInputError
+    from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
+    from loopshape.io.run_folder import RUN_TOML, read_run
 
     frfs = read_frfs(folder) if has_any(folder, FOLDER) else ()
     matrices = read_matrices(folder) if has_any(folder, MATRICES) else ()
@@ -150,9 +150,9 @@ def _checked(
     frfs: Sequence[FRF], controllers: Sequence[Controller], wishes: Sequence[Requirements], fits: Sequence[Fit]
 ) -> tuple[CheckedLoop, ...]:
     """Each controller whose loop was measured, held against its requirements (against none where none are given)."""
-    from loopshape.check.verdict import check, loops_of
-    from loopshape.requirements import Requirements
-    from loopshape.run_report import CheckedLoop
+    from loopshape.data.requirements import Requirements
+    from loopshape.data.run_report import CheckedLoop
+    from loopshape.loop.verdict import check, loops_of
 
     found = []
     for own in controllers:
@@ -167,8 +167,8 @@ def _checked(
 
 
 def _with_modes(fits: Sequence[Fit]) -> tuple[FittedModel, ...]:
-    from loopshape.fit.fit import modes
-    from loopshape.run_report import FittedModel
+    from loopshape.data.run_report import FittedModel
+    from loopshape.identify.fit.fit import modes
 
     return tuple(FittedModel(one, modes(one) if one.structure.startswith("rational") else ()) for one in fits)
 
@@ -177,9 +177,9 @@ def _sheets(run: Run) -> tuple[RecordingSheet, ...]:
     """Each recording with its faults; a signal that cannot be read is a fault and not an error."""
     from dataclasses import replace
 
-    from loopshape.errors import LoopshapeError
-    from loopshape.run_report import RecordingSheet
-    from loopshape.store.run_folder import check_recordings
+    from loopshape.core.errors import LoopshapeError
+    from loopshape.data.run_report import RecordingSheet
+    from loopshape.io.run_folder import check_recordings
 
     sheets = []
     for one in run.recordings:
@@ -192,7 +192,7 @@ def _sheets(run: Run) -> tuple[RecordingSheet, ...]:
 
 
 def _samples(recording: Recording) -> int:
-    from loopshape.errors import LoopshapeError
+    from loopshape.core.errors import LoopshapeError
 
     try:
         return recording.stored(next(iter(recording.columns))).size if recording.columns else 0
@@ -202,8 +202,8 @@ def _samples(recording: Recording) -> int:
 
 def _envelopes(run: Run, recording: Recording) -> tuple[Envelope, ...]:
     """Shapes of what was injected, commanded and measured in the excited loops, in all loops where none was."""
-    from loopshape.errors import LoopshapeError
-    from loopshape.run_report import Envelope
+    from loopshape.core.errors import LoopshapeError
+    from loopshape.data.run_report import Envelope
 
     info = recording.info
     loops = [run.loop(name) for name in info.excited] or list(run.loops)
@@ -232,7 +232,7 @@ def _missing(
     wishes: Sequence[Requirements],
 ) -> tuple[Missing, ...]:
     """What would be there after the whole chain and is not, each with its command."""
-    from loopshape.run_report import Missing
+    from loopshape.data.run_report import Missing
 
     judged = "loopshape report RUN --controller controller.toml --require requirements.toml"
     found = []

@@ -12,7 +12,7 @@ from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
 if TYPE_CHECKING:
-    from loopshape.tune.schedule import Schedule
+    from loopshape.design.schedule import Schedule
 
 
 def schedule(
@@ -33,12 +33,12 @@ def schedule_run(
     run: Path, require: Path, controller: Path, output: Output, *, seed: int = 0, starts: int = 16, figures: bool = True
 ) -> list[Schedule]:
     """Compare each loop of a requirements file that names a structure, draw and report."""
-    from loopshape.check_files import controller_of
     from loopshape.cli.verdicts import fits_of
-    from loopshape.store.controllers import read_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.requirements import read_requirements
-    from loopshape.tune.schedule import schedule as schedule_loop
+    from loopshape.design.schedule import schedule as schedule_loop
+    from loopshape.io.check_files import controller_of
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
 
     controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
     found, drawn = [], []
@@ -56,7 +56,7 @@ def schedule_run(
 
 def _draw(folder: Path, one: Schedule) -> list[str]:
     from loopshape.cli.pictures import save
-    from loopshape.draw.schedule import schedule_page
+    from loopshape.view.schedule import schedule_page
 
     return [str(save(schedule_page(one), folder / f"schedule_{one.loop}.png"))]
 

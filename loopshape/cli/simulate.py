@@ -29,8 +29,8 @@ def simulate(
 ) -> None:
     """Simulate steps, profiles or open-loop experiments of a study; writes a run and a figure of each."""
     from loopshape.cli.pictures import save
-    from loopshape.draw.time import responses
-    from loopshape.store.run_folder import read_run
+    from loopshape.io.run_folder import read_run
+    from loopshape.view.time import responses
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")

@@ -18,7 +18,7 @@ def stop(
     quiet: Quiet = False,
 ) -> None:
     """Vent a target at once: through the process that measures into a run folder, or through a port."""
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     output = Output(as_json, quiet)
     if clear and Path(what).is_dir():
@@ -33,8 +33,8 @@ def _interrupted(run: Path) -> str:
     import os
     import signal
 
-    from loopshape.errors import WrongUseError
-    from loopshape.store.measuring import driver
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.measuring import driver
 
     pid = driver(run)
     try:
@@ -48,9 +48,9 @@ def _interrupted(run: Path) -> str:
 
 def _through(port: str, baud: int, clear: bool) -> str:
     """Vent through a port of our own, and clear the fault that this is, if asked."""
-    from loopshape.rigs.link import open_link
-    from loopshape.rigs.messages import REFUSALS, Ask
-    from loopshape.rigs.session import NO_PLACE, RefusedError, Session
+    from loopshape.rig.link import open_link
+    from loopshape.rig.messages import REFUSALS, Ask
+    from loopshape.rig.session import NO_PLACE, RefusedError, Session
 
     with open_link(port, baud) as link:
         session = Session(link)

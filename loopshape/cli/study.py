@@ -23,7 +23,7 @@ def study(
     quiet: Quiet = False,
 ) -> None:
     """List the studies under experiments/, or run them: their tables and figures are written anew."""
-    from loopshape.errors import WrongUseError
+    from loopshape.core.errors import WrongUseError
 
     known = _known(experiments)
     if names and everything:
@@ -53,7 +53,7 @@ class Ended:
 
 def _known(experiments: Path) -> dict[str, str]:
     """The studies that can be run and their questions, by name. Refuses a folder that has none."""
-    from loopshape.errors import UnreadableInputError
+    from loopshape.core.errors import UnreadableInputError
 
     found = {path.parent.name: _question(path.parent) for path in sorted(experiments.glob("*/run.py"))}
     if not found:

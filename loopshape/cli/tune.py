@@ -13,9 +13,9 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
 
 if TYPE_CHECKING:
-    from loopshape.controller import Controller
-    from loopshape.tune.relax import Shortfall
-    from loopshape.tune.tune import Tuning
+    from loopshape.data.controller import Controller
+    from loopshape.design.relax import Shortfall
+    from loopshape.design.tune import Tuning
 
 RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
 
@@ -53,10 +53,10 @@ def tune_run(
     run: Path, require: Path, out: Path, output: Output, *, start: Path | None = None, seed: int = 0, starts: int = 16
 ) -> bool:
     """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
-    from loopshape.store.controllers import write_controllers
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.requirements import read_requirements
-    from loopshape.tune.tune import tune as tune_loop
+    from loopshape.design.tune import tune as tune_loop
+    from loopshape.io.controllers import write_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
 
     requirements, frfs, fits = read_requirements(require), read_frfs(run), fits_of(run)
     began = controllers_to_start(start, [wished.loop for wished in requirements])
@@ -79,8 +79,8 @@ def controllers_to_start(file: Path | None, loops: list[str]) -> dict[str, Contr
     """Controllers of a file by loop; refuses a file that has none of the loops to be tuned."""
     if file is None:
         return {}
-    from loopshape.errors import WrongUseError
-    from loopshape.store.controllers import read_controllers
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.controllers import read_controllers
 
     found = {one.loop: one for one in read_controllers(file)}
     if not set(found) & set(loops):

@@ -10,7 +10,7 @@ from loopshape.cli.tune import controllers_to_start, report_tuning, tuning_json
 from loopshape.cli.verdicts import report_verdicts, verdict_json
 
 if TYPE_CHECKING:
-    from loopshape.tune.several import SeveralTuning, Turn
+    from loopshape.design.several import SeveralTuning, Turn
 
 
 def tune_several_run(
@@ -18,9 +18,9 @@ def tune_several_run(
 ) -> bool:
     """Tune the loops of a requirements file in turn, report, and write the controllers if all requirements are met."""
     from loopshape.cli.check_several import _held, _matrices
-    from loopshape.store.controllers import write_controllers
-    from loopshape.store.requirements import read_requirements, read_several
-    from loopshape.tune.several import tune_several
+    from loopshape.design.several import tune_several
+    from loopshape.io.controllers import write_controllers
+    from loopshape.io.requirements import read_requirements, read_several
 
     wishes, several = read_requirements(require), read_several(require)
     began, frfs = controllers_to_start(start, [one.loop for one in wishes]), _matrices(run)

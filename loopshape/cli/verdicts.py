@@ -7,7 +7,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loopshape.check.words import (
+from loopshape.cli.output import Output
+from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
     interval_or_bound_text,
@@ -17,17 +18,16 @@ from loopshape.check.words import (
     reach_text,
     unstable_text,
 )
-from loopshape.cli.output import Output
 
 if TYPE_CHECKING:
-    from loopshape.baseline import Comparison
-    from loopshape.model import Fit
-    from loopshape.requirements import Verdict
+    from loopshape.data.baseline import Comparison
+    from loopshape.data.model import Fit
+    from loopshape.data.requirements import Verdict
 
 
 def fits_of(run: Path) -> tuple[Fit, ...]:
     """The run's fits, none where nothing was fitted yet."""
-    from loopshape.check_files import fits_of as read
+    from loopshape.io.check_files import fits_of as read
 
     return read(run)
 
@@ -60,7 +60,7 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
 
 def _stability_row(verdict: Verdict) -> list[object]:
     """The closed loop at its worst operating point, as a row of its own: a table that passes has it pass too."""
-    from loopshape.check.points import STABLE_RANK
+    from loopshape.loop.points import STABLE_RANK
 
     name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
     stable = verdict.margins[name].stable

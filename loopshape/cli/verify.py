@@ -17,7 +17,7 @@ def verify(
     quiet: Quiet = False,
 ) -> None:
     """Check a run's files against the hashes that were noted when they were written."""
-    from loopshape.store.verify import verify as look
+    from loopshape.io.verify import verify as look
 
     output = Output(as_json, quiet)
     found = look(run, study)

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.optimize import brentq
 
-from loopshape.errors import WrongUseError
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, rad
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
 from loopshape.examiner.arm import BAR, PERIOD_S, TICK_S, Arm
 from loopshape.examiner.forms import build
 from loopshape.examiner.mechanics import body_torque, geometry, joint_torque, nominal_length, stiffness
 from loopshape.examiner.record import at_rest, record
 from loopshape.examiner.session import ANGLE, LOOPS, PRESSURE, PWM, RATE_HZ, Plan, plans
-from loopshape.recording import Recording
-from loopshape.run import Run
-from loopshape.units import Array, rad
 
 PRESSURE_NOISE_BAR, ANGLE_NOISE_DEG = 1e-3, 0.02
 LEAD_S = 10.0  # under control before the recording begins

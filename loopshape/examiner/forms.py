@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from loopshape.core.units import rad
 from loopshape.examiner.arm import BAR, Arm
 from loopshape.examiner.labels import effect
 from loopshape.examiner.mechanics import geometry, nominal_length, stiffness
-from loopshape.units import rad
 
 Form = Callable[[Arm, float, int, np.random.Generator], Arm]
 SOUND_M_S = 343.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.errors import WrongUseError
+from loopshape.core.errors import WrongUseError
 
 
 class Effect(NamedTuple):

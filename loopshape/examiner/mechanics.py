@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from loopshape.core.kernels.compiled import compiled_in_line
+from loopshape.core.units import Array
 from loopshape.examiner.arm import (
     BRAID_M,
     BRANCHES,
@@ -30,8 +32,6 @@ from loopshape.examiner.arm import (
     YB_M,
     Arm,
 )
-from loopshape.kernels.compiled import compiled_in_line
-from loopshape.units import Array
 
 SLIP_M = (1.5e-4, 3e-4, 6e-4, 1.2e-3, 2.4e-3)  # presliding of the braid's elements
 SLIP_SHARE = (0.15, 0.25, 0.25, 0.20, 0.15)

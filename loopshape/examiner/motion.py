@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from loopshape.core.kernels.compiled import compiled, compiled_in_line
+from loopshape.core.units import Array
 from loopshape.examiner.arm import (
     ATMOSPHERE_PA,
     BRAID_A,
@@ -48,8 +50,6 @@ from loopshape.examiner.pneumatics import (
     valve_pressure,
 )
 from loopshape.examiner.sensors import lag_rates
-from loopshape.kernels.compiled import compiled, compiled_in_line
-from loopshape.units import Array
 
 REGULATOR_S = 0.15
 MANIFOLD_M3 = 2e-5

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
+from loopshape.core.units import Array
 from loopshape.examiner.labels import BLOCKS, OUTSIDE, verdict
-from loopshape.units import Array
 
 FORMAT = "loopshape-exam-scores/1"
 FAILED, PAIR = "failed", "pair"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from loopshape.core.kernels.compiled import compiled_in_line
+from loopshape.core.units import Array
 from loopshape.examiner.arm import (
     BAR,
     OMEGA,
@@ -16,8 +18,6 @@ from loopshape.examiner.arm import (
     THETA,
     Arm,
 )
-from loopshape.kernels.compiled import compiled_in_line
-from loopshape.units import Array
 
 ANGLE_BIT_RAD = 270.0 * math.pi / 180.0 / 4096.0
 PRESSURE_BIT_BAR = 2.0 / 4096.0

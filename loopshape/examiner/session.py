@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
+from loopshape.core.units import Array, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import RecordingInfo
 from loopshape.examiner.excitations import multisine, profile, pulses, sweep
-from loopshape.experiment import LoopSetup
-from loopshape.recording import RecordingInfo
-from loopshape.units import Array, rad
 
 RATE_HZ = 1000.0
 

@@ -4,9 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from loopshape.algebra import feedback, held, inverse, lower_closure, product, subtract, upper_closure
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
+from loopshape.data.algebra import feedback, held, inverse, lower_closure, product, subtract, upper_closure
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
 
 F = np.geomspace(0.01, 20.0, 40)
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment, numbers, open_loop
 
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.excitation import Multisine
-from loopshape.plants.arm.equilibrium2 import rest2
-from loopshape.plants.arm.linear2 import linearise2
-from loopshape.run import Run
+from loopshape.data.excitation import Multisine
+from loopshape.data.run import Run
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.model.arm.equilibrium2 import rest2
+from loopshape.model.arm.linear2 import linearise2
 
 
 def interaction_db(H):

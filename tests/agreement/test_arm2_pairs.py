@@ -8,16 +8,16 @@ import pytest
 from arm2_cases import ARM, MIDDLE, QUIET, numbers
 from arm2_cases import point as dual_point
 
-from loopshape import registry
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.experiment import Experiment
-from loopshape.plants.arm.arm2 import Arm2
-from loopshape.plants.arm.closed_linear2 import close2
-from loopshape.plants.arm.equilibrium2 import pair_pressures2, pair_rest2, pressures2
-from loopshape.plants.arm.linear2 import DECOUPLING, PAIR_DECOUPLING, PAIR_OUTPUTS, linearise2, linearise_pairs2
-from loopshape.plants.arm.model2 import standing_torques
-from loopshape.plants.arm.strategies2 import PAIRS
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment
+from loopshape.model import registry
+from loopshape.model.arm.arm2 import Arm2
+from loopshape.model.arm.closed_linear2 import close2
+from loopshape.model.arm.equilibrium2 import pair_pressures2, pair_rest2, pressures2
+from loopshape.model.arm.linear2 import DECOUPLING, PAIR_DECOUPLING, PAIR_OUTPUTS, linearise2, linearise_pairs2
+from loopshape.model.arm.model2 import standing_torques
+from loopshape.model.arm.strategies2 import PAIRS
 
 PAIR_ARM = Arm2(PAIRS)
 CENTRE = (0.0, 0.0, 0.8, 0.8)  # deg, deg, bar, bar

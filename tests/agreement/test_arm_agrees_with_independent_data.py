@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from loopshape.plants.arm.equilibrium import pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.model import derivatives
+from loopshape.model.arm.equilibrium import pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.model import derivatives
 
 
 @pytest.fixture(scope="module")

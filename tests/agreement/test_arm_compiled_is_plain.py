@@ -10,11 +10,11 @@ import pytest
 SCRIPT = """
 import sys
 import numpy as np
-from loopshape.controller import Controller
-from loopshape.experiment import Experiment
-from loopshape.kernels.noise import advance, fill_normal, start_state
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.closed_loop import run
+from loopshape.data.controller import Controller
+from loopshape.data.experiment import Experiment
+from loopshape.core.kernels.noise import advance, fill_normal, start_state
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.closed_loop import run
 
 arm = Arm1()
 injected = np.zeros((300, 2))

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from loopshape.check.margins import margins
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.published import angle_controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.loop.margins import margins
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.published import angle_controller
 
 F = np.geomspace(0.01, 100.0, 3000)
 #: table 5.1; unstable on the printed model (ARM.md, section 10)
@@ -19,7 +19,7 @@ SOURCE_STABLE = {(0.0, 1.4), (-15.0, 1.6), (0.0, 1.6), (15.0, 1.6), (0.0, 1.8)}
 
 
 def nyquist(lin, controllers):
-    """Answers of `loopshape.check` for both loops on a dense FRF of the linearisation, one at a time."""
+    """Answers of `loopshape.loop` for both loops on a dense FRF of the linearisation, one at a time."""
     P = lin.response(F)
     out = []
     for k, controller in enumerate(controllers):

@@ -4,12 +4,12 @@ import control
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI, db, hz
+from loopshape.core.units import TWO_PI, db, hz
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.loop.margins import margins
 
 F = np.geomspace(0.005, 2000.0, 12000)
 UNITY = Controller("axis", (Block("gain", {"gain": 1.0}),), 1e5)

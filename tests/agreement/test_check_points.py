@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.points import limit_of, margins_of, point_outcome, worst_of
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.requirements import LIMITS, Line, Margins, Requirements, Verdict
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import LIMITS, Line, Margins, Requirements, Verdict
+from loopshape.loop.points import limit_of, margins_of, point_outcome, worst_of
+from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 200)

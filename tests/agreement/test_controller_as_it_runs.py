@@ -9,11 +9,11 @@ import pytest
 from exported_controllers import BLOCKS, PRECISIONS, RATE_HZ, cases
 from scipy import signal
 
-from loopshape.algebra import held
-from loopshape.block import series_response
-from loopshape.controller import Block, Controller, hold_and_delay
-from loopshape.frf import FRF
-from loopshape.kernels import cascade
+from loopshape.core.kernels import cascade
+from loopshape.data.algebra import held
+from loopshape.data.block import series_response
+from loopshape.data.controller import Block, Controller, hold_and_delay
+from loopshape.data.frf import FRF
 
 F = np.geomspace(1e-3, 49.9, 200)
 SERIES = tuple(BLOCKS.values())

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import csd, freqz, lfilter
 
-from loopshape.controller import Block, Controller
-from loopshape.estimate.frequency_response import estimate_frf, estimate_run
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import Multisine
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
+from loopshape.data.controller import Block, Controller
+from loopshape.data.excitation import Multisine
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf, estimate_run
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
 
 RATE, SETPOINT, SEGMENT = 100.0, 0.3, 400
 A, B = np.poly([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j), 0.8]).real, np.array([0.0, 0.05, 0.02, 0.0])

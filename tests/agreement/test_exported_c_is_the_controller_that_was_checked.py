@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from exported_controllers import RATE_HZ, cases, inputs
 
-from loopshape.controller import Block, Controller, step
-from loopshape.precision import Precision
-from loopshape.store.controller_export import export_controllers
-from loopshape.store.controller_words import identifier
+from loopshape.data.controller import Block, Controller, step
+from loopshape.data.precision import Precision
+from loopshape.io.controller_export import export_controllers
+from loopshape.io.controller_words import identifier
 
 COMPILER = shlex.split(os.environ.get("CC", "cc"))
 FLAGS = ("-std=c99", "-O0", "-ffp-contract=off", "-Wall", "-Wextra", "-pedantic", "-Werror")
@@ -96,7 +96,7 @@ def test_some_of_these_signals_are_clipped():
 
 
 def test_double_is_the_rigs_kernel():
-    from loopshape.kernels import biquads
+    from loopshape.core.kernels import biquads
 
     controller = CASES["series-double"]
     given, sections = inputs(controller, SAMPLES, seed=2), controller.biquads()

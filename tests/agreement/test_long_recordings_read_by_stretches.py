@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from loopshape import stretches
-from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.estimate import faults
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.store import sources, tables
-from loopshape.store.import_file import import_file
-from loopshape.store.run_folder import check_recordings, holds, read_run, write_run
-from loopshape.store.spool import Spool
-from loopshape.store.verify import verify
-from loopshape.stretches import LongSignal, extent
+from loopshape.core import stretches
+from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.core.stretches import LongSignal, extent
+from loopshape.identify import faults
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
+from loopshape.io import sources, tables
+from loopshape.io.import_file import import_file
+from loopshape.io.run_folder import check_recordings, holds, read_run, write_run
+from loopshape.io.spool import Spool
+from loopshape.io.verify import verify
 
 ROWS = 20_000
 RATE_HZ = 1000.0

@@ -13,17 +13,17 @@ from several_cases import (
     response_of,
 )
 
-from loopshape.algebra.propagation import pick
-from loopshape.check.determinant import closed_loops_stability
-from loopshape.check.margins import margins
-from loopshape.check.several import check_several
-from loopshape.check.several_margins import several_margins
-from loopshape.check.stability import closed_loop_stability
-from loopshape.check.verdict import check
-from loopshape.loop import Loop
-from loopshape.requirements import Requirements
-from loopshape.several import SeveralRequirements
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.algebra.propagation import pick
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.loop.determinant import closed_loops_stability
+from loopshape.loop.margins import margins
+from loopshape.loop.several import check_several
+from loopshape.loop.several_margins import several_margins
+from loopshape.loop.stability import closed_loop_stability
+from loopshape.loop.verdict import check
 
 F = np.geomspace(0.01, 300.0, 900)
 S = 1j * TWO_PI * F

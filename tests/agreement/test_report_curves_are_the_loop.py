@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.algebra import feedback
-from loopshape.check.verdict import loops_of
-from loopshape.draw.curves import magnitude_band_db
-from loopshape.draw.html.axes import Scale, frequency_frame, linear_ticks, log_ticks
-from loopshape.draw.html.traces import embedded, loop_traces, plant_traces, thinned
-from loopshape.requirements import Requirements
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.algebra import feedback
+from loopshape.data.requirements import Requirements
+from loopshape.loop.verdict import loops_of
+from loopshape.view.curves import magnitude_band_db
+from loopshape.view.html.axes import Scale, frequency_frame, linear_ticks, log_ticks
+from loopshape.view.html.traces import embedded, loop_traces, plant_traces, thinned
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "flow"))
 import report_run

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from target_cases import GAIN, INFINITE, Bench
 
-from loopshape.controller import Block, Controller
-from loopshape.kernels import biquads, cascade, pwm
-from loopshape.rigs.messages import Ask, begin
+from loopshape.core.kernels import biquads, cascade, pwm
+from loopshape.data.controller import Block, Controller
+from loopshape.rig.messages import Ask, begin
 
 RATE_HZ = 1000.0
 WIDE = np.array([[-1e6, 1e6, INFINITE]] * 5)

@@ -7,8 +7,8 @@ from python_target import Board, Target
 from python_target_line import Pty, Running
 from python_target_machine import Axes
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.store.run_folder import read_run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.run_folder import read_run
 
 MOVING = 'references = { axis1 = { kind = "staircase", times_s = [0.2, 0.5], values_rad = [0.2, -0.1] } }'
 CONTROL = """

@@ -8,8 +8,8 @@ from axis_study import target
 from python_target_frames import body_of
 from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
 
-from loopshape.rigs.frames import Frame
-from loopshape.rigs.messages import Ask, Configuration, Identity, Reason, Say, State, begin, rows, setpoint
+from loopshape.rig.frames import Frame
+from loopshape.rig.messages import Ask, Configuration, Identity, Reason, Say, State, begin, rows, setpoint
 
 STATES = list(State)
 #: requests that are in order but for the state, and where they are allowed

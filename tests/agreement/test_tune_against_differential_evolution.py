@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
-from loopshape.check.verdict import loops_of
-from loopshape.controller import Block, Controller
-from loopshape.tune.measures import measure
-from loopshape.tune.problem import problem
-from loopshape.tune.tune import tune
+from loopshape.data.controller import Block, Controller
+from loopshape.design.measures import measure
+from loopshape.design.problem import problem
+from loopshape.design.tune import tune
+from loopshape.loop.verdict import loops_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "speed"))
 from tune_workload import frfs, requirements

@@ -11,7 +11,7 @@ from unittest import mock
 import numpy as np
 
 from loopshape.cli import main
-from loopshape.store import seen
+from loopshape.io import seen
 
 MAP = """
 format = "loopshape-map/1"

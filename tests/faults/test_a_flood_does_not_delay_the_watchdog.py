@@ -11,12 +11,12 @@ import pytest
 from emulated_cases import emulator, settings
 from target_cases import CORE, TARGET, WARNINGS, compiler
 
-from loopshape.rigs.frames import Frame
-from loopshape.rigs.link import open_link
-from loopshape.rigs.messages import Ask, Configuration, Reason, Say
-from loopshape.rigs.session import Session
-from loopshape.rigs.target import arm as armed
-from loopshape.rigs.target import configuration
+from loopshape.rig.frames import Frame
+from loopshape.rig.link import open_link
+from loopshape.rig.messages import Ask, Configuration, Reason, Say
+from loopshape.rig.session import Session
+from loopshape.rig.target import arm as armed
+from loopshape.rig.target import configuration
 
 WATCHDOG_MS = 300
 FLOODS = {

@@ -12,12 +12,12 @@ from python_target_line import Running
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.errors import RigError
-from loopshape.rigs.link import open_link
-from loopshape.rigs.messages import Reason, Say, State
-from loopshape.rigs.session import Session
-from loopshape.rigs.target import arm as armed
-from loopshape.rigs.target import configuration
+from loopshape.core.errors import RigError
+from loopshape.rig.link import open_link
+from loopshape.rig.messages import Reason, Say, State
+from loopshape.rig.session import Session
+from loopshape.rig.target import arm as armed
+from loopshape.rig.target import configuration
 
 
 @contextmanager

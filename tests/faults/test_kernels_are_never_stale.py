@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 import loopshape
-from loopshape.kernels.kept import sources
+from loopshape.core.kernels.kept import sources
 
 MASS, VISCOUS, TICK_S, TICKS = 2.0, 3.0, 1e-3, 1000
 #: where a mass pushed off at 1 m/s is after a second, and how many kernels were compiled for it
 COASTS = f"""
 import json, sys
 import numpy as np
-from loopshape.plants.servo_axis import closed_loop, motion, parameters as k
+from loopshape.model.servo_axis import closed_loop, motion, parameters as k
 c = np.zeros(len(k.AXIS_PARAMETERS.rows))
 c[k.MASS], c[k.VISCOUS] = {MASS}, {VISCOUS}
 c.setflags(write=len(sys.argv) == 1)  # another type for the compiler

@@ -26,20 +26,20 @@ injection = "controller_input"
 excites = "axis"
 """
 BEFORE = """
-from loopshape import stretches
-from loopshape.store import sources, tables
+from loopshape.core import stretches
+from loopshape.io import sources, tables
 from loopshape.cli.frf import estimate_and_report
 from loopshape.cli.import_file import import_run
 from loopshape.cli.output import Output
 file, given, out = map(Path, sys.argv[1:4])
-from loopshape.estimate import faults
+from loopshape.identify import faults
 stretches.LONG = sources.LONG = tables.LONG = sources.LONG_TEXT = int(sys.argv[4])
 tables.KEPT_BYTES = int(sys.argv[5])
 stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.argv[6])
 import pandas, pyarrow.parquet, numpy as np
 import scipy.linalg
-import loopshape.estimate.frequency_response
-from loopshape.kernels.spectra import cross_spectra
+import loopshape.identify.frequency_response
+from loopshape.core.kernels.spectra import cross_spectra
 square = np.eye(300) * 2.0
 np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve once
 cross_spectra([np.ones(64)] * 3, 16, 8)

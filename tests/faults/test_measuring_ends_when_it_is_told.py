@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from loopshape.store.run_folder import finished
-from loopshape.store.verify import verify
+from loopshape.io.run_folder import finished
+from loopshape.io.verify import verify
 
 STUDY = """
 format = "loopshape-study/1"

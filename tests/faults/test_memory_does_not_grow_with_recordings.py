@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from memory_limit import in_a_child
 
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.run_folder import write_run
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.run_folder import write_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -18,12 +18,12 @@ MOST_BYTES = 90_000_000
 
 BEFORE = """
 import numpy as np
-import loopshape.store.tables as tables
+import loopshape.io.tables as tables
 tables.KEPT_BYTES = 20_000_000
-from loopshape.store.verify import verify
-from loopshape.store.run_folder import check_recordings, read_run
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
+from loopshape.io.verify import verify
+from loopshape.io.run_folder import check_recordings, read_run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 folder = Path(sys.argv[1])
 run = read_run(folder)
 settings = Settings(resolution_hz=1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from target_cases import CORE, SANITIZERS, TARGET, WARNINGS, compiler
 
-from loopshape.rigs.frames import Frame, Receiver, opened
+from loopshape.rig.frames import Frame, Receiver, opened
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ import pytest
 
 from loopshape.cli.measure import record
 from loopshape.cli.output import Output
-from loopshape.errors import LoopshapeError, UnreadableInputError
-from loopshape.store.run_folder import finished, read_run
-from loopshape.store.verify import verify
+from loopshape.core.errors import LoopshapeError, UnreadableInputError
+from loopshape.io.run_folder import finished, read_run
+from loopshape.io.verify import verify
 
 RECORDINGS = 24
 STUDY = f"""

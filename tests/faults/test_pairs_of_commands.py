@@ -11,7 +11,7 @@ from hashlib import sha256
 import pytest
 from bench import command, commands, prepare
 
-from loopshape.store import files, held
+from loopshape.io import files, held
 
 #: what changes files that others read
 WRITERS = ("import --replace", "import another", "frf otherwise", "fit otherwise", "tune", "predict")

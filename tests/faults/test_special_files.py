@@ -10,10 +10,10 @@ import sys
 import pytest
 from bench import command, commands, prepare
 
-from loopshape.errors import LoopshapeError
-from loopshape.store.files import write_json
-from loopshape.store.held import alone
-from loopshape.store.measuring import MARK, begun, driver, marked
+from loopshape.core.errors import LoopshapeError
+from loopshape.io.files import write_json
+from loopshape.io.held import alone
+from loopshape.io.measuring import MARK, begun, driver, marked
 
 #: each file with the commands that read it
 READ = {

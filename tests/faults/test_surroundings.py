@@ -16,8 +16,8 @@ import pytest
 from bench import command, commands, in_a_child, prepare
 
 from loopshape.cli import main
-from loopshape.store.frfs import read_frfs
-from loopshape.store.run_folder import read_run
+from loopshape.io.frfs import read_frfs
+from loopshape.io.run_folder import read_run
 
 CHAIN = ("import --replace", "frf", "fit", "tune", "check", "report", "plan", "export", "verify")
 NO_TEXT = "\udcff\udcfe"  # bytes of another encoding, as Python has them

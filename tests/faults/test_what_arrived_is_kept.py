@@ -11,11 +11,11 @@ import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from python_target_line import Faults, Running
 
-from loopshape.errors import LoopshapeError, UnreadableInputError
-from loopshape.store.arriving import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
-from loopshape.store.journal import read_journal
-from loopshape.store.run_folder import finished, read_run
-from loopshape.store.verify import verify
+from loopshape.core.errors import LoopshapeError, UnreadableInputError
+from loopshape.io.arriving import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
+from loopshape.io.journal import read_journal
+from loopshape.io.run_folder import finished, read_run
+from loopshape.io.verify import verify
 
 NAMES = ["x_rad", "u_v"]
 
@@ -78,7 +78,7 @@ def kept_rows(run, name="one-1"):
 
 @pytest.mark.parametrize("event", ["pull", "silent"])
 def test_a_lost_line_keeps_what_came_and_the_same_command_goes_on(tmp_path, event, monkeypatch):
-    from loopshape.rigs import session
+    from loopshape.rig import session
 
     monkeypatch.setattr(session, "ANSWER_S", 0.05)
     study, run = write_study(tmp_path, study_text(experiment(periods=6))), tmp_path / "run"

@@ -6,19 +6,19 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.cli.report import gather
-from loopshape.controller import Block, Controller
-from loopshape.draw.frequency import frf_page
-from loopshape.draw.html.page import page
-from loopshape.draw.style import new_figure, png
-from loopshape.experiment import LoopSetup
-from loopshape.fit.fit import fit, structure_by_name
-from loopshape.frf import FRF
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.fits import write_fits
-from loopshape.store.frfs import write_frfs
-from loopshape.store.run_folder import write_run
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.io.fits import write_fits
+from loopshape.io.frfs import write_frfs
+from loopshape.io.run_folder import write_run
+from loopshape.view.frequency import frf_page
+from loopshape.view.html.page import page
+from loopshape.view.style import new_figure, png
 
 RATE = 500.0
 HOSTILE = "</script><script>document.title='owned'</script><!-- & \"quoted\" 'single'"

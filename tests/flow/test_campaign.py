@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.campaign import Part
-from loopshape.errors import LoopshapeError, RigError
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.rigs.effects import asked
-from loopshape.store.campaigns import read_campaign
-from loopshape.store.run_folder import read_run
-from loopshape.store.verify import verify
+from loopshape.core.errors import LoopshapeError, RigError
+from loopshape.data.campaign import Part
+from loopshape.io.campaigns import read_campaign
+from loopshape.io.run_folder import read_run
+from loopshape.io.verify import verify
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.effects import asked
 
 STUDY = """
 format = "loopshape-study/1"
@@ -138,7 +138,7 @@ def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
 def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
-    from loopshape.rigs.many import carried_out
+    from loopshape.rig.many import carried_out
 
     with pytest.raises(RigError, match="a worker process ended unasked"):
         list(carried_out(os._exit, [7], 1))
@@ -226,7 +226,7 @@ def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
 
 
 def test_a_cluster_that_is_not_there_is_said():
-    from loopshape.rigs.many import carried_out
+    from loopshape.rig.many import carried_out
 
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(RigError, match="no cluster answers there"):

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.cli.output import Output
-from loopshape.errors import LoopshapeError, WrongUseError
-from loopshape.store.controllers import read_controllers
-from loopshape.store.verdicts import read_verdicts
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.io.controllers import read_controllers
+from loopshape.io.verdicts import read_verdicts
 
 ROOT = Path(__file__).parents[2]
 WORKFLOW = ROOT / "examples" / "ci" / "check-controllers.yml"

@@ -12,9 +12,9 @@ from bound_cases import frf_of, gain
 from loopshape.cli.bound import bound_run
 from loopshape.cli.output import Output
 from loopshape.cli.schedule import schedule_run
-from loopshape.model import TransferFunction
-from loopshape.store.controllers import write_controllers
-from loopshape.store.frfs import write_frfs
+from loopshape.data.model import TransferFunction
+from loopshape.io.controllers import write_controllers
+from loopshape.io.frfs import write_frfs
 
 REQUIRE = """
 format = "loopshape-requirements/1"

@@ -10,14 +10,14 @@ import typer
 from several_cases import frf_of, gain, noisy
 from typer.testing import CliRunner
 
-from loopshape.check.several import check_several as check
 from loopshape.cli.check_several import check_several
-from loopshape.errors import WrongUseError
-from loopshape.several import SeveralRequirements
-from loopshape.store.controllers import write_controllers
-from loopshape.store.frfs import write_frfs, write_matrices
-from loopshape.store.requirements import read_requirements, read_several
-from loopshape.units import TWO_PI
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI
+from loopshape.data.several import SeveralRequirements
+from loopshape.io.controllers import write_controllers
+from loopshape.io.frfs import write_frfs, write_matrices
+from loopshape.io.requirements import read_requirements, read_several
+from loopshape.loop.several import check_several as check
 
 F = np.arange(0.1, 20.0, 0.1)
 S = 1j * TWO_PI * F

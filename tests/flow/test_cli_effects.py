@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from loopshape import registry
 from loopshape.cli.effects import catalogue_rows, markdown_table
 from loopshape.cli.main import app
-from loopshape.store.run_folder import read_run
+from loopshape.io.run_folder import read_run
+from loopshape.model import registry
 
 DOCS = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
 STUDY = """

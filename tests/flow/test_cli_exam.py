@@ -15,9 +15,9 @@ import typer
 import loopshape.examiner
 from loopshape.cli import exam as command
 from loopshape.cli.exam import Case, case_list, catalogue, exam, library_run
-from loopshape.errors import LoopshapeError, WrongUseError
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.data.gap_report import GapReport, Ranked, Shrink, Where
 from loopshape.examiner import EFFECTS, OUTSIDE
-from loopshape.gap_report import GapReport, Ranked, Shrink, Where
 
 PLAN = {"single": 4, "healthy": 2, "unknown": 1, "pairs": 2}
 
@@ -48,9 +48,9 @@ def sat(monkeypatch):
         return report(name)
 
     run = SimpleNamespace(plant="arm-1dof")
-    monkeypatch.setattr("loopshape.gap.diagnose.diagnose", diagnose)
+    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", diagnose)
     monkeypatch.setattr(loopshape.examiner, "make_run", lambda labels, seed, variant: run)
-    monkeypatch.setattr("loopshape.draw.style.png", lambda figure: b"")  # test_draw_exam.py looks at pictures
+    monkeypatch.setattr("loopshape.view.style.png", lambda figure: b"")  # test_draw_exam.py looks at pictures
     return found
 
 
@@ -97,7 +97,7 @@ def test_a_diagnosis_that_breaks_off_is_a_wrong_answer(sat, tmp_path, monkeypatc
     def broken(*words, **more):
         raise FloatingPointError("no")
 
-    monkeypatch.setattr("loopshape.gap.diagnose.diagnose", broken)
+    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", broken)
     sit(tmp_path)
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert (scores["failed"], scores["single"]["right"], scores["false_alarms"]["right"]) == (9, 0, 2)

@@ -11,15 +11,15 @@ from scipy import signal
 from typer.testing import CliRunner
 
 from loopshape.cli.export_controller import export_controller
-from loopshape.controller import Block, Controller
-from loopshape.errors import LoopshapeError
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.store.controller_words import comment, identifier
-from loopshape.store.controllers import read_controllers, write_controllers
-from loopshape.store.frf_words import frf_header, frf_words
-from loopshape.store.run_tables import loop_table, read_loop
-from loopshape.store.words import Words
+from loopshape.core.errors import LoopshapeError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.io.controller_words import comment, identifier
+from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.io.frf_words import frf_header, frf_words
+from loopshape.io.run_tables import loop_table, read_loop
+from loopshape.io.words import Words
 
 RATE_HZ = 1000.0
 BLOCKS = (

@@ -9,10 +9,10 @@ from scipy.io import savemat
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.store.frfs import read_frfs, write_frfs
+from loopshape.core.errors import LoopshapeError
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.io.frfs import read_frfs, write_frfs
 
 RATE = 500.0
 PLANT = TransferFunction([900.0], [1.0, 6.0, 0.0], 0.004)

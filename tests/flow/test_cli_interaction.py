@@ -8,10 +8,10 @@ from interaction_nouns import F, coupled_by, matrix_frf
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.controller import Block, Controller
-from loopshape.errors import LoopshapeError
-from loopshape.store.controllers import write_controllers
-from loopshape.store.frfs import write_frfs, write_matrices
+from loopshape.core.errors import LoopshapeError
+from loopshape.data.controller import Block, Controller
+from loopshape.io.controllers import write_controllers
+from loopshape.io.frfs import write_frfs, write_matrices
 
 K_DB = np.where((F > 2.95) & (F < 3.25), -8.0, -40.0)
 

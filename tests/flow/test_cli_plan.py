@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from loopshape import registry
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError
-from loopshape.estimate.frequency_response import estimate_realisations
-from loopshape.rigs.simulated import header, measure
-from loopshape.store.run_folder import read_run
-from loopshape.store.study import read_study
+from loopshape.core.errors import LoopshapeError
+from loopshape.identify.frequency_response import estimate_realisations
+from loopshape.io.run_folder import read_run
+from loopshape.io.study import read_study
+from loopshape.model import registry
+from loopshape.rig.simulated import header, measure
 
 LINES = [round(0.2 * k, 6) for k in range(1, 80, 2) if k % 8 != 7]
 STUDY = f"""

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError
+from loopshape.core.errors import LoopshapeError
 
 SAYS_THREADS = 'import os\nprint("threads", os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"])\n'
 

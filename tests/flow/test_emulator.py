@@ -14,20 +14,20 @@ from emulated_cases import emulator, excited, needs_a_compiler, record, settings
 from target_cases import TARGET, WARNINGS
 from typer.testing import CliRunner
 
-from loopshape.errors import LoopshapeError, RigError, WrongUseError
-from loopshape.folders import cache_folder
-from loopshape.plants.arm.emulated import plant_file
-from loopshape.rigs import emulator as rig
-from loopshape.rigs.emulator import Emulator, NoCompilerError, program, source, start, stop
-from loopshape.rigs.link import open_link
-from loopshape.rigs.messages import Ask, State
-from loopshape.rigs.session import Session
-from loopshape.rigs.target import arm as armed
-from loopshape.rigs.target import configuration
+from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.folders import cache_folder
+from loopshape.model.arm.emulated import plant_file
+from loopshape.rig import emulator as rig
+from loopshape.rig.emulator import Emulator, NoCompilerError, program, source, start, stop
+from loopshape.rig.link import open_link
+from loopshape.rig.messages import Ask, State
+from loopshape.rig.session import Session
+from loopshape.rig.target import arm as armed
+from loopshape.rig.target import configuration
 
 
 def test_every_source_lies_in_the_package():
-    here = Path(rig.__file__).parents[1] / "target"
+    here = Path(rig.__file__).parent / "c_target"
     known = {*rig.SOURCES, *rig.BOARD_SOURCES, "boards/scripted.c"}
     assert known == {str(p.relative_to(here)) for p in here.rglob("*.[ch]")}
     assert all(source(name) for name in known)

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.store.control_frd import from_control, to_control
-from loopshape.store.frf_csv import frf_csv
-from loopshape.store.frf_exchange import FORMATS, export_frfs, read_frf_file
-from loopshape.store.frf_foreign import Stated
-from loopshape.store.frf_mat import write_frf_mat
-from loopshape.store.frf_uff import write_frf_uff
-from loopshape.store.frf_words import PERHAPS, frf_header
+from loopshape.data.control_frd import from_control, to_control
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.io.frf_csv import frf_csv
+from loopshape.io.frf_exchange import FORMATS, export_frfs, read_frf_file
+from loopshape.io.frf_foreign import Stated
+from loopshape.io.frf_mat import write_frf_mat
+from loopshape.io.frf_uff import write_frf_uff
+from loopshape.io.frf_words import PERHAPS, frf_header
 
 
 def frf(ny=2, nu=2, nf=6, **words):
@@ -146,7 +146,7 @@ def test_a_users_own_mat_file_of_version_7_3(tmp_path):
 
 def test_an_analysers_coherence_gives_the_error_with_the_averages():
     """The stated rule against Welch averages of a known noise."""
-    from loopshape.store.frf_foreign import ForeignFRF, frf_of
+    from loopshape.io.frf_foreign import ForeignFRF, frf_of
 
     rng, K, runs = np.random.default_rng(0), 16, 4000
     u = rng.standard_normal((runs, K)) + 1j * rng.standard_normal((runs, K))

@@ -7,13 +7,13 @@ import pytest
 
 from loopshape.cli.gap_two_runs import two_runs
 from loopshape.cli.output import Output
-from loopshape.errors import LoopshapeError
-from loopshape.excitation import Multisine, Staircase, Sweep
-from loopshape.gap.table import compare
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.rigs.simulated import header, measure
-from loopshape.store.run_folder import read_run, write_run
-from loopshape.study import ExperimentTemplate, Study
+from loopshape.core.errors import LoopshapeError
+from loopshape.data.excitation import Multisine, Staircase, Sweep
+from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.diagnose.table import compare
+from loopshape.io.run_folder import read_run, write_run
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.simulated import header, measure
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 15.0, "p_ab_bar": 1.0})
 ODD = tuple(0.1 * k for k in range(3, 141, 2) if k % 8 != 7)

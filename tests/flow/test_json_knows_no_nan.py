@@ -5,7 +5,7 @@ import json
 import pytest
 
 from loopshape.cli.output import Output
-from loopshape.tune.relax import Relaxation, Shortfall
+from loopshape.design.relax import Relaxation, Shortfall
 
 
 def strict(text: str) -> dict:

@@ -11,12 +11,12 @@ from scipy.io import loadmat
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError, UnreadableInputError
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.rigs.simulated import experiment, plan
-from loopshape.store.csv_text import CsvShape
-from loopshape.store.sources import Place, open_source
-from loopshape.store.study import read_study
+from loopshape.core.errors import LoopshapeError, UnreadableInputError
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.sources import Place, open_source
+from loopshape.io.study import read_study
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.simulated import experiment, plan
 
 RATE = 200.0
 MAP = """
@@ -74,9 +74,9 @@ def test_an_mdf_file_becomes_a_run(mdf, tmp_path):
 DAMAGED = """
 import sys, numpy as np
 from pathlib import Path
-from loopshape.errors import LoopshapeError
-from loopshape.store.csv_text import CsvShape
-from loopshape.store.sources import Place, open_source
+from loopshape.core.errors import LoopshapeError
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.sources import Place, open_source
 whole, folder, refused = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), 0
 for seed in range(60):
     rng = np.random.default_rng(seed)

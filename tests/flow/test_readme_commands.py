@@ -94,12 +94,12 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     from loopshape.cli.frf import estimate_and_report
     from loopshape.cli.import_file import import_run
     from loopshape.cli.output import Output
-    from loopshape.fit.fit import modes
-    from loopshape.store.fits import read_fits
-    from loopshape.store.frfs import read_frfs
-    from loopshape.store.requirements import read_requirements
-    from loopshape.tune.tune import tune
-    from loopshape.units import db
+    from loopshape.core.units import db
+    from loopshape.design.tune import tune
+    from loopshape.identify.fit.fit import modes
+    from loopshape.io.fits import read_fits
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
 
     bench, quiet = ROOT / "examples" / "motor_bench", Output(quiet=True)
     import_run(bench / "multisine_type_a.parquet", bench / "map.toml", tmp_path, quiet)

@@ -19,9 +19,9 @@ import typer
 from typer.testing import CliRunner
 
 from loopshape.cli.report import gather, report
-from loopshape.draw.html.markup import VOID, Markup, json_block, tag
-from loopshape.draw.html.page import page
-from loopshape.errors import LoopshapeError
+from loopshape.core.errors import LoopshapeError
+from loopshape.view.html.markup import VOID, Markup, json_block, tag
+from loopshape.view.html.page import page
 
 DATE = "2025-03-04 05:06:07+01:00"
 BROWSER = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
@@ -217,7 +217,7 @@ def test_a_run_of_recordings_alone_says_what_to_do_next(tmp_path: Path) -> None:
 
 
 def test_frfs_alone_are_drawn_and_the_rest_is_asked_for(tmp_path: Path) -> None:
-    from loopshape.store.frfs import write_frfs
+    from loopshape.io.frfs import write_frfs
 
     write_frfs(tmp_path, [report_run.frf("near", 40.0, 0.1)])
     found = Page(page(gather(tmp_path, None, None, DATE)))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from arm2_cases import QUIET
 
-from loopshape import registry
-from loopshape.errors import WrongUseError
-from loopshape.rigs.simulated import header, measure, plan
-from loopshape.store.run_folder import check_recordings, read_run, start_run, write_run
-from loopshape.store.study import read_study
+from loopshape.core.errors import WrongUseError
+from loopshape.io.run_folder import check_recordings, read_run, start_run, write_run
+from loopshape.io.study import read_study
+from loopshape.model import registry
+from loopshape.rig.simulated import header, measure, plan
 
 RATE_HZ = 1000.0
 LEAD, RAMP, PERIOD, PERIODS = 1000, 1000, 4000, 4  # samples

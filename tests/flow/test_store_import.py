@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from loopshape.store.import_file import import_file
-from loopshape.store.mat5 import read_mat5
-from loopshape.store.run_folder import check_recordings, read_run, write_run
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.io.import_file import import_file
+from loopshape.io.mat5 import read_mat5
+from loopshape.io.run_folder import check_recordings, read_run, write_run
 
 DATA = Path(os.environ.get("LOOPSHAPE_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="recordings of real machines are absent: set LOOPSHAPE_DATA")

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from loopshape import __version__
-from loopshape.controller import Block, Controller
-from loopshape.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
-from loopshape.frf import FRF
-from loopshape.model import Estimate, Fit, TransferFunction
-from loopshape.requirements import Free, Line, Margins, Verdict
-from loopshape.store.controllers import read_controllers, write_controllers
-from loopshape.store.files import read_json, read_toml, write_json, write_toml
-from loopshape.store.fits import read_fits, write_fits
-from loopshape.store.frfs import frf_csv, read_frfs, write_frfs
-from loopshape.store.junit import write_junit
-from loopshape.store.requirements import read_requirements
-from loopshape.store.study import read_study
-from loopshape.units import rad
+from loopshape.core.units import rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
+from loopshape.data.frf import FRF
+from loopshape.data.model import Estimate, Fit, TransferFunction
+from loopshape.data.requirements import Free, Line, Margins, Verdict
+from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.io.files import read_json, read_toml, write_json, write_toml
+from loopshape.io.fits import read_fits, write_fits
+from loopshape.io.frfs import frf_csv, read_frfs, write_frfs
+from loopshape.io.junit import write_junit
+from loopshape.io.requirements import read_requirements
+from loopshape.io.study import read_study
 
 
 def assert_same(one, other):

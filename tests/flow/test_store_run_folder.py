@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store import run_folder
-from loopshape.store.run_folder import (
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io import run_folder
+from loopshape.io.run_folder import (
     add_recording,
     check_recordings,
     finished,
@@ -21,7 +21,7 @@ from loopshape.store.run_folder import (
     start_run,
     write_run,
 )
-from loopshape.store.tables import TableColumns, check_rate, write_table
+from loopshape.io.tables import TableColumns, check_rate, write_table
 
 RATE_HZ = 100.0
 

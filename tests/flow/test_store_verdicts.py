@@ -11,12 +11,12 @@ import numpy as np
 from markdown_it import MarkdownIt
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.check.baseline import compare, same_controller
-from loopshape.requirements import LIMITS, Margins
-from loopshape.store.files import read_json
-from loopshape.store.junit import write_junit
-from loopshape.store.markdown import markdown, write_markdown
-from loopshape.store.verdicts import read_verdicts, write_verdicts
+from loopshape.data.requirements import LIMITS, Margins
+from loopshape.io.files import read_json
+from loopshape.io.junit import write_junit
+from loopshape.io.markdown import markdown, write_markdown
+from loopshape.io.verdicts import read_verdicts, write_verdicts
+from loopshape.loop.baseline import compare, same_controller
 
 LINES = (
     line(interval=(38.0, 42.5)),

@@ -8,10 +8,10 @@ import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from python_target_line import Faults, Pty, Running
 
-from loopshape.errors import LoopshapeError
-from loopshape.rigs import session, taking
-from loopshape.store.run_folder import finished
-from loopshape.store.verify import verify
+from loopshape.core.errors import LoopshapeError
+from loopshape.io.run_folder import finished
+from loopshape.io.verify import verify
+from loopshape.rig import session, taking
 
 pytestmark = pytest.mark.timeout(60)  # a hang is a failure
 NAMES = ("one", "two")

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 from loopshape.cli.interrupts import interrupts
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError, RigError, WrongUseError
-from loopshape.store import measuring
-from loopshape.store.run_folder import finished, read_run
-from loopshape.target_settings import spoken
+from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.data.target_settings import spoken
+from loopshape.io import measuring
+from loopshape.io.run_folder import finished, read_run
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
@@ -325,7 +325,7 @@ def test_a_real_target_that_is_not_idle_is_left_alone(tmp_path, state):
 
 
 def test_a_host_that_writes_for_long_is_still_there(tmp_path, monkeypatch):
-    from loopshape.store import run_folder
+    from loopshape.io import run_folder
 
     add = run_folder.add_recording
     monkeypatch.setattr(run_folder, "add_recording", lambda *a, **k: (time.sleep(1.5), add(*a, **k)))

@@ -9,14 +9,14 @@ from typer.testing import CliRunner
 
 from loopshape import __version__
 from loopshape.cli.main import app
-from loopshape.errors import UnreadableInputError
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.files import read_toml, write_toml
-from loopshape.store.journal import FILE, note, read_journal
-from loopshape.store.provenance import file_sha256, versions
-from loopshape.store.run_folder import add_recording, read_run, start_run
-from loopshape.store.verify import verify
+from loopshape.core.errors import UnreadableInputError
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.files import read_toml, write_toml
+from loopshape.io.journal import FILE, note, read_journal
+from loopshape.io.provenance import file_sha256, versions
+from loopshape.io.run_folder import add_recording, read_run, start_run
+from loopshape.io.verify import verify
 
 RATE = 100.0
 

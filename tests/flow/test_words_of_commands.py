@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 from loopshape import __version__
 from loopshape.cli.fit import root_cells
 from loopshape.cli.main import app
-from loopshape.errors import LoopshapeError
-from loopshape.excitation import Multisine
-from loopshape.experiment import LoopSetup
-from loopshape.model import Estimate
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.run_folder import write_run
-from loopshape.units import TWO_PI
+from loopshape.core.errors import LoopshapeError
+from loopshape.core.units import TWO_PI
+from loopshape.data.excitation import Multisine
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.model import Estimate
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.run_folder import write_run
 
 pytestmark = pytest.mark.short
 

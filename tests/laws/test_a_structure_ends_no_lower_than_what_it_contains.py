@@ -9,9 +9,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servo, servos, wished
 
-from loopshape.tune.contained import contained, embedded, neutral, without_one
-from loopshape.tune.evaluation import Evaluation
-from loopshape.tune.tune import tune
+from loopshape.design.contained import contained, embedded, neutral, without_one
+from loopshape.design.evaluation import Evaluation
+from loopshape.design.tune import tune
 
 LIMITS = {"sensitivity_peak_db": 6.0}
 LEAD_LAG = LEAD | {"f2_hz": {"min": 1.0, "max": 4000.0}}

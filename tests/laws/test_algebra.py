@@ -7,7 +7,7 @@ from algebra_nouns import any_frf
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from loopshape.algebra import (
+from loopshape.data.algebra import (
     add,
     channels,
     feedback,

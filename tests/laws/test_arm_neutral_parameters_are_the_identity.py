@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loopshape.plants.arm.effects import FORMS
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS
+from loopshape.model.arm.effects import FORMS
+from loopshape.model.arm.parameters import ARM1_PARAMETERS
 
 #: every neutral row, and a value that must show
 MOVED = {

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import VALUES, checked, margins
 
-from loopshape.check.baseline import compare
-from loopshape.requirements import LIMITS
+from loopshape.data.requirements import LIMITS
+from loopshape.loop.baseline import compare
 
 OPPOSITE = {"better": "worse", "worse": "better", "unchanged": "unchanged"}
 numbers = st.floats(-60.0, 60.0)

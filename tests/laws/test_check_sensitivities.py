@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from loopshape.check.margins import margins
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.units import from_db
+from loopshape.core.units import from_db
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.loop.margins import margins
 
 RATE = 500.0
 frequencies = st.floats(0.05, 200.0)

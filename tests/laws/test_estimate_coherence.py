@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from loopshape.controller import Block, Controller
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 
 RATE = 100.0
 LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", Controller("axis", (Block("gain", {"gain": 1.0}),), RATE))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.algebra import controller_frf, inverse, lower_closure
-from loopshape.controller import Block, Controller
-from loopshape.estimate.interaction import interaction, interaction_coefficient, square_part
-from loopshape.estimate.relative_gain import relative_gain
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.algebra import controller_frf, inverse, lower_closure
+from loopshape.data.controller import Block, Controller
+from loopshape.identify.interaction import interaction, interaction_coefficient, square_part
+from loopshape.identify.relative_gain import relative_gain
 
 NAMES = ("theta1", "theta2")
 

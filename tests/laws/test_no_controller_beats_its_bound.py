@@ -9,11 +9,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import RATE, limits, loop_of, own_limits, random_controller, random_plant
 
-from loopshape.check.stability import closed_loop_stability
-from loopshape.controller import Block, Controller
-from loopshape.model import TransferFunction
-from loopshape.tune import bound_nodes
-from loopshape.tune.bound import excluded
+from loopshape.data.controller import Block, Controller
+from loopshape.data.model import TransferFunction
+from loopshape.design import bound_nodes
+from loopshape.design.bound import excluded
+from loopshape.loop.stability import closed_loop_stability
 
 
 def crossing_hz(loop):

@@ -6,16 +6,16 @@ A tolerance is half a unit of the last digit that the source prints.
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.plants.arm import parameters as k
-from loopshape.plants.arm.equilibrium import pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.model import muscle
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.published import angle_controller, third_order_plant
-from loopshape.plants.arm.source import value
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.loop.margins import margins
+from loopshape.model.arm import parameters as k
+from loopshape.model.arm.equilibrium import pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.model import muscle
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.published import angle_controller, third_order_plant
+from loopshape.model.arm.source import value
 
 F = np.geomspace(0.01, 100.0, 6000)
 

@@ -7,13 +7,13 @@ the margins are ARM.md's own, computed with two digits, hence the tolerances of 
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.check.verdict import check
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.plants.arm.published import angle_controller, third_order_plant
-from loopshape.plants.arm.source import value
-from loopshape.requirements import Requirements
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import Requirements
+from loopshape.loop.margins import margins
+from loopshape.loop.verdict import check
+from loopshape.model.arm.published import angle_controller, third_order_plant
+from loopshape.model.arm.source import value
 
 RATE = 1000.0
 TABLE_5_1 = angle_controller()

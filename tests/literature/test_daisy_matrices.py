@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.frf import FRF
-from loopshape.store.import_file import import_file
+from loopshape.data.frf import FRF
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
+from loopshape.io.import_file import import_file
 
 MAPS = Path(__file__).parents[2] / "examples" / "daisy"
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.fit.fit import fit, modes
-from loopshape.fit.structures import Rational
-from loopshape.store.import_file import import_file
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.identify.fit.fit import fit, modes
+from loopshape.identify.fit.structures import Rational
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = Path(os.environ.get("LOOPSHAPE_DATA", ROOT / ".." / "shared" / "data")) / "tokyo_bench" / "MultisineTypeA.mat"

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.estimate.quality import loop_feedback
-from loopshape.store.import_file import import_file
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.identify.quality import loop_feedback
+from loopshape.io.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDY = ROOT / "experiments" / "qube"

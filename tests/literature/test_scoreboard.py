@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.errors import UnreadableInputError, WrongUseError
-from loopshape.plants.arm import source
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.model.arm import source
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = ROOT / "experiments"
@@ -97,7 +97,7 @@ def test_figures_that_a_study_shows_exist():
 
 def test_the_table_of_numbers_is_sound():
     table = source.numbers()
-    with (ROOT / "loopshape" / "plants" / "arm" / "source.csv").open(newline="", encoding="utf-8") as file:
+    with (ROOT / "loopshape" / "model" / "arm" / "source.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(table)  # no key twice
     for one in table.values():

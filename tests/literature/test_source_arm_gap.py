@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.plants.arm.effects import FORMS
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.effects import FORMS
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 #: table 4.1 within its rounding, so that the printed model gives the source's own simulation: 5.8 and 4.7 Hz

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.plants.arm.source import number, value
-from loopshape.store.controllers import read_controllers
+from loopshape.io.controllers import read_controllers
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import number, value
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "experiments" / "beyond"

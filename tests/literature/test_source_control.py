@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.errors import WrongUseError
-from loopshape.plants.arm.published import (
+from loopshape.core.errors import WrongUseError
+from loopshape.model.arm.published import (
     TABLES,
     angle_controller,
     controller,
     pressure_controller,
     third_order_plant,
 )
-from loopshape.plants.arm.source import numbers, value
+from loopshape.model.arm.source import numbers, value
 
 STUDIES = Path(__file__).parents[2] / "experiments"
 GRID = {"low_hz": 0.05, "high_hz": 100.0, "count": 2000}

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.plants.arm.equilibrium import pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.plants.arm.source import value
-from loopshape.store.study import read_study
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.io.study import read_study
+from loopshape.model.arm.equilibrium import pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import value
 
 FOLDER = Path(__file__).parents[2] / "experiments" / "decoupling"
 LIMIT_DB = value("figure_h_7.interaction")

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.plants.arm.closed_linear2 import close2
-from loopshape.plants.arm.equilibrium2 import pressures2
-from loopshape.plants.arm.linear2 import linearise2, linearise_pairs2
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.plants.arm.published import controller
-from loopshape.plants.arm.source import value
-from loopshape.plants.arm.strategies2 import DUAL
+from loopshape.data.controller import Block, Controller
+from loopshape.model.arm.closed_linear2 import close2
+from loopshape.model.arm.equilibrium2 import pressures2
+from loopshape.model.arm.linear2 import linearise2, linearise_pairs2
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.model.arm.published import controller
+from loopshape.model.arm.source import value
+from loopshape.model.arm.strategies2 import DUAL
 
 NUMBERS = constants2(ARM2_PARAMETERS.vector())
 P_A = value("figure_5_8.p_a")

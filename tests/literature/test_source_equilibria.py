@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from loopshape.plants.arm.equilibrium import angle_deg, pressures
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import INERTIA
-from loopshape.plants.arm.source import number, value
+from loopshape.model.arm.equilibrium import angle_deg, pressures
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import INERTIA
+from loopshape.model.arm.source import number, value
 
 SUPPLY_BAR = 1.0  # section 3.3
 

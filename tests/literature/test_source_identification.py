@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.published import third_order_plant
-from loopshape.plants.arm.source import number, value
-from loopshape.store.study import read_study
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
+from loopshape.io.study import read_study
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.published import third_order_plant
+from loopshape.model.arm.source import number, value
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm1_identification"
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from loopshape.controller import Controller
-from loopshape.plants.arm.closed_linear2 import close2
-from loopshape.plants.arm.linear2 import linearise_pairs2
-from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.plants.arm.published import controller
-from loopshape.plants.arm.source import value
-from loopshape.plants.arm.strategies2 import PAIRS
+from loopshape.data.controller import Controller
+from loopshape.model.arm.closed_linear2 import close2
+from loopshape.model.arm.linear2 import linearise_pairs2
+from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.model.arm.published import controller
+from loopshape.model.arm.source import value
+from loopshape.model.arm.strategies2 import PAIRS
 
 NUMBERS = constants2(ARM2_PARAMETERS.vector())
 #: A and B as full as the supply allows, about six working points

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.kernels import pwm
-from loopshape.plants.arm import parameters as k
-from loopshape.plants.arm.model import flow, supply_flows
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS
-from loopshape.plants.arm.source import value
-from loopshape.store.study import read_study
+from loopshape.core.kernels import pwm
+from loopshape.io.study import read_study
+from loopshape.model.arm import parameters as k
+from loopshape.model.arm.model import flow, supply_flows
+from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.model.arm.source import value
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "pneumatic_test_setup"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "pwm"))

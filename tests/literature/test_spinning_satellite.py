@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from several_cases import frf_of, gain, loops
 
-from loopshape.check.several import check_several
-from loopshape.check.several_margins import several_margins
-from loopshape.requirements import Requirements
-from loopshape.several import SeveralRequirements
-from loopshape.units import TWO_PI, from_db
+from loopshape.core.units import TWO_PI, from_db
+from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.loop.several import check_several
+from loopshape.loop.several_margins import several_margins
 
 A = 10.0
 F = np.sort(np.concatenate([np.geomspace(2e-4, 1e3, 1300), np.linspace(1.55, 1.63, 300)]))

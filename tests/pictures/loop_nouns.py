@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 import picture_nouns as nouns
 
-from loopshape.check.verdict import check, loops_of
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements, Verdict
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements, Verdict
+from loopshape.loop.verdict import check, loops_of
 
 RATE = 1000.0
 #: the operating point whose gain is so large that the check fails there

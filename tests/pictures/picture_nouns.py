@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import Estimate, Fit, TransferFunction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.requirements import Line, Margins, Requirements, Verdict
-from loopshape.units import TWO_PI, rad
+from loopshape.core.units import TWO_PI, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import Estimate, Fit, TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.requirements import Line, Margins, Requirements, Verdict
 
 POINTS = (
     *((theta, p) for p in (0.8, 1.0, 1.2, 1.4) for theta in (-30.0, -15.0, 0.0, 15.0, 30.0)),

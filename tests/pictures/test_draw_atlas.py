@@ -9,12 +9,12 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 
-from loopshape.check.points import point_outcome
-from loopshape.draw.atlas import beyond, cells, levels_with, sensitivity_atlas, sorted_points, zero_crossings
-from loopshape.draw.outcomes import ink_on, luminance, missed_colours, near_colours, room_colours
-from loopshape.loop import Loop
-from loopshape.requirements import Verdict
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import Verdict
+from loopshape.loop.points import point_outcome
+from loopshape.view.atlas import beyond, cells, levels_with, sensitivity_atlas, sorted_points, zero_crossings
+from loopshape.view.outcomes import ink_on, luminance, missed_colours, near_colours, room_colours
 
 
 def rows(ax: Axes) -> list[QuadMesh]:

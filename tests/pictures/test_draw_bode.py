@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from loopshape.check.bands import band
-from loopshape.draw.bode import bode_page
-from loopshape.draw.phase import loop_phase_deg
-from loopshape.loop import Loop
-from loopshape.requirements import Verdict
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import Verdict
+from loopshape.loop.bands import band
+from loopshape.view.bode import bode_page
+from loopshape.view.phase import loop_phase_deg
 
 pytestmark = pytest.mark.short
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from loopshape.draw.effects import effects_page
-from loopshape.draw.style import png
-from loopshape.effect import EffectForm, Free
-from loopshape.effect_sheet import EffectSheet, FrfChange, TimeChange
-from loopshape.errors import WrongUseError
+from loopshape.core.errors import WrongUseError
+from loopshape.data.effect import EffectForm, Free
+from loopshape.data.effect_sheet import EffectSheet, FrfChange, TimeChange
+from loopshape.view.effects import effects_page
+from loopshape.view.style import png
 
 F = np.geomspace(0.15, 15.0, 30)
 

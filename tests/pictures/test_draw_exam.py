@@ -7,7 +7,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from loopshape.draw.exam import (
+from loopshape.examiner.score import Marked, calibrated
+from loopshape.view.exam import (
     RIGHT,
     WRONG,
     confusion_figure,
@@ -17,8 +18,7 @@ from loopshape.draw.exam import (
     shrink_figure,
     shrinks,
 )
-from loopshape.draw.style import png
-from loopshape.examiner.score import Marked, calibrated
+from loopshape.view.style import png
 
 BARS = {"must": 0.8, "aim": 0.95}
 CONFUSION = {

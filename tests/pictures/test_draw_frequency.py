@@ -6,11 +6,11 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from loopshape.draw import frequency
-from loopshape.draw.curves import magnitude_band_db, unwrapped_deg
-from loopshape.draw.style import new_figure
-from loopshape.errors import WrongUseError
-from loopshape.units import angular, db, rad
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import angular, db, rad
+from loopshape.view import frequency
+from loopshape.view.curves import magnitude_band_db, unwrapped_deg
+from loopshape.view.style import new_figure
 
 MODEL_FREE = {"coherence": None, "input_power": None, "output_power": None, "cross_power": None}
 

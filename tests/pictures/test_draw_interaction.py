@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.controller import Block, Controller
-from loopshape.draw.interaction import coefficients, interaction_page, relative_gains
-from loopshape.draw.matrix import matrix_overview, matrix_page, settled
-from loopshape.draw.style import png
-from loopshape.estimate.interaction import interaction
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.controller import Block, Controller
+from loopshape.identify.interaction import interaction
+from loopshape.view.interaction import coefficients, interaction_page, relative_gains
+from loopshape.view.matrix import matrix_overview, matrix_page, settled
+from loopshape.view.style import png
 
 NAMES = ("theta1", "theta2")
 K = {name: Controller(name, (Block("gain", {"gain": 4.0}),), 1000.0) for name in NAMES}

@@ -8,14 +8,14 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 
-from loopshape.check.bands import band
-from loopshape.check.points import worst_of
-from loopshape.draw import loops as pictures
-from loopshape.draw.nichols import nichols
-from loopshape.draw.style import LIMIT
-from loopshape.errors import WrongUseError
-from loopshape.loop import Loop
-from loopshape.units import db
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import db
+from loopshape.data.loop import Loop
+from loopshape.loop.bands import band
+from loopshape.loop.points import worst_of
+from loopshape.view import loops as pictures
+from loopshape.view.nichols import nichols
+from loopshape.view.style import LIMIT
 
 
 def by_gid(ax: Axes, gid: str | None) -> list:

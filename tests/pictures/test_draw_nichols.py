@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.path import Path
 
-from loopshape.check.points import worst_of
-from loopshape.draw.contours import constant_s, constant_t, error_region, nichols_coordinates, turns
-from loopshape.draw.nichols import REGION_DB, chosen_lines, nichols
-from loopshape.draw.phase import loop_phase_deg
-from loopshape.draw.style import figure_of
-from loopshape.units import db, deg, from_db, rad
+from loopshape.core.units import db, deg, from_db, rad
+from loopshape.loop.points import worst_of
+from loopshape.view.contours import constant_s, constant_t, error_region, nichols_coordinates, turns
+from loopshape.view.nichols import REGION_DB, chosen_lines, nichols
+from loopshape.view.phase import loop_phase_deg
+from loopshape.view.style import figure_of
 
 
 def by_gid(ax: Axes, gid: str | None) -> list:

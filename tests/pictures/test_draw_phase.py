@@ -7,13 +7,13 @@ import numpy as np
 import picture_nouns as nouns
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.draw.curves import unwrapped_deg
-from loopshape.draw.phase import continuous_deg, controller_phase_deg, known_lines, loop_phase_deg, plant_phase_deg
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import deg
+from loopshape.core.units import deg
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.view.curves import unwrapped_deg
+from loopshape.view.phase import continuous_deg, controller_phase_deg, known_lines, loop_phase_deg, plant_phase_deg
 
 FLOOR = 0.02
 

@@ -9,12 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import known_loops as known
 
-from loopshape.draw.plan import plan_page
-from loopshape.draw.style import png
-from loopshape.estimate.plan import plan
-from loopshape.estimate.plan_nouns import Wish
-from loopshape.estimate.plan_record import first_record
-from loopshape.excitation import Multisine
+from loopshape.data.excitation import Multisine
+from loopshape.identify.plan import plan
+from loopshape.identify.plan_nouns import Wish
+from loopshape.identify.plan_record import first_record
+from loopshape.view.plan import plan_page
+from loopshape.view.style import png
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from loopshape.check.indicators import indicators
-from loopshape.check.prediction import compare, sensitivity_of
-from loopshape.controller import Block, Controller
-from loopshape.draw.prediction import comparison_grid, prediction_page, steps_grid
-from loopshape.draw.style import png
-from loopshape.errors import WrongUseError
-from loopshape.frf import FRF
-from loopshape.prediction import Prediction, Step, StepComparison
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.prediction import Prediction, Step, StepComparison
+from loopshape.loop.indicators import indicators
+from loopshape.loop.prediction import compare, sensitivity_of
+from loopshape.view.prediction import comparison_grid, prediction_page, steps_grid
+from loopshape.view.style import png
 
 GAIN = Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
 T = np.linspace(0.0, 2.0, 200)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.draw.schedule import costs, distinct, ordered, parameter, schedule_page
-from loopshape.draw.style import png
-from loopshape.tune.schedule import PointCost, Schedule
+from loopshape.data.controller import Block, Controller
+from loopshape.design.schedule import PointCost, Schedule
+from loopshape.view.schedule import costs, distinct, ordered, parameter, schedule_page
+from loopshape.view.style import png
 
 
 def controller(gain, f_hz):

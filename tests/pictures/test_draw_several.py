@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from several_cases import frf_of, gain
 
-from loopshape.check.several import check_several, loop_matrices
-from loopshape.draw.several import determinant, disk_margins, loci, several_page, singular_values, summary
-from loopshape.several import SeveralRequirements
-from loopshape.units import TWO_PI, db
+from loopshape.core.units import TWO_PI, db
+from loopshape.data.several import SeveralRequirements
+from loopshape.loop.several import check_several, loop_matrices
+from loopshape.view.several import determinant, disk_margins, loci, several_page, singular_values, summary
 
 F = np.geomspace(0.05, 50.0, 150)
 S = 1j * TWO_PI * F

@@ -8,10 +8,10 @@ import matplotlib as mpl
 import picture_nouns as nouns
 import pytest
 
-from loopshape.draw import frequency
-from loopshape.draw.key import key_of, varying
-from loopshape.draw.labels import decibel, number, numbers, product, quantity, ratio, superscripts, symbol, unit_of
-from loopshape.draw.style import png, shades
+from loopshape.view import frequency
+from loopshape.view.key import key_of, varying
+from loopshape.view.labels import decibel, number, numbers, product, quantity, ratio, superscripts, symbol, unit_of
+from loopshape.view.style import png, shades
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
@@ -29,7 +29,7 @@ def test_the_look_does_not_leak_into_the_callers_matplotlib() -> None:
 
 def test_no_picture_loads_pyplot() -> None:
     rooms = "equilibria, fits, frequency, loops, style, time, verdicts"
-    code = f"import sys; from loopshape.draw import {rooms}; print('matplotlib.pyplot' in sys.modules)"
+    code = f"import sys; from loopshape.view import {rooms}; print('matplotlib.pyplot' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

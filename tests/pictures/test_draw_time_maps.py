@@ -8,9 +8,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 
-from loopshape.draw import equilibria, fits, time
-from loopshape.errors import WrongUseError
-from loopshape.units import deg
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import deg
+from loopshape.view import equilibria, fits, time
 
 pytestmark = pytest.mark.short
 

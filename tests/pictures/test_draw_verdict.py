@@ -8,11 +8,11 @@ import picture_nouns as nouns
 import pytest
 from matplotlib.axes import Axes
 
-from loopshape.check.points import point_outcome
-from loopshape.draw import verdicts
-from loopshape.draw.outcomes import MARKS
-from loopshape.draw.style import figure_of
-from loopshape.requirements import Verdict
+from loopshape.data.requirements import Verdict
+from loopshape.loop.points import point_outcome
+from loopshape.view import verdicts
+from loopshape.view.outcomes import MARKS
+from loopshape.view.style import figure_of
 
 OUTCOMES = ("passed", "undecided", "failed")
 

@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from loopshape.draw.gap_chain import chain, in_order, shares
-from loopshape.draw.gap_distances import distances
-from loopshape.draw.gap_report import errors, gap_figure, hypotheses, plainest, stretch, window
-from loopshape.draw.style import png
-from loopshape.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
+from loopshape.data.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
+from loopshape.view.gap_chain import chain, in_order, shares
+from loopshape.view.gap_distances import distances
+from loopshape.view.gap_report import errors, gap_figure, hypotheses, plainest, stretch, window
+from loopshape.view.style import png
 
 BLOCKS = ("valve", "supply", "controller", "sensor", "joint", "muscle", "body", "line", "gas")
 PATHS = ("u -> p_a", "p -> theta2")

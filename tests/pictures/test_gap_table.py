@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from loopshape.draw.gap_table import gap_map
-from loopshape.draw.style import figure_of, new_figure, png
-from loopshape.errors import WrongUseError
-from loopshape.gap_table import GapRow, GapTable
+from loopshape.core.errors import WrongUseError
+from loopshape.data.gap_table import GapRow, GapTable
+from loopshape.view.gap_table import gap_map
+from loopshape.view.style import figure_of, new_figure, png
 
 BANDS = ((0.464, 1.0), (1.0, 2.15), (2.15, 4.64))
 ANGLES = (-15.0, 0.0, 15.0)

@@ -10,7 +10,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
 from algebra_nouns import any_frf
 
-from loopshape.algebra import (
+from loopshape.core.errors import WrongUseError
+from loopshape.data.algebra import (
     add,
     channels,
     controller_frf,
@@ -22,8 +23,7 @@ from loopshape.algebra import (
     regrid,
     upper_closure,
 )  # fmt: skip
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
 
 RNG = np.random.default_rng(1)
 A, B = any_frf(RNG, 2, 2), any_frf(RNG, 2, 2)

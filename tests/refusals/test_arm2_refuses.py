@@ -3,12 +3,12 @@
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment, point
 
-from loopshape import registry
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.plants.arm.arm2 import Arm2
-from loopshape.rigs.simulated import plan
-from loopshape.study import ExperimentTemplate, Study
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.model import registry
+from loopshape.model.arm.arm2 import Arm2
+from loopshape.rig.simulated import plan
 
 NAN = float("nan")
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
 
 NAN, INF = float("nan"), float("inf")
 

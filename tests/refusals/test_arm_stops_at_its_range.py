@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.plants.arm import closed_loop
+from loopshape.data.controller import Block, Controller
+from loopshape.model.arm import closed_loop
 
 #: limits that nothing reaches, to see what would have come
 FAR = {"range_angle_deg": 90.0, "range_low_bar": 0.0, "range_high_bar": 100.0}

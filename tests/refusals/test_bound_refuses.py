@@ -9,10 +9,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import frf_of, gain, limits, loop_of
 
-from loopshape.errors import WrongUseError
-from loopshape.model import TransferFunction
-from loopshape.tune.bound import bound, excluded
-from loopshape.tune.schedule import schedule
+from loopshape.core.errors import WrongUseError
+from loopshape.data.model import TransferFunction
+from loopshape.design.bound import bound, excluded
+from loopshape.design.schedule import schedule
 
 
 def test_a_plant_whose_integrators_are_not_known():

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.requirements import LIMITS, Requirements
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import LIMITS, Requirements
+from loopshape.loop.verdict import check
 
 WISHED = Requirements("axis", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
 

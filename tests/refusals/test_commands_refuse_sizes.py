@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.baseline import checked
-from loopshape.check.verdict import check
-from loopshape.check_files import LoopCheck, against
 from loopshape.cli.output import Output
 from loopshape.cli.report import report
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.frf import FRF
-from loopshape.requirements import Requirements
-from loopshape.store.verdicts import write_verdicts
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.io.check_files import LoopCheck, against
+from loopshape.io.verdicts import write_verdicts
+from loopshape.loop.baseline import checked
+from loopshape.loop.verdict import check
 
 OWN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 WISHED = Requirements("a", phase_margin_deg=10.0, integrators=1)

@@ -5,13 +5,13 @@ import re
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller, step
-from loopshape.errors import WrongUseError
-from loopshape.experiment import LoopSetup
-from loopshape.store.controller_export import export_controllers
-from loopshape.store.controllers import read_controllers
-from loopshape.store.run_tables import loop_table, read_loop
-from loopshape.store.words import Words
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller, step
+from loopshape.data.experiment import LoopSetup
+from loopshape.io.controller_export import export_controllers
+from loopshape.io.controllers import read_controllers
+from loopshape.io.run_tables import loop_table, read_loop
+from loopshape.io.words import Words
 
 GAIN = Block("gain", {"gain": 1.0})
 SLOW = Block("low_pass_1", {"f_hz": 0.001})

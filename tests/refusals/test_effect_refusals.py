@@ -8,11 +8,11 @@ import pytest
 from loopshape.cli.effects import draw_effects
 from loopshape.cli.measure import record
 from loopshape.cli.output import Output
-from loopshape.errors import WrongUseError
-from loopshape.plants.servo_axis.axis import ServoAxis
-from loopshape.rigs.effects import asked, catalogue, chosen, moves
-from loopshape.rigs.simulated import plan
-from loopshape.study import ExperimentTemplate, Study
+from loopshape.core.errors import WrongUseError
+from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.rig.effects import asked, catalogue, chosen, moves
+from loopshape.rig.simulated import plan
 
 POINT = {"theta2_deg": 0.0, "p_ab_bar": 1.0}
 

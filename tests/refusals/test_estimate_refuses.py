@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.estimate.frequency_response import estimate_frf, estimate_run
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf, estimate_run
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
 
 RATE, N = 100.0, 4000
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", Controller("axis", (Block("gain", {"gain": 0.5}),), RATE))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.errors import LoopshapeError, WrongUseError
-from loopshape.fit.fit import fit, fit_best, modes, structure_by_name
-from loopshape.fit.structures import Integrator, Rational, ThirdOrder
-from loopshape.frf import FRF
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.data.frf import FRF
+from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
+from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder
 
 
 def frf_of(nf=20, trusted=True, variance=1e-4, ny=1):

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.gap.nu_gap import nu_gap
-from loopshape.gap.table import compare
-from loopshape.gap.table_pairs import pair_recordings
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.diagnose.nu_gap import nu_gap
+from loopshape.diagnose.table import compare
+from loopshape.diagnose.table_pairs import pair_recordings
 
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
 INFO = RecordingInfo("one.parquet", "noise", "controller_input", excites="axis", operating_point={"y_rad": 0.0})

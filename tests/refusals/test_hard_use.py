@@ -12,28 +12,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.campaign import Campaign
-from loopshape.channel import Channel
-from loopshape.controller import Block, Controller
-from loopshape.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.experiment import Experiment, LoopSetup
-from loopshape.frf import FRF
-from loopshape.multisine import Multisine
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.rigs.many import carried_out
-from loopshape.run import Run
-from loopshape.store.campaigns import write_index
-from loopshape.store.csv_text import CsvShape, read_csv_table
-from loopshape.store.excitation_export import export_signals
-from loopshape.store.files import read_toml, write_toml
-from loopshape.store.frfs import write_frfs
-from loopshape.store.held import alone
-from loopshape.store.journal import FILE as JOURNAL
-from loopshape.store.replacing import replace_run
-from loopshape.store.run_folder import add_recording, finished, start_run
-from loopshape.store.study import read_study
-from loopshape.store.verify import verify
+from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
+from loopshape.data.campaign import Campaign
+from loopshape.data.channel import Channel
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment, LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.multisine import Multisine
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.campaigns import write_index
+from loopshape.io.csv_text import CsvShape, read_csv_table
+from loopshape.io.excitation_export import export_signals
+from loopshape.io.files import read_toml, write_toml
+from loopshape.io.frfs import write_frfs
+from loopshape.io.held import alone
+from loopshape.io.journal import FILE as JOURNAL
+from loopshape.io.replacing import replace_run
+from loopshape.io.run_folder import add_recording, finished, start_run
+from loopshape.io.study import read_study
+from loopshape.io.verify import verify
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.many import carried_out
 
 RATE = 100.0
 STUDY = """
@@ -280,7 +280,7 @@ def test_however_a_campaign_ends_no_process_is_left_and_nothing_finished_is_lost
 
 DEAF = """
 import signal
-from loopshape.rigs.processes import by_processes
+from loopshape.rig.processes import by_processes
 
 def deaf(job):
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])

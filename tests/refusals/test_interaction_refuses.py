@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.algebra.propagation import pick
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.estimate.equivalent_plant import equivalent_plant
-from loopshape.estimate.interaction import interaction
-from loopshape.estimate.relative_gain import relative_gain
+from loopshape.core.errors import WrongUseError
+from loopshape.data.algebra.propagation import pick
+from loopshape.data.controller import Block, Controller
+from loopshape.identify.equivalent_plant import equivalent_plant
+from loopshape.identify.interaction import interaction
+from loopshape.identify.relative_gain import relative_gain
 
 FRF22 = matrix_frf(coupled_by(-30.0), error=0.01)
 TALL = matrix_frf(np.ones((F.size, 3, 2)), outputs=("a_m", "b_m", "c_m"))

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.errors import UnreadableInputError, WrongUseError
-from loopshape.frf import FRF
-from loopshape.requirements import BlockTemplate, Requirements
-from loopshape.store.files import read_toml, write_text_whole
-from loopshape.store.frfs import read_frfs, write_frfs
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import BlockTemplate, Requirements
+from loopshape.io.files import read_toml, write_text_whole
+from loopshape.io.frfs import read_frfs, write_frfs
+from loopshape.loop.verdict import check
 
 
 def frf_of(**changes):

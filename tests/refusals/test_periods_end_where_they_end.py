@@ -2,11 +2,11 @@
 
 import pytest
 
-from loopshape.errors import WrongUseError
-from loopshape.excitation import Multisine
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.rigs.simulated import plan
-from loopshape.study import ExperimentTemplate, Study
+from loopshape.core.errors import WrongUseError
+from loopshape.data.excitation import Multisine
+from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.simulated import plan
 
 
 def study(ramp_s, tail_s):

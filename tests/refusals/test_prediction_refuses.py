@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.prediction import compare, plant_behind, predict, sensitivity_of
-from loopshape.check.remeasured import remeasure
 from loopshape.cli.measure import blocks_of
-from loopshape.controller import Block, Controller
-from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.estimate.sensitivity import estimate_sensitivity
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.prediction import INDICATORS, Indicators, Prediction, Step
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.predictions import read_predictions, write_predictions
+from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.prediction import INDICATORS, Indicators, Prediction, Step
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.io.predictions import read_predictions, write_predictions
+from loopshape.loop.prediction import compare, plant_behind, predict, sensitivity_of
+from loopshape.loop.remeasured import remeasure
 
 GAIN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 

@@ -20,29 +20,29 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from loopshape.controller import Block, Controller
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.model import Estimate, Fit, TransferFunction
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.rigs.effects import asked
-from loopshape.rigs.simulated import plan
-from loopshape.run import Run
-from loopshape.store.campaigns import read_campaign
-from loopshape.store.controllers import read_controllers, write_controllers
-from loopshape.store.csv_text import CsvShape
-from loopshape.store.files import read_toml, write_text_whole
-from loopshape.store.fits import read_fits, write_fits
-from loopshape.store.frfs import read_frfs, write_frfs
-from loopshape.store.import_file import import_file
-from loopshape.store.journal import FILE as JOURNAL
-from loopshape.store.journal import note, read_journal
-from loopshape.store.run_folder import add_recording, check_recordings, finished, read_run, start_run
-from loopshape.store.sources import Place, open_source
-from loopshape.store.study import read_study
-from loopshape.store.tables import TableColumns
-from loopshape.store.verify import verify
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.model import Estimate, Fit, TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.campaigns import read_campaign
+from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.files import read_toml, write_text_whole
+from loopshape.io.fits import read_fits, write_fits
+from loopshape.io.frfs import read_frfs, write_frfs
+from loopshape.io.import_file import import_file
+from loopshape.io.journal import FILE as JOURNAL
+from loopshape.io.journal import note, read_journal
+from loopshape.io.run_folder import add_recording, check_recordings, finished, read_run, start_run
+from loopshape.io.sources import Place, open_source
+from loopshape.io.study import read_study
+from loopshape.io.tables import TableColumns
+from loopshape.io.verify import verify
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.effects import asked
+from loopshape.rig.simulated import plan
 
 #: examples of each test, by what is broken; together some 6 000
 EXAMPLES = {
@@ -543,9 +543,9 @@ IN_A_CHILD = """
 import resource, sys, warnings
 from pathlib import Path
 import numpy as np
-from loopshape.errors import LoopshapeError
-from loopshape.store.csv_text import CsvShape
-from loopshape.store.sources import Place, open_source
+from loopshape.core.errors import LoopshapeError
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.sources import Place, open_source
 warnings.simplefilter("ignore")
 resource.setrlimit(resource.RLIMIT_AS, (MOST, MOST))
 whole, folder, tries, refused = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), int(sys.argv[3]), 0

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.experiment import Experiment
-from loopshape.plants.servo_axis.axis import ServoAxis
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.model.servo_axis.axis import ServoAxis
 
 
 def run_of(force, position, parameters=None, role="estimation"):

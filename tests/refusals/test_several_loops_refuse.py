@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from several_cases import RATE_HZ, frf_of, gain
 
-from loopshape.check.several import check_several
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.loop_matrix import LoopMatrix
-from loopshape.requirements import Requirements
-from loopshape.several import SeveralRequirements
-from loopshape.store.requirements import read_several
-from loopshape.units import TWO_PI
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.loop_matrix import LoopMatrix
+from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.io.requirements import read_several
+from loopshape.loop.several import check_several
 
 F = np.geomspace(0.01, 100.0, 100)
 G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (4.0 / (TWO_PI * 1j * F))[:, None, None]

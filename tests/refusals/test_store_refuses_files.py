@@ -6,11 +6,11 @@ import os
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import UnreadableInputError, WrongUseError
-from loopshape.frf import FRF
-from loopshape.store.controllers import read_controllers, write_controllers
-from loopshape.store.files import (
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.io.files import (
     plain_name,
     read_json,
     read_toml,
@@ -19,10 +19,10 @@ from loopshape.store.files import (
     write_toml,
     write_whole,
 )
-from loopshape.store.fits import read_fits, write_fits
-from loopshape.store.frfs import read_frfs, write_frfs
-from loopshape.store.requirements import read_requirements
-from loopshape.store.study import read_study
+from loopshape.io.fits import read_fits, write_fits
+from loopshape.io.frfs import read_frfs, write_frfs
+from loopshape.io.requirements import read_requirements
+from loopshape.io.study import read_study
 
 
 def refused(read, path, text, *words, error=WrongUseError):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from loopshape.errors import BadSignalError, LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.store.import_file import import_file
+from loopshape.core.errors import BadSignalError, LoopshapeError, UnreadableInputError, WrongUseError
+from loopshape.io.import_file import import_file
 
 MAP = """
 format = "loopshape-map/1"

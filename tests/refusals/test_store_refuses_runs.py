@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.store.run_folder import add_recording, check_recordings, read_run, start_run, write_run
-from loopshape.store.tables import TableColumns, check_rate, write_table
+from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.run_folder import add_recording, check_recordings, read_run, start_run, write_run
+from loopshape.io.tables import TableColumns, check_rate, write_table
 
 HEAD = 'format = "loopshape-run/1"\nrate_hz = 100.0\n'
 LOOP = '[[loop]]\nname = "x"\ncontrol = "z_v"\noutput = "x_m"\n'

@@ -5,13 +5,13 @@ from math import inf, radians
 import numpy as np
 import pytest
 
-from loopshape.errors import RigError, WrongUseError
-from loopshape.rigs.described import DescribedRig
-from loopshape.rigs.intake import Intake
-from loopshape.rigs.link import open_link
-from loopshape.rigs.messages import Identity, Samples
-from loopshape.rigs.target import configuration
-from loopshape.store.study import read_study
+from loopshape.core.errors import RigError, WrongUseError
+from loopshape.io.study import read_study
+from loopshape.rig.described import DescribedRig
+from loopshape.rig.intake import Intake
+from loopshape.rig.link import open_link
+from loopshape.rig.messages import Identity, Samples
+from loopshape.rig.target import configuration
 
 STUDY = """
 format = "loopshape-study/1"

@@ -5,9 +5,9 @@ import json
 import pytest
 from verdict_cases import checked, line, margins
 
-from loopshape.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.store.files import read_json
-from loopshape.store.verdicts import read_verdicts, write_verdicts
+from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
+from loopshape.io.files import read_json
+from loopshape.io.verdicts import read_verdicts, write_verdicts
 
 
 @pytest.fixture

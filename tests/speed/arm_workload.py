@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.experiment import Experiment
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.equilibrium import rest
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.data.experiment import Experiment
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.equilibrium import rest
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
 
 SECONDS = 100.0
 

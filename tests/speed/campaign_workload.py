@@ -48,10 +48,10 @@ def per_recording(workers: int) -> float:
 
 def simulation_alone() -> float:
     """Processor time of making such a recording in memory: signals, simulation, columns."""
-    from loopshape import registry
-    from loopshape.rigs.many import Job, done
-    from loopshape.rigs.simulated import listed
-    from loopshape.store.study import read_study
+    from loopshape.io.study import read_study
+    from loopshape.model import registry
+    from loopshape.rig.many import Job, done
+    from loopshape.rig.simulated import listed
 
     with tempfile.TemporaryDirectory() as name:
         (Path(name) / "study.toml").write_text(STUDY)

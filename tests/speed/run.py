@@ -78,10 +78,10 @@ def c_arm(folder: Path) -> Callable[[], object]:
 
 def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     """Our kernel on the same workload, one call, no Python inside; with parameters moved."""
-    from loopshape.kernels.noise import start_state
-    from loopshape.plants.arm import closed_loop as kernel
-    from loopshape.plants.arm import memory
-    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
+    from loopshape.core.kernels.noise import start_state
+    from loopshape.model.arm import closed_loop as kernel
+    from loopshape.model.arm import memory
+    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
 
     vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0} | (moves or {}))
     c, sensors = constants(vector), sensor_constants(vector)
@@ -134,10 +134,10 @@ def our_arm2() -> Callable[[], object]:
     """Our kernel of two joints on the same workload, one call, no Python inside."""
     import arm2_workload as work
 
-    from loopshape.kernels.noise import start_state
-    from loopshape.plants.arm import closed_loop2 as kernel
-    from loopshape.plants.arm.closed_loop import COMPLETE, CONTROLLER_INPUT
-    from loopshape.plants.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
+    from loopshape.core.kernels.noise import start_state
+    from loopshape.model.arm import closed_loop2 as kernel
+    from loopshape.model.arm.closed_loop import COMPLETE, CONTROLLER_INPUT
+    from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
 
     vector = ARM2_PARAMETERS.vector()
     c, sensors = constants2(vector), sensor_constants2(vector)
@@ -159,7 +159,7 @@ def our_arm2() -> Callable[[], object]:
 
 def batch(threads: int) -> Callable[[], object]:
     """Eight arms through the plant, recordings and all."""
-    from loopshape.plants.arm.arm1 import Arm1
+    from loopshape.model.arm.arm1 import Arm1
 
     plant, todo = Arm1(), experiments(8)
     return lambda: plant.simulate(todo, threads=threads)
@@ -167,10 +167,10 @@ def batch(threads: int) -> Callable[[], object]:
 
 def solve_ivp_arm(seconds: float) -> Callable[[], object]:
     """scipy's solve_ivp (RK45, rtol 1e-6) on the same closed loop, noise off, restarted at each tick and edge."""
-    from loopshape.kernels import biquads as cascade
-    from loopshape.kernels.pwm import pulse_s
-    from loopshape.plants.arm.model import derivatives
-    from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.core.kernels import biquads as cascade
+    from loopshape.core.kernels.pwm import pulse_s
+    from loopshape.model.arm.model import derivatives
+    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
     c, r, sections = constants(ARM1_PARAMETERS.vector()), references(seconds), biquads()
 
@@ -201,7 +201,7 @@ def first_call(cached: bool) -> float:
     """Seconds from starting Python to the end of a first short simulation, with a filled or an empty cache."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from arm_workload import experiments;"
-        "from loopshape.plants.arm.arm1 import Arm1; Arm1().simulate(experiments(1, 1.0))"
+        "from loopshape.model.arm.arm1 import Arm1; Arm1().simulate(experiments(1, 1.0))"
     )
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | ({} if cached else {"NUMBA_CACHE_DIR": folder})
@@ -219,7 +219,7 @@ def tuning() -> None:
     from tune_peers import annealing, evolution, lqg, rule_of_thumb
     from tune_workload import frfs, requirements
 
-    from loopshape.tune.tune import tune
+    from loopshape.design.tune import tune
 
     plants, wished = frfs(500), requirements()
     tune(plants[:2], wished, starts=2, draws=4)  # compiles

@@ -15,14 +15,14 @@ import numpy as np
 from scipy.optimize import differential_evolution, dual_annealing
 from tune_workload import frfs, requirements
 
-from loopshape.check.stability import count_unstable
-from loopshape.check.verdict import loops_of
-from loopshape.controller import Block, Controller
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.tune.measures import measure
-from loopshape.tune.problem import Problem, problem
-from loopshape.units import angular, db, deg
+from loopshape.core.units import angular, db, deg
+from loopshape.data.controller import Block, Controller
+from loopshape.design.measures import measure
+from loopshape.design.problem import Problem, problem
+from loopshape.loop.stability import count_unstable
+from loopshape.loop.verdict import loops_of
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
 PENALTY = 20.0
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.frf import FRF
-from loopshape.plants.arm.linear import linearise
-from loopshape.plants.arm.operating_points import EQUILIBRIA
-from loopshape.plants.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.requirements import Requirements
-from loopshape.units import angular
+from loopshape.core.units import angular
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.model.arm.linear import linearise
+from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 
 
 def frfs(lines: int) -> list[FRF]:

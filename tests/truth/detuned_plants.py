@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.requirements import BlockTemplate, Requirements
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import BlockTemplate, Requirements
 
 RATE_HZ = 20000.0
 TWO_PI = 2.0 * np.pi

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from loopshape.controller import Block, Controller
-from loopshape.estimate.smoothing import smoothed
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.identify.smoothing import smoothed
 
 RATE = 1e5
 LINES = 0.1 * np.arange(1, 601)

@@ -1,17 +1,17 @@
 """Linear loops whose discrete plant is known, run exactly as difference equations; for the estimators' tests.
 
-Signals and signs as drawn in `loopshape.loop`: n enters at the controller's input or at the plant's input, v is
+Signals and signs as drawn in `loopshape.data.loop`: n enters at the controller's input or at the plant's input, v is
 noise on the sensor. Everything may be (records, n): the last axis is time.
 """
 
 import numpy as np
 from scipy.signal import freqz, lfilter
 
-from loopshape.controller import Block, Controller
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.frequency_response import estimate_frf
 
 RATE = 100.0
 # a resonance at 8 Hz that rings for 0.1 s, a slow pole, a delay of one sample: short against every segment used

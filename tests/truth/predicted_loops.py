@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.algebra import feedback
-from loopshape.controller import Block, Controller
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.prediction import Prediction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.algebra import feedback
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.prediction import Prediction
+from loopshape.data.recording import Recording, RecordingInfo
 
 RATE_HZ = 1000.0
 OLD = Controller("a", (Block("gain", {"gain": 0.5}),), RATE_HZ)

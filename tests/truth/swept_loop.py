@@ -7,10 +7,10 @@ import numpy as np
 from scipy.signal import cont2discrete, csd, freqz, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.recording import Recording, RecordingInfo
 
 LOW, HIGH = 0.5, 80.0
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)

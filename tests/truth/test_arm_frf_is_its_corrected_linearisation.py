@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.plants.arm.expected import command_amplitude, expected_angle_response
-from loopshape.plants.arm.linear import linearise
-from loopshape.rigs.simulated import experiment, header, plan
-from loopshape.store.study import read_study
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.study import read_study
+from loopshape.model.arm.expected import command_amplitude, expected_angle_response
+from loopshape.model.arm.linear import linearise
+from loopshape.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm_against_linearisation" / "slow_pressure.toml"
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loopshape.kernels.noise import fill_normal, start_state
+from loopshape.core.kernels.noise import fill_normal, start_state
 
 N = 200_000
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from loopshape.check.baseline import checked, compare
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.loop.baseline import checked, compare
+from loopshape.loop.verdict import check
 
 F = np.arange(0.2, 40.01, 0.2)
 W = TWO_PI * 6.3

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.check.baseline import bridge, compare, data_mark, same_controller
-from loopshape.check_files import Baseline
-from loopshape.frf import FRF
-from loopshape.requirements import LIMITS
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import LIMITS
+from loopshape.io.check_files import Baseline
+from loopshape.loop.baseline import bridge, compare, data_mark, same_controller
 
 HALF = 2.0
 

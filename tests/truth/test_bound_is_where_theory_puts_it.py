@@ -9,11 +9,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import limits, loop_of
 
-from loopshape.model import TransferFunction
-from loopshape.tune.bound import excluded
-from loopshape.tune.bound_nodes import weights
-from loopshape.tune.bound_reach import reach
-from loopshape.units import TWO_PI, db
+from loopshape.core.units import TWO_PI, db
+from loopshape.data.model import TransferFunction
+from loopshape.design.bound import excluded
+from loopshape.design.bound_nodes import weights
+from loopshape.design.bound_reach import reach
 
 
 @pytest.mark.parametrize("peak", [1.5, 2.0, 3.0])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of
 
-from loopshape.check.doubt import chance_of_error, reach_of
-from loopshape.check.obstacles import WRONG
-from loopshape.check.stability import closed_loop_stability
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.loop.doubt import chance_of_error, reach_of
+from loopshape.loop.obstacles import WRONG
+from loopshape.loop.stability import closed_loop_stability
 
 STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, frf_of, limit_gain, loop_of
 
-from loopshape.check.stability import closed_loop_stability
-from loopshape.loop import Loop
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.loop import Loop
+from loopshape.loop.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, with_mode
 
-from loopshape.check.between import path_of
-from loopshape.check.obstacles import sampling
-from loopshape.check.sampling import hidden_poles, roughness
-from loopshape.check.stability import closed_loop_stability, count_unstable
-from loopshape.controller import Block
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block
+from loopshape.data.model import TransferFunction
+from loopshape.loop.between import path_of
+from loopshape.loop.obstacles import sampling
+from loopshape.loop.sampling import hidden_poles, roughness
+from loopshape.loop.stability import closed_loop_stability, count_unstable
 
 PLANT = PLANTS["one integrator"]
 GAP = 0.1

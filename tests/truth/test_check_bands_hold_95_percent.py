@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from loopshape.check.bands import PLACES, band, circular_places
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.estimate.smoothing import smoothed
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.units import TWO_PI, ComplexArray, db, deg
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI, ComplexArray, db, deg
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.identify.smoothing import smoothed
+from loopshape.loop.bands import PLACES, band, circular_places
 
 RATE, RUNS = 1000.0, 400
 F = np.geomspace(0.2, 40.0, 60)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI, from_db, rad
+from loopshape.core.units import TWO_PI, from_db, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.loop.margins import margins
 
 RATE = 1000.0
 F = np.geomspace(0.02, 400.0, 6000)

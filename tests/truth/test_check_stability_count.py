@@ -8,12 +8,12 @@ integrators, 0 or 1 unstable pole, resonances, real poles, zeros on either side,
 import numpy as np
 import pytest
 
-from loopshape.check.stability import closed_loop_stability
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.units import TWO_PI, from_db
+from loopshape.core.units import TWO_PI, from_db
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.loop.stability import closed_loop_stability
 
 
 def under_gain(gain):

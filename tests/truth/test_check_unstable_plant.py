@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check, loops_of
-from loopshape.controller import Block, Controller
-from loopshape.estimate.equivalent_plant import equivalent_plant
-from loopshape.estimate.quality import stayed_bounded
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.requirements import Requirements
+from loopshape.identify.equivalent_plant import equivalent_plant
+from loopshape.identify.quality import stayed_bounded
+from loopshape.loop.verdict import check, loops_of
 
 RATE = 20_000.0
 W = TWO_PI * 10.0

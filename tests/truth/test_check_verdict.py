@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.check.verdict import check, loops_of
-from loopshape.controller import Block, Controller
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.experiment import LoopSetup
-from loopshape.fit.fit import fit
-from loopshape.fit.structures import ThirdOrder
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI, db
+from loopshape.core.units import TWO_PI, db
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.requirements import Requirements
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import ThirdOrder
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.loop.margins import margins
+from loopshape.loop.verdict import check, loops_of
 
 RATE = 1000.0
 F = np.geomspace(0.1, 100.0, 1500)

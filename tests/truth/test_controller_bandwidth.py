@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.controller_bandwidth import controller_bandwidth_hz
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.tune.tune import tune
+from loopshape.data.controller import Block, Controller
+from loopshape.design.tune import tune
+from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
+from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, servos, wished

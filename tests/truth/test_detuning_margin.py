@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from detuned_plants import TWO_MODES, Mode, closed, controller_with, frf_of, polynomials, true_reach
 
-from loopshape.check.verdict import check
-from loopshape.check.words import verdict_text
-from loopshape.detuning import STABILITY
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.resonances import Phase, resonances
-from loopshape.fit.fit import fit
-from loopshape.fit.structures import Rational
-from loopshape.requirements import Requirements
-from loopshape.store.controllers import read_controllers
-from loopshape.store.import_file import import_file
-from loopshape.store.requirements import read_requirements
+from loopshape.data.detuning import STABILITY
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict_words import verdict_text
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import Rational
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.resonances import Phase, resonances
+from loopshape.io.controllers import read_controllers
+from loopshape.io.import_file import import_file
+from loopshape.io.requirements import read_requirements
+from loopshape.loop.verdict import check
 
 BENCH = Path(__file__).resolve().parents[2] / "examples" / "motor_bench"
 LINES = np.unique(np.round(np.concatenate([np.arange(2.0, 200.0, 0.25), np.geomspace(200.0, 900.0, 80)]), 4))

@@ -7,13 +7,13 @@ import known_loops as known
 import numpy as np
 import pytest
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.distortion import distortion
-from loopshape.excitation import Multisine
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.store.mat5 import read_mat5
-from loopshape.units import db
+from loopshape.core.errors import BadSignalError
+from loopshape.core.units import db
+from loopshape.data.excitation import Multisine
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.distortion import distortion
+from loopshape.io.mat5 import read_mat5
 
 RATE_HZ, PERIOD_S, N = 100.0, 4.0, 400
 #: odd lines 1 to 79 times 0.25 Hz without every fourth

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import freqz, lfilter
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.coherence import coherence_bias, coherences
-from loopshape.kernels.spectra import hann, segment_spectra
+from loopshape.core.errors import BadSignalError
+from loopshape.core.kernels.spectra import hann, segment_spectra
+from loopshape.identify.coherence import coherence_bias, coherences
 
 
 def unrelated(inputs, averages, records, seed):

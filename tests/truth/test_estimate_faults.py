@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.faults import saturated, spikes, stuck
-from loopshape.estimate.quality import faults
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.store.import_file import import_file
-from loopshape.store.run_folder import check_recordings
+from loopshape.core.errors import BadSignalError
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.faults import saturated, spikes, stuck
+from loopshape.identify.quality import faults
+from loopshape.io.import_file import import_file
+from loopshape.io.run_folder import check_recordings
 
 RATE = 1000.0
 N = 20_000

@@ -8,10 +8,10 @@ import pytest
 from known_loops import CONTROLLER, LOOP, RATE, estimates, plant, record, run_loop
 from scipy.signal import lfilter
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.recording import Recording
-from loopshape.units import db
+from loopshape.core.units import db
+from loopshape.data.recording import Recording
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 
 BIASED = "direct estimator in closed loop: biased towards -1/C where noise outweighs the excitation"
 LENGTHS_S = (60, 240, 960)

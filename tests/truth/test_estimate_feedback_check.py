@@ -5,10 +5,10 @@ import pytest
 from known_loops import RATE, A, B, record, run_loop
 from scipy.signal import firwin, lfilter
 
-from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.estimate.feedback_check import feedback_check, repeats
-from loopshape.estimate.quality import loop_feedback, open_loop_note
-from loopshape.experiment import LoopSetup
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.data.experiment import LoopSetup
+from loopshape.identify.feedback_check import feedback_check, repeats
+from loopshape.identify.quality import loop_feedback, open_loop_note
 
 N = 2000
 LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", None)

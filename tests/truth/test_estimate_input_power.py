@@ -5,9 +5,9 @@ import pytest
 from scipy.io import loadmat
 from scipy.signal import firwin, lfilter
 
-from loopshape.errors import WrongUseError
-from loopshape.estimate.input_power import _leaked, own_power, powered, unfed_bands
-from loopshape.kernels.spectra import hann, segment_spectra
+from loopshape.core.errors import WrongUseError
+from loopshape.core.kernels.spectra import hann, segment_spectra
+from loopshape.identify.input_power import _leaked, own_power, powered, unfed_bands
 
 
 def cross_powers(signals, length):

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import Multisine
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.units import TWO_PI
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.excitation import Multisine
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
 
 RATE, PLACES = 100.0, ("controller_input", "plant_input")
 # x+ = A x + B u, y = C x: four states, each output feels both inputs; rings for 0.1 s

@@ -13,9 +13,9 @@ import pytest
 from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
 from scipy.signal import freqz, lfilter
 
-from loopshape.estimate.averages import POOLED
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import BandNoise, Multisine, Sweep
+from loopshape.data.excitation import BandNoise, Multisine, Sweep
+from loopshape.identify.averages import POOLED
+from loopshape.identify.settings import Settings
 
 RECORDS = 200
 SWEEPS = 60  # these take a hundred times as long to estimate

@@ -12,7 +12,8 @@ import pytest
 from scipy.signal import lfilter
 
 import loopshape.examiner.exam as exam
-from loopshape.errors import WrongUseError
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import deg, rad
 from loopshape.examiner import (
     BLOCKS,
     EFFECTS,
@@ -31,7 +32,6 @@ from loopshape.examiner.forms import FORMS, build, typical_load_n
 from loopshape.examiner.motion import rates
 from loopshape.examiner.record import at_rest, record
 from loopshape.examiner.session import ANGLE, PRESSURE, Plan, plans
-from loopshape.units import deg, rad
 
 SHARED = Path(os.environ.get("LOOPSHAPE_DATA", Path(__file__).parents[3] / "shared"))
 REFERENCE = SHARED / "reference"
@@ -260,7 +260,7 @@ def test_refuses_what_it_does_not_have():
 
 def test_knows_no_plant():
     folder = Path(exam.__file__).parent
-    for word in ("loopshape.plants", "loopshape.gap", "loopshape.rigs", "loopshape.registry"):
+    for word in ("loopshape.model", "loopshape.diagnose", "loopshape.rig", "loopshape.model.registry"):
         assert not [f.name for f in folder.glob("*.py") if word in f.read_text(encoding="utf-8")]
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from loopshape.errors import WrongUseError
-from loopshape.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep, samples
+from loopshape.core.errors import WrongUseError
+from loopshape.data.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep, samples
 
 NAN, INF = float("nan"), float("inf")
 BANDED = {

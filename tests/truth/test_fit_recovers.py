@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.experiment import LoopSetup
-from loopshape.fit.fit import fit, fit_best, modes, structure_by_name
-from loopshape.fit.least_squares import Data, residual_tests, runs_test
-from loopshape.fit.linear_start import levy
-from loopshape.fit.structures import Integrator, Rational, ThirdOrder
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
+from loopshape.identify.fit.least_squares import Data, residual_tests, runs_test
+from loopshape.identify.fit.linear_start import levy
+from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder
+from loopshape.identify.frequency_response import estimate_frf
 
 F = np.geomspace(0.3, 15.0, 80)
 W = TWO_PI * 6.3

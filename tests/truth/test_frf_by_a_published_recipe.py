@@ -12,12 +12,12 @@ from scipy import signal
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.errors import WrongUseError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import WINDOWS, Settings
-from loopshape.run import Run
-from loopshape.store.frfs import read_frfs
-from loopshape.store.run_folder import write_run
+from loopshape.core.errors import WrongUseError
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import WINDOWS, Settings
+from loopshape.io.frfs import read_frfs
+from loopshape.io.run_folder import write_run
 
 N = 4000
 

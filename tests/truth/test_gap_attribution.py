@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from loopshape.diagnose import attribute, decide, fitting, shrink
+from loopshape.diagnose.diagnose import attribute_effect
+from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.hypothesis import Hypothesis
 from loopshape.examiner import make_run
-from loopshape.gap import attribute, decide, fitting, shrink
-from loopshape.gap.diagnose import attribute_effect
-from loopshape.gap.evidence import Evidence
-from loopshape.gap.hypothesis import Hypothesis
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.plants.arm.effects import FORMS
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.model.arm.effects import FORMS
 
 CATALOGUE = ("payload", "gas_law", "joint_friction", "valve_delay", "angle_sensor_lag")
 

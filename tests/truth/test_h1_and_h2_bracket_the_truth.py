@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from loopshape.errors import WrongUseError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.h1_h2 import h1_h2
-from loopshape.estimate.settings import Settings
-from loopshape.excitation import BandNoise
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
+from loopshape.core.errors import WrongUseError
+from loopshape.data.excitation import BandNoise
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.h1_h2 import h1_h2
+from loopshape.identify.settings import Settings
 
 RATE, K = 200.0, 3.0
 LOOP = LoopSetup("spring", None, None, "stretch_m", "pull_n", None)

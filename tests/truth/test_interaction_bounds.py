@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
-from loopshape.algebra import channels
-from loopshape.controller import Block, Controller
-from loopshape.estimate.equivalent_plant import equivalent_plant
-from loopshape.estimate.interaction import interaction_coefficient
-from loopshape.estimate.magnitude_bounds import magnitude_bounds, product_bounds
-from loopshape.estimate.relative_gain import relative_gain
+from loopshape.data.algebra import channels
+from loopshape.data.controller import Block, Controller
+from loopshape.identify.equivalent_plant import equivalent_plant
+from loopshape.identify.interaction import interaction_coefficient
+from loopshape.identify.magnitude_bounds import magnitude_bounds, product_bounds
+from loopshape.identify.relative_gain import relative_gain
 
 DRAWS = 4000
 NAMES = ("theta1", "theta2")

@@ -8,15 +8,15 @@ import test_estimate_matrix as two
 from scipy.signal import cont2discrete, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.local_fits import Window, fit_lines, predicted
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.estimate.settings import Settings
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
-from loopshape.units import TWO_PI
+from loopshape.core.errors import BadSignalError
+from loopshape.core.units import TWO_PI
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.local_fits import Window, fit_lines, predicted
+from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.settings import Settings
 
 RATE, LOCAL = known.RATE, Settings(method="local")
 OPEN = LoopSetup("axis", None, None, "z_v", "y_rad", None)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.margins import margins
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.estimate.smoothing import smoothed
-from loopshape.frf import FRF
-from loopshape.loop import Loop
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.identify.smoothing import smoothed
+from loopshape.loop.margins import margins
+from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 400)

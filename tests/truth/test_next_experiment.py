@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.excitation import Multisine, Staircase
-from loopshape.experiment import LoopSetup
-from loopshape.gap import next_experiment as nxt
-from loopshape.gap.probing import habits
-from loopshape.plants.arm.arm1 import Arm1
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.rigs.simulated import experiment as rig_experiment
-from loopshape.rigs.simulated import header, measure, plan
-from loopshape.run import Run
-from loopshape.study import ExperimentTemplate, Study
+from loopshape.data.excitation import Multisine, Staircase
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.diagnose import next_experiment as nxt
+from loopshape.diagnose.probing import habits
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.simulated import experiment as rig_experiment
+from loopshape.rig.simulated import header, measure, plan
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 20.0, "p_ab_bar": 1.4})
 FRICTION = {"coulomb_nm": 0.1, "coulomb_rad_s": 0.03}

@@ -6,13 +6,13 @@ import control
 import numpy as np
 import pytest
 
-from loopshape.check.several_margins import several_margins
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.loop_matrix import LoopMatrix
-from loopshape.requirements import Requirements
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop_matrix import LoopMatrix
+from loopshape.data.requirements import Requirements
+from loopshape.loop.several_margins import several_margins
+from loopshape.loop.verdict import check
 
 RATE = 20_000.0
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.gap.nu_gap import kappa, nu_gap, order_of, shaped
-from loopshape.units import TWO_PI, angular, rad
+from loopshape.core.units import TWO_PI, angular, rad
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.diagnose.nu_gap import kappa, nu_gap, order_of, shaped
 
 F_HZ = np.geomspace(1e-4, 1e3, 3000)
 

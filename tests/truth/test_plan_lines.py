@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from loopshape.errors import WrongUseError
-from loopshape.estimate.plan_lines import (
+from loopshape.core.errors import WrongUseError
+from loopshape.data.excitation import Multisine
+from loopshape.identify.plan_lines import (
     chosen_lines,
     crossovers_hz,
     levels_of,
@@ -12,7 +13,6 @@ from loopshape.estimate.plan_lines import (
     round_period_s,
     with_line_near,
 )
-from loopshape.excitation import Multisine
 
 
 @pytest.mark.parametrize("damping", [0.005, 0.02, 0.1])

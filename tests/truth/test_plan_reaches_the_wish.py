@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from loopshape.estimate.frequency_response import estimate_frf, estimate_realisations
-from loopshape.estimate.plan import plan
-from loopshape.estimate.plan_nouns import Wish
-from loopshape.estimate.plan_record import first_record
-from loopshape.excitation import BandNoise, Multisine, Sweep
-from loopshape.excitation_sets import realised
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.excitation import BandNoise, Multisine, Sweep
+from loopshape.data.excitation_sets import realised
+from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
+from loopshape.identify.plan import plan
+from loopshape.identify.plan_nouns import Wish
+from loopshape.identify.plan_record import first_record
 
 AT_HZ, STD, REPEATS = 6.0, 0.01, 60
 FIRSTS = {

@@ -5,14 +5,14 @@ import pytest
 from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
 from scipy.stats import binom
 
-from loopshape.algebra import regrid
-from loopshape.check.agreement import combined
-from loopshape.check.prediction import compare, plant_behind, sensitivity_of
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.sensitivity import estimate_sensitivity
-from loopshape.experiment import LoopSetup
-from loopshape.frf import FRF
-from loopshape.prediction import Comparison
+from loopshape.data.algebra import regrid
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF
+from loopshape.data.prediction import Comparison
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.loop.agreement import combined
+from loopshape.loop.prediction import compare, plant_behind, sensitivity_of
 
 LINES = 0.1 * np.arange(1, 151)
 #: line overlap, averages behind each variance (0: it is known), lines that a variance is pooled over

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from loopshape.errors import BadSignalError, WrongUseError
-from loopshape.estimate.frequency_response import estimate_frf, estimate_realisations
-from loopshape.estimate.matrix import estimate_matrix
-from loopshape.excitation import Multisine
-from loopshape.excitation_sets import orthogonal
-from loopshape.experiment import LoopSetup
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.run import Run
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.data.excitation import Multisine
+from loopshape.data.excitation_sets import orthogonal
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
+from loopshape.identify.matrix import estimate_matrix
 
 RATE, PERIOD, N = 100.0, 4.0, 400
 LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", None)

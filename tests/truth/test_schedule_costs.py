@@ -9,12 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import frf_of, gain
 
-from loopshape.errors import WrongUseError
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.tune.bound import bound
-from loopshape.tune.schedule import schedule
-from loopshape.tune.tune import tune
+from loopshape.core.errors import WrongUseError
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.design.bound import bound
+from loopshape.design.schedule import schedule
+from loopshape.design.tune import tune
 
 DELAY = 0.02
 GAINS = (1.0, 4.0)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.excitation import Multisine
-from loopshape.experiment import Experiment
-from loopshape.gap import attribute
-from loopshape.gap.evidence import Evidence
-from loopshape.gap.hypothesis import candidates
-from loopshape.plants.servo_axis.axis import ServoAxis
-from loopshape.run import Run
+from loopshape.data.excitation import Multisine
+from loopshape.data.experiment import Experiment
+from loopshape.data.run import Run
+from loopshape.diagnose import attribute
+from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.hypothesis import candidates
+from loopshape.model.servo_axis.axis import ServoAxis
 
 RATE_HZ, SECONDS = 1000.0, 7
 GIVEN = {"mass_kg": 100.0, "viscous_ns_m": 200.0}

@@ -16,10 +16,10 @@ from several_cases import (
     response_of,
 )
 
-from loopshape.check.determinant import closed_loops_stability, count_from_held
-from loopshape.check.obstacles import Obstacle
-from loopshape.loop_matrix import LoopMatrix
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.loop_matrix import LoopMatrix
+from loopshape.loop.determinant import closed_loops_stability, count_from_held
+from loopshape.loop.obstacles import Obstacle
 
 
 def random_case(rng, n, low, high, lines=600):

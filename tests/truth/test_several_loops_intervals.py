@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from several_cases import frf_of, gain, loops, noisy
 
-from loopshape.algebra.closed_loop import controller_frf, feedback
-from loopshape.check.determinant import determinant_variance
-from loopshape.check.several_margins import several_margins
-from loopshape.estimate.smoothing_matrix import smoothed_matrix
-from loopshape.loop_matrix import LoopMatrix
-from loopshape.units import TWO_PI
+from loopshape.core.units import TWO_PI
+from loopshape.data.algebra.closed_loop import controller_frf, feedback
+from loopshape.data.loop_matrix import LoopMatrix
+from loopshape.identify.smoothing_matrix import smoothed_matrix
+from loopshape.loop.determinant import determinant_variance
+from loopshape.loop.several_margins import several_margins
 
 F = np.arange(0.1, 12.0, 0.1)
 S = 1j * TWO_PI * F

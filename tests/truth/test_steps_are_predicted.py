@@ -5,17 +5,17 @@ import pytest
 from predicted_loops import NEW, OLD, RATE_HZ, arm, measured
 from scipy.signal import cont2discrete, lfilter, sosfilt
 
-from loopshape.check.indicators import indicators, recorded_steps, tracking
-from loopshape.check.prediction import predict
-from loopshape.check.step_response import closed_loop, predict_step, step_from_lines
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.experiment import LoopSetup
-from loopshape.fit.fit import fit
-from loopshape.fit.structures import Integrator, ThirdOrder
-from loopshape.model import Estimate, Fit, TransferFunction
-from loopshape.recording import Recording, RecordingInfo
-from loopshape.units import TWO_PI, Array, ComplexArray
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.model import Estimate, Fit, TransferFunction
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import Integrator, ThirdOrder
+from loopshape.loop.indicators import indicators, recorded_steps, tracking
+from loopshape.loop.prediction import predict
+from loopshape.loop.step_response import closed_loop, predict_step, step_from_lines
 
 GAIN = Controller("a", (Block("gain", {"gain": 2.0}),), RATE_HZ)
 

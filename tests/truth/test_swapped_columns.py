@@ -7,11 +7,11 @@ import pytest
 from known_loops import LOOP, RATE, record, run_loop
 from scipy.signal import cont2discrete, lfilter
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.recording import Recording
-from loopshape.units import TWO_PI
+from loopshape.core.errors import BadSignalError
+from loopshape.core.units import TWO_PI
+from loopshape.data.recording import Recording
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
 
 N = 12_000
 UNKNOWN = replace(LOOP, controller=None)

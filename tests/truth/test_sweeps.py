@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from swept_loop import HIGH, LOOP, LOW, measured, median_error, peer_errors, plant, share_inside, sweep
 
-from loopshape.errors import BadSignalError
-from loopshape.estimate.frequency_response import estimate_frf
-from loopshape.estimate.settings import Settings
-from loopshape.estimate.sweeps import swept_band
-from loopshape.recording import Recording
-from loopshape.units import TWO_PI
+from loopshape.core.errors import BadSignalError
+from loopshape.core.units import TWO_PI
+from loopshape.data.recording import Recording
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.settings import Settings
+from loopshape.identify.sweeps import swept_band
 
 RATE = 1000.0
 PLACES = ("controller_input", "plant_input")

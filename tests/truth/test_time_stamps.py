@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loopshape.errors import BadSignalError
-from loopshape.store.import_file import import_file
-from loopshape.store.stamps import check_rate, read_stamps
+from loopshape.core.errors import BadSignalError
+from loopshape.io.import_file import import_file
+from loopshape.io.stamps import check_rate, read_stamps
 
 N = 5000
 K = np.arange(N)

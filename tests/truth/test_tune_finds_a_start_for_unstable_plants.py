@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tune_plants import GAIN, LOW_PASS, PI, frf
 
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.tune.tune import tune
-from loopshape.units import angular
+from loopshape.core.units import angular
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.design.tune import tune
 
 WIDE = {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 1000.0}, "f2_hz": {"min": 1.0, "max": 1000.0}}
 DELAY_S = 0.003

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check
-from loopshape.tune.measures import measure
-from loopshape.tune.search import Goal, begin, search
-from loopshape.tune.settle import allowances, settle
-from loopshape.tune.tune import tune
+from loopshape.design.measures import measure
+from loopshape.design.search import Goal, begin, search
+from loopshape.design.settle import allowances, settle
+from loopshape.design.tune import tune
+from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servos, wished

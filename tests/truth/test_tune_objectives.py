@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.requirements import Objective, Requirements
-from loopshape.tune.measures import measure
-from loopshape.tune.tune import tune
+from loopshape.data.controller import Block, Controller
+from loopshape.data.requirements import Objective, Requirements
+from loopshape.design.measures import measure
+from loopshape.design.tune import tune
+from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, problem_of, servos, wished

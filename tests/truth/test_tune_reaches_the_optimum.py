@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check, loops_of
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.plants.arm.published import angle_controller
-from loopshape.requirements import Requirements
-from loopshape.tune.measures import measure
-from loopshape.tune.problem import problem
-from loopshape.tune.tune import tune
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.design.measures import measure
+from loopshape.design.problem import problem
+from loopshape.design.tune import tune
+from loopshape.loop.verdict import check, loops_of
+from loopshape.model.arm.published import angle_controller
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "speed"))
 from tune_workload import frfs as arm_frfs

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.tune.measures import measure
-from loopshape.tune.tune import tune
+from loopshape.design.measures import measure
+from loopshape.design.tune import tune
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, servos, wished
@@ -69,8 +69,8 @@ def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
 
 
 def test_a_point_that_is_not_the_best_gets_no_certificate():
-    from loopshape.tune.relax import _certificate
-    from loopshape.tune.search import Goal, begin
+    from loopshape.design.relax import _certificate
+    from loopshape.design.search import Goal, begin
 
     p = problem_of([PLANT], APART)
     away = begin(p, np.log([10.0]), Goal(objective=False, soft=None))
@@ -111,7 +111,7 @@ def test_noise_counts_in_what_is_to_be_relaxed():
 def test_what_to_relax_is_printed_with_numbers_alone(capsys):
     from loopshape.cli.output import Output
     from loopshape.cli.tune import _report_shortfall
-    from loopshape.tune.relax import Relaxation, Shortfall
+    from loopshape.design.relax import Relaxation, Shortfall
 
     relaxed = Relaxation("phase_margin_deg", "deg", 45.0, 32.4, True, 8.0)
     never = Relaxation("gain_margin_db", "dB", 5.0, np.nan, False, np.nan)

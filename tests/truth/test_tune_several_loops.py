@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.check.several import check_several
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.frf import FRF
-from loopshape.requirements import Requirements
-from loopshape.several import SeveralRequirements
-from loopshape.tune.several import tune_several
-from loopshape.tune.tune import tune
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.design.several import tune_several
+from loopshape.design.tune import tune
+from loopshape.loop.several import check_several
 
 RATE = 1000.0
 F = np.geomspace(0.2, 200.0, 200)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.tune.measures import measure
+from loopshape.design.measures import measure
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, problem_of, servos, wished

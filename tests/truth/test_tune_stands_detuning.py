@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from detuned_plants import ASKED, CANCELLED, closed, frf_of
 
-from loopshape.tune.tune import tune
+from loopshape.design.tune import tune
 
 LINES = np.concatenate([np.arange(2.0, 45.0), np.arange(45.0, 75.0, 0.25), np.geomspace(75.0, 900.0, 70)])
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.check.verdict import check
-from loopshape.controller import Block, Controller
-from loopshape.errors import WrongUseError
-from loopshape.tune.search import begin
-from loopshape.tune.settle import Settled
-from loopshape.tune.tune import _no_worse, tune
-from loopshape.tune.warm import warm_start
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.design.search import begin
+from loopshape.design.settle import Settled
+from loopshape.design.tune import _no_worse, tune
+from loopshape.design.warm import warm_start
+from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, servos, wished

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from loopshape.check.verdict import loops_of
-from loopshape.controller import Block, Controller
-from loopshape.frf import FRF
-from loopshape.model import TransferFunction
-from loopshape.requirements import Requirements
-from loopshape.tune.problem import problem
-from loopshape.units import angular
+from loopshape.core.units import angular
+from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.design.problem import problem
+from loopshape.loop.verdict import loops_of
 
 RATE = 10_000.0
 GAIN = {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}

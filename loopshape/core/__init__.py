@@ -1,0 +1,1 @@
+"""What all stand on: errors, units, and compiled kernels on bare arrays."""

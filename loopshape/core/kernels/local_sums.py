@@ -1,0 +1,168 @@
+"""Sums over windows of neighbouring lines, from which local least squares follow without a matrix for each line.
+
+With signals z = (R, 1, X_1 .. X_m) of an instrument R and answers X, a local model's normal equations hold nothing but
+the moments M_s[a, b] = sum_j conj(z_a(j)) z_b(j) t_j^s over its window, t_j the distance from the line in question.
+Windows about one line lie within each other, so that each line of the record is added once for all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.core.kernels.compiled import compiled, compiled_in_line
+from loopshape.core.kernels.types import Array, ComplexArray
+
+#: beyond so many lines a window's leverages are small, and their mean is taken for each
+NARROW = 100
+
+
+@compiled
+def moments(z: ComplexArray, lines: Array, left: Array, right: Array, powers: int, out: ComplexArray) -> None:
+    """Moments (n, windows, powers, s, s) at `lines` (n,) of z (nf, s), over windows [left, right] (n, windows), both
+    ends included, each within the next; t is the distance over half the widest window. Upper triangles are filled.
+    """
+    s, windows = z.shape[1], left.shape[1]
+    total = np.zeros((powers, s * (s + 1)))  # real and imaginary parts of each pair
+    product = np.empty(s * (s + 1))
+    for i in range(lines.size):
+        total[:] = 0.0
+        scale = 2.0 / (right[i, windows - 1] - left[i, windows - 1])
+        first, last = left[i, 0], left[i, 0] - 1
+        for c in range(windows):
+            for j in range(left[i, c], first):
+                _add(z[j], (j - lines[i]) * scale, product, total)
+            for j in range(last + 1, right[i, c] + 1):
+                _add(z[j], (j - lines[i]) * scale, product, total)
+            first, last = left[i, c], right[i, c]
+            for p in range(powers):
+                k = 0
+                for a in range(s):
+                    for b in range(a, s):
+                        out[i, c, p, a, b] = complex(total[p, k], total[p, k + 1])
+                        k += 2
+
+
+@compiled_in_line
+def _add(z: ComplexArray, t: float, product: Array, total: Array) -> None:
+    k = 0
+    for a in range(z.size):
+        for b in range(a, z.size):
+            product[k] = z[a].real * z[b].real + z[a].imag * z[b].imag
+            product[k + 1] = z[a].real * z[b].imag - z[a].imag * z[b].real
+            k += 2
+    power = 1.0
+    for p in range(total.shape[0]):
+        for k in range(product.size):
+            total[p, k] += product[k] * power
+        power *= t
+
+
+@compiled
+def influence(
+    z: ComplexArray,
+    lines: Array,
+    left: Array,
+    right: Array,
+    order: int,
+    inverse: ComplexArray,
+    theta: ComplexArray,
+    denominator: ComplexArray,
+    bends: ComplexArray,
+    pull: ComplexArray,
+    gates: Array,
+    total: ComplexArray,
+    gated: ComplexArray,
+    effective: Array,
+) -> None:
+    """Sums of what each line's residual moves a response by, for one window at each of `lines` (n,), as `Fits` has it.
+
+    z (nf, 2 + m) are an instrument, 1 and answers. Into `total` (n, m, m) go squares, each residual over the root of
+    one less its leverage (HC2: MacKinnon and White 1985); into `gated` (n, gates, m) sums turned by `gates` cycles over
+    the window, which is the same window some time earlier or later; into `effective` (n,) how many residuals that is.
+    """
+    rows, q, m = theta.shape
+    b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
+    moved = np.empty(m, dtype=np.complex128)
+    change = np.empty(denominator.shape[1], dtype=np.complex128)
+    turns, cycles = np.empty(gates.size, dtype=np.complex128), np.empty(gates.size, dtype=np.complex128)
+    for i in range(rows):
+        width = right[i] - left[i] + 1
+        turns[:] = np.exp(2j * np.pi * gates / width)
+        cycles[:] = 1.0
+        second, fourth = 0.0, 0.0
+        for j in range(left[i], right[i] + 1):
+            t = (j - lines[i]) * 2.0 / (width - 1)
+            _columns(z[j, 0], t, order + 1, b)
+            root = 1.0 / np.sqrt(max(1.0 - _leverage(inverse[i], b, width, a), 1e-3))
+            _moved(z[j], t, root, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
+            for x in range(m):
+                for y in range(m):
+                    total[i, x, y] += moved[x] * np.conj(moved[y])
+                for g in range(gates.size):
+                    gated[i, g, x] += moved[x] * cycles[g]
+            for g in range(gates.size):
+                cycles[g] *= turns[g]
+            weight = a[0].real ** 2 + a[0].imag ** 2
+            second += weight
+            fourth += weight * weight
+        effective[i] = second * second / fourth
+
+
+@compiled_in_line
+def _columns(instrument: complex, t: float, terms: int, b: ComplexArray) -> None:
+    """What a line's equations multiply: powers of t times the instrument, then powers of t, into b (2 terms,)."""
+    power = 1.0
+    for s in range(terms):
+        b[s], b[terms + s] = instrument * power, power
+        power *= t
+
+
+@compiled_in_line
+def _leverage(inverse: ComplexArray, b: ComplexArray, width: int, a: ComplexArray) -> float:
+    """A line's leverage, and into a (q,) what coefficients answer to its residual: all in narrow windows, else N(0)."""
+    q = b.size
+    leverage = 0.0
+    for k in range(q if width <= NARROW else 1):
+        a[k] = 0.0
+        for n in range(q):
+            a[k] += inverse[k, n] * np.conj(b[n])
+        leverage += (b[k] * a[k]).real
+    return leverage if width <= NARROW else q / width
+
+
+@compiled_in_line
+def _moved(
+    z: ComplexArray,
+    t: float,
+    root: float,
+    b: ComplexArray,
+    a: ComplexArray,
+    theta: ComplexArray,
+    denominator: ComplexArray,
+    bends: ComplexArray,
+    pull: ComplexArray,
+    change: ComplexArray,
+    moved: ComplexArray,
+) -> None:
+    """What a line's residuals times `root` move each response by, into moved (m,): directly and by the denominator."""
+    q, poles = b.size, denominator.size - 1
+    change[:] = 0.0
+    for x in range(moved.size):
+        value, power = z[2 + x] * denominator[0], 1.0
+        for p in range(poles):
+            power *= t
+            value += z[2 + x] * denominator[p + 1] * power
+        for k in range(q):
+            value -= b[k] * theta[k, x]
+        residual, power = value * root, 1.0
+        moved[x] = a[0] * residual
+        for p in range(poles):
+            power *= t
+            across = z[2 + x] * power
+            for k in range(q):
+                across -= b[k] * bends[p, k, x]
+            for n in range(poles):
+                change[n] += pull[n, p, x] * np.conj(across) * residual
+    for x in range(moved.size):
+        for p in range(poles):
+            moved[x] += bends[p, 0, x] * change[p]

@@ -1,0 +1,187 @@
+"""The margins of many open loops on the same lines: one pass over the lines for each.
+
+Every number is in the unit in which its error is nearest to normal: dB, degrees, or a natural logarithm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.types import Array, ComplexArray
+
+#: what a column of `read_margins` holds
+GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB = range(8)
+LN_BANDWIDTH_HZ, LN_DISK, PROCESS_DB, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ = range(8, 13)
+COLUMNS = 13
+_DB = 10.0 / np.log(10.0)  # of a squared magnitude
+_DEG = 180.0 / np.pi
+_TINY = 1e-300
+
+
+@compiled
+def _note(found: Array, at: Array, column: int, value: float, where: float, largest: bool) -> None:
+    if (value > found[column]) if largest else (value < found[column]):
+        found[column], at[column] = value, where
+
+
+@compiled
+def _between(f0: float, f1: float, size0: float, size1: float, level: float) -> float:
+    """ln of the frequency where ln of a squared magnitude, linear in ln f, passes a level."""
+    a, b = np.log(max(size0, _TINY) / level), np.log(max(size1, _TINY) / level)
+    return np.log(f0) + np.log(f1 / f0) * a / (a - b)
+
+
+@compiled
+def _unit_crossing(f0: float, f1: float, one: complex, two: complex, found: Array, at: Array) -> None:
+    """Phase and delay margin where |L| passes 1, ln L being linear in ln f."""
+    a, b = np.log(abs(one)), np.log(abs(two))
+    share = a / (a - b)
+    turn = two / one
+    phase = np.arctan2(one.imag, one.real) + share * np.arctan2(turn.imag, turn.real)
+    ahead = (phase * _DEG + 180.0) % 360.0
+    where = f0 * (f1 / f0) ** share
+    _note(found, at, PHASE_DEG, min(ahead, 360.0 - ahead), where, False)
+    _note(found, at, LN_DELAY_S, np.log(max(ahead, _TINY) / 360.0 / where), where, False)
+
+
+@compiled
+def _axis_crossing(f0: float, f1: float, one: complex, two: complex, found: Array, at: Array) -> None:
+    """Gain margin, or reduction margin, where the chord crosses the negative real axis."""
+    share = one.imag / (one.imag - two.imag)
+    value = one.real + share * (two.real - one.real)
+    if value >= 0.0:
+        return
+    size, where = 2.0 * _DB * np.log(max(-value, _TINY)), f0 + share * (f1 - f0)
+    if size <= 0.0:
+        _note(found, at, GAIN_DB, -size, where, False)
+    else:
+        _note(found, at, REDUCTION_DB, size, where, False)
+
+
+@compiled
+def _chord(f0: float, f1: float, one: complex, two: complex, found: Array, at: Array) -> None:
+    """Squared distance of the chord from -1 (kept squared until the end)."""
+    start, step = 1.0 + one, two - one
+    length = step.real**2 + step.imag**2
+    share = 0.0
+    if length > 0.0:
+        share = min(max(-(start.real * step.real + start.imag * step.imag) / length, 0.0), 1.0)
+    near = start + share * step
+    _note(found, at, LN_MODULUS, near.real**2 + near.imag**2, f0 + share * (f1 - f0), False)
+
+
+@compiled
+def _line(f: float, L: complex, c2: float, high: bool, found: Array, at: Array) -> tuple[float, float]:
+    """What one line shows by itself; squared |S| and |T|."""
+    l2 = L.real**2 + L.imag**2
+    d2 = max((1.0 + L.real) ** 2 + L.imag**2, _TINY)
+    _note(found, at, COMPLEMENTARY_DB, l2 / d2, f, True)
+    _note(found, at, CONTROL_DB, c2 / d2, f, True)
+    if high:
+        _note(found, at, CONTROL_HIGH_DB, c2 / d2, f, True)
+    _note(found, at, PROCESS_DB, l2 / c2 / d2, f, True)
+    _note(found, at, LN_DISK, d2 / max((1.0 - L.real) ** 2 + L.imag**2, _TINY), f, False)
+    return 1.0 / d2, l2 / d2
+
+
+@compiled
+def _above(
+    f_last: float, last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array
+) -> None:
+    """Above the last line |L| stays below `last`: how near -1 it may come there, and how large all may be."""
+    room = max(1.0 - last, 1e-9)
+    _note(found, at, GAIN_DB, max(-2.0 * _DB * np.log(max(last, _TINY)), 0.0), f_last, False)
+    _note(found, at, LN_MODULUS, max(1.0 - last, 0.0) ** 2, f_last, False)
+    _note(found, at, LN_DISK, (max(1.0 - last, 0.0) / (1.0 + last)) ** 2, f_last, False)
+    _note(found, at, COMPLEMENTARY_DB, (last / room) ** 2, f_last, True)
+    for i in range(f_above.size):
+        size = c2_above[i] / room**2
+        _note(found, at, CONTROL_DB, size, f_above[i], True)
+        if f_above[i] >= from_hz:
+            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
+
+
+@compiled
+def _above_at_best(last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array) -> None:
+    """|CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last)."""
+    for i in range(f_above.size):
+        size = c2_above[i] / (1.0 + last) ** 2
+        _note(found, at, CONTROL_DB, size, f_above[i], True)
+        if f_above[i] >= from_hz:
+            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
+
+
+@compiled
+def _finish(found: Array) -> None:
+    """From squared magnitudes to dB and logarithms."""
+    for column in (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB):
+        found[column] = _DB * np.log(found[column]) if found[column] > 0.0 else -np.inf
+    found[LN_MODULUS] = 0.5 * np.log(found[LN_MODULUS]) if found[LN_MODULUS] > 0.0 else -np.inf
+    found[LN_DISK] = np.log(2.0) + 0.5 * np.log(found[LN_DISK]) if found[LN_DISK] > 0.0 else -np.inf
+
+
+@compiled
+def read_margins(
+    f: Array,
+    L: ComplexArray,
+    C: ComplexArray,
+    f_above: Array,
+    C_above: ComplexArray,
+    from_hz: float,
+    bounded: bool = True,
+) -> tuple[Array, Array]:
+    """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
+
+    `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
+    below its last value, counts where `bounded` is true; without it the answer is the best that may be. +-inf where the
+    loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
+    """
+    loops, lines = L.shape
+    found, at = np.empty((loops, COLUMNS)), np.full((loops, COLUMNS), np.nan)
+    c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
+    for b in range(loops):
+        found[b, :] = np.inf
+        for column in (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB):
+            found[b, column] = -np.inf
+        found[b, LN_BANDWIDTH_HZ] = found[b, LN_SENSITIVITY_HZ] = found[b, LN_COMPLEMENTARY_HZ] = -np.inf
+        before_s = before_t = before_size = 0.0
+        crossed = sensed = False
+        for k in range(lines):
+            now = L[b, k]
+            s2, t2 = _line(f[k], now, c2[k], f[k] >= from_hz, found[b], at[b])
+            size = now.real**2 + now.imag**2
+            if k > 0:
+                last = L[b, k - 1]
+                _chord(f[k - 1], f[k], last, now, found[b], at[b])
+                if (before_size >= 1.0) != (size >= 1.0):
+                    _unit_crossing(f[k - 1], f[k], last, now, found[b], at[b])
+                    if not crossed and abs(L[b, 0]) >= 1.0:
+                        found[b, LN_BANDWIDTH_HZ] = _between(f[k - 1], f[k], before_size, size, 1.0)
+                        at[b, LN_BANDWIDTH_HZ] = np.exp(found[b, LN_BANDWIDTH_HZ])
+                    crossed = True
+                if (last.imag >= 0.0) != (now.imag >= 0.0):
+                    _axis_crossing(f[k - 1], f[k], last, now, found[b], at[b])
+                if not sensed and before_s < 0.5 <= s2:
+                    found[b, LN_SENSITIVITY_HZ] = _between(f[k - 1], f[k], before_s, s2, 0.5)
+                    sensed = True
+                if before_t >= 0.5 > t2:
+                    found[b, LN_COMPLEMENTARY_HZ] = _between(f[k - 1], f[k], before_t, t2, 0.5)
+            elif s2 >= 0.5:
+                sensed = True
+            before_s, before_t, before_size = s2, t2, size
+        if lines == 1:
+            _note(found[b], at[b], LN_MODULUS, abs(1.0 + L[b, 0]) ** 2, f[0], False)
+        if not sensed:
+            found[b, LN_SENSITIVITY_HZ] = np.log(f[lines - 1])
+        if before_t >= 0.5:
+            found[b, LN_COMPLEMENTARY_HZ] = np.log(f[lines - 1])
+        size = np.sqrt(before_size)
+        if bounded and size >= 1.0:
+            found[b, PHASE_DEG], found[b, LN_DELAY_S] = 0.0, -np.inf
+        if bounded:
+            _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])
+        else:
+            _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found[b], at[b])
+        _finish(found[b])
+    return found, at

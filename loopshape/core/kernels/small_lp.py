@@ -1,0 +1,76 @@
+"""A small dense linear programme in a box, by the dual simplex method with an explicit inverse.
+
+For a dozen of variables and some hundred rows: a general solver spends most of its time on the way in and out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.types import Array
+
+OPTIMAL, NOT_SOLVED = 0, 1
+#: a row counts as violated from here on, and a pivot as one
+_SLACK, _PIVOT = 1e-10, 1e-11
+
+
+@compiled
+def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[Array, Array, int]:
+    """min cost y (n,) under A y <= b (m,) and low <= y <= high, all bounds finite: y, multipliers of the rows, outcome.
+
+    Starts at the corner of the box that the cost likes best, where all multipliers are right, and brings in the row
+    violated most until none is (Lemke's dual method; Goldfarb and Idnani's for a linear cost). `NOT_SOLVED` where no
+    point satisfies the rows, or 50 steps a variable did not do: y is then of no use.
+    """
+    n, m = cost.size, b.size
+    inverse = np.zeros((n, n))  # of the matrix of active rows, kept as its transpose: row p belongs to active row p
+    active = np.empty(n, dtype=np.int64)  # below m: a row of A; m + k: y_k <= high; m + n + k: -y_k <= -low
+    y, weight = np.empty(n), np.abs(cost)
+    for k in range(n):
+        at_high = cost[k] < 0.0
+        y[k] = high[k] if at_high else low[k]
+        inverse[k, k] = 1.0 if at_high else -1.0
+        active[k] = m + k if at_high else m + n + k
+    outcome = NOT_SOLVED
+    row = np.empty(n)
+    for _ in range(50 * n):
+        over = A @ y - b
+        q = np.argmax(over) if m else 0
+        worst = over[q] if m else 0.0
+        up, down = np.argmax(y - high), np.argmax(low - y)
+        if y[up] - high[up] > max(worst, low[down] - y[down]):
+            q, worst = m + up, y[up] - high[up]
+        elif low[down] - y[down] > worst:
+            q, worst = m + n + down, low[down] - y[down]
+        if worst <= _SLACK:
+            outcome = OPTIMAL
+            break
+        row[:] = 0.0
+        if q < m:
+            row[:] = A[q]
+        elif q < m + n:
+            row[q - m] = 1.0
+        else:
+            row[q - m - n] = -1.0
+        parts = inverse @ row  # of the entering row in the active ones
+        leaving, least = -1, np.inf
+        for k in range(n):
+            if parts[k] > _PIVOT and weight[k] < least * parts[k]:
+                leaving, least = k, weight[k] / parts[k]
+        if leaving < 0:
+            break
+        pivot = inverse[leaving] / parts[leaving]
+        y -= worst * pivot
+        for k in range(n):
+            if k != leaving:
+                inverse[k] -= parts[k] * pivot
+                weight[k] = max(weight[k] - least * parts[k], 0.0)
+        inverse[leaving] = pivot
+        weight[leaving] = least
+        active[leaving] = q
+    multipliers = np.zeros(m)
+    for k in range(n):
+        if active[k] < m:
+            multipliers[active[k]] = weight[k]
+    return y, multipliers, outcome

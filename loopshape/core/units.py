@@ -1,0 +1,98 @@
+"""Units: Hz and rad/s, degrees and radians, dB and ratios, and what a column's suffix means.
+
+Conversions are done here and nowhere else. Inside the project a quantity is SI or bar, as its name says
+(`_hz`, `_rad`, `_deg`, `_bar`, `_v`); `to_stored` brings a user's unit to the stored one at the door.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from loopshape.core.errors import WrongUseError
+
+TWO_PI = 2.0 * np.pi
+DEG_PER_RAD = 180.0 / np.pi
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+#: unit a user may name -> (suffix of the stored column, factor to the stored unit)
+UNITS: dict[str, tuple[str, float]] = {
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "rad": ("rad", 1.0),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", 1.0 / DEG_PER_RAD),
+    "rev": ("rad", TWO_PI),
+    "rad/s": ("rad_s", 1.0),
+    "deg/s": ("rad_s", 1.0 / DEG_PER_RAD),
+    "rpm": ("rad_s", TWO_PI / 60.0),
+    "bar": ("bar", 1.0),
+    "mbar": ("bar", 1e-3),
+    "Pa": ("bar", 1e-5),
+    "kPa": ("bar", 1e-2),
+    "MPa": ("bar", 10.0),
+    "psi": ("bar", 0.0689475729),
+    "V": ("v", 1.0),
+    "mV": ("v", 1e-3),
+    "A": ("a", 1.0),
+    "mA": ("a", 1e-3),
+    "N": ("n", 1.0),
+    "kN": ("n", 1e3),
+    "N m": ("nm", 1.0),
+    "Nm": ("nm", 1.0),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "nm": ("m", 1e-9),
+    "m/s": ("m_s", 1.0),
+    "m/s2": ("m_s2", 1.0),
+    "g": ("m_s2", 9.80665),
+    "1": ("1", 1.0),
+}
+
+#: suffix of a stored column -> how the unit is written on an axis
+SUFFIXES: dict[str, str] = {
+    "rad_s": "rad/s", "m_s2": "m/s²", "m_s": "m/s", "rad": "rad", "bar": "bar", "nm": "N m",
+    "s": "s", "v": "V", "a": "A", "n": "N", "m": "m", "1": "1",
+}  # fmt: skip
+
+
+def to_stored(unit: str) -> tuple[str, float]:
+    """Suffix and factor that bring a user's unit to the stored one; refuses a unit it does not know."""
+    if unit not in UNITS:
+        raise WrongUseError("a unit is not known", f"{unit!r}", f"use one of {', '.join(UNITS)} (1 is dimensionless)")
+    return UNITS[unit]
+
+
+def angular(frequency_hz: ArrayLike) -> Array:
+    """Rad/s from Hz."""
+    return TWO_PI * np.asarray(frequency_hz, dtype=float)
+
+
+def hz(angular_rad_s: float) -> float:
+    """Hz from rad/s."""
+    return float(angular_rad_s) / TWO_PI
+
+
+def deg(rad: ArrayLike) -> Array:
+    """Degrees from radians."""
+    return np.asarray(rad, dtype=float) * DEG_PER_RAD
+
+
+def rad(degrees: ArrayLike) -> Array:
+    """Radians from degrees."""
+    return np.asarray(degrees, dtype=float) / DEG_PER_RAD
+
+
+def db(ratio: ArrayLike) -> Array:
+    """20 log10 of a magnitude; zero becomes -inf without a warning."""
+    with np.errstate(divide="ignore"):
+        return 20.0 * np.log10(np.abs(np.asarray(ratio)))
+
+
+def from_db(decibel: ArrayLike) -> Array:
+    """Magnitude from dB."""
+    return 10.0 ** (np.asarray(decibel, dtype=float) / 20.0)

@@ -1,0 +1,1 @@
+"""The nouns: frozen dataclasses with read-only arrays; each docstring gives shapes and units."""

@@ -1,0 +1,120 @@
+"""An experiment: everything that must be done to a rig to get one recording, and nothing about the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array
+from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.controller import Controller
+
+KINDS = ("sweep", "multisine", "prbs", "noise", "staircase", "profile", "open_loop", "none")
+INJECTIONS = ("controller_input", "plant_input", "reference", "control")
+ROLES = ("estimation", "validation")
+
+
+def shared_unit(expression: str, what: str) -> str:
+    """Suffix of the unit of a column or a sum of columns; refuses columns without a known unit, or of several."""
+    units = {Channel.from_column(column).unit for column in sum_terms(expression)}
+    if len(units) != 1:
+        raise WrongUseError(f"{what} adds different units", f"{expression!r}", "add columns of one unit")
+    return units.pop()
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSetup:
+    """One loop of a rig: the columns of its signals, and the controller that closes it.
+
+    Columns as in a run folder; `output` may be a sum of columns. Signs and places as drawn in
+    `loopshape.data.loop`. Columns that a rig does not log are None.
+    """
+
+    name: str
+    reference: str | None
+    injected: str | None
+    control: str
+    output: str
+    controller: Controller | None
+
+    def __post_init__(self) -> None:
+        for column in (self.reference, self.injected, self.control, *sum_terms(self.output)):
+            if column is not None:
+                Channel.from_column(column)
+
+    @property
+    def output_unit(self) -> str:
+        """Suffix of the output's unit; the terms of a sum must share it."""
+        return shared_unit(self.output, f"the output of loop {self.name!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Setpoints and injected signals (n, loops) at `rate_hz`, in the unit of the place they act at.
+
+    `injection` says where `injected` enters: the controller's input, the plant's input, or (`control`) as
+    z itself with the loops open; with `reference` it is zero and the setpoints move. `start` is the
+    operating point at which the plant rests at t = 0; `parameters` of the plant differ in this one alone.
+    `excites_also` are further loops excited at once with `excites`; refused without it, doubled, or no loops.
+    """
+
+    name: str
+    kind: str
+    loops: tuple[LoopSetup, ...]
+    rate_hz: float
+    references: Array
+    injected: Array
+    injection: str
+    operating_point: Mapping[str, float]
+    excites: str | None = None
+    role: str = "estimation"
+    closed_loop: bool = True
+    period_s: float | None = None
+    periodic_from_s: float | None = None
+    seed: int = 0
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    pwm: Mapping[str, float] = field(default_factory=dict)
+    excites_also: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for word, known, what in (
+            (self.kind, KINDS, "kind"),
+            (self.injection, INJECTIONS, "injection"),
+            (self.role, ROLES, "role"),
+        ):
+            if word not in known:
+                raise WrongUseError(
+                    f"the {what} of experiment {self.name!r} is not known",
+                    f"{word!r}",
+                    f"use {', '.join(known)}",
+                )
+        excited = [self.excites, *self.excites_also]
+        known_loops = [loop.name for loop in self.loops]
+        if self.excites_also and (len(set(excited)) < len(excited) or not set(excited) <= set(known_loops)):
+            raise WrongUseError(
+                f"experiment {self.name!r} excites each of its loops once at most, a first one and others",
+                f"excites = {self.excites!r} and excites_also = {', '.join(self.excites_also)}",
+                f"its loops are {', '.join(known_loops)}",
+            )
+        for name in ("references", "injected"):
+            values = getattr(self, name)
+            if values.ndim != 2 or values.shape[1] != len(self.loops):
+                raise WrongUseError(
+                    f"{name} of experiment {self.name!r} must be (samples, {len(self.loops)})",
+                    f"{values.shape}",
+                )
+            if values.flags.writeable:
+                values = values.copy()
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(self.references.shape[0])
+
+    @property
+    def duration_s(self) -> float:
+        """Length in s."""
+        return self.samples / self.rate_hz

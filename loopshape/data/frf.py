@@ -1,0 +1,187 @@
+"""A frequency response that says how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.controller import Controller
+
+_ARRAYS = (
+    "frequency_hz",
+    "response",
+    "covariance",
+    "coherence",
+    "input_power",
+    "output_power",
+    "cross_power",
+    "noise_covariance",
+    "multiple_coherence",
+    "partial_coherence",
+)
+
+
+def joined(names: Sequence[str]) -> str:
+    """Several recordings in short: both of two, else the first and how many more."""
+    return "+".join(names) if len(names) <= 2 else f"{names[0]}+{len(names) - 1}more"
+
+
+@dataclass(frozen=True, eq=False)
+class FRF:
+    """Response (nf, ny, nu) on `frequency_hz` (nf,), frequency first; SISO is 1 x 1, never squeezed.
+
+    `covariance` (nf, ny nu, ny nu) is E[d d^H] of d = vec(response) with columns stacked, for a circular
+    error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
+    `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
+    of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
+    use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
+    periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance, which
+    `variance_pooled` neighbouring lines share.
+    `noise_covariance`, shaped as `covariance`, is the part that noise leaves; the rest is what a nonlinear plant
+    answers differently to each draw of the excitation. None where one cannot be told from the other.
+    `multiple_coherence` (nf, ny) and `partial_coherence` (nf, ny, nu) are those of several inputs; `averages` is the
+    effective number of averages behind them, without which a coherence says nothing (it is biased by inputs/averages).
+    `recording` names what it was measured from, in short; where that was several, `recordings` names all.
+    `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
+    which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
+    a plant whose output stayed bounded has no unstable pole. `method` says in one line how it
+    was measured; `notes` are warnings.
+    """
+
+    frequency_hz: Array
+    response: ComplexArray
+    covariance: ComplexArray
+    trusted: np.ndarray
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    method: str
+    recording: str = ""
+    loop: str = ""
+    rate_hz: float = 0.0
+    operating_point: Mapping[str, float] = field(default_factory=dict)
+    coherence: Array | None = None
+    input_power: Array | None = None
+    output_power: Array | None = None
+    cross_power: ComplexArray | None = None
+    power_per: str = "Hz"
+    line_overlap: float = 1.0
+    variance_freedom: float = float("inf")
+    variance_pooled: int = 1
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    held_by: Controller | None = None
+    notes: tuple[str, ...] = ()
+    noise_covariance: ComplexArray | None = None
+    multiple_coherence: Array | None = None
+    partial_coherence: Array | None = None
+    averages: float = float("nan")
+    recordings: tuple[str, ...] = ()
+    open_loop: bool = False
+
+    def __post_init__(self) -> None:
+        nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
+        if np.shape(self.response) != (nf, ny, nu):
+            raise WrongUseError("a response is (lines, outputs, inputs)", f"{np.shape(self.response)}")
+        if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
+            raise WrongUseError("a covariance is (lines, outputs inputs, outputs inputs)")
+        self._check_numbers()
+        self._check_words()
+        for name in (*_ARRAYS, "trusted"):
+            value = getattr(self, name)
+            if value is not None:
+                copy = np.array(value)
+                if name == "response" and not np.iscomplexobj(copy):
+                    copy = copy.astype(np.complex128)
+                copy.setflags(write=False)
+                object.__setattr__(self, name, copy)
+
+    def _check_numbers(self) -> None:
+        f, nf = np.asarray(self.frequency_hz), np.shape(self.frequency_hz)[0]
+        rising = nf > 0 and np.isfinite(f).all() and f[0] > 0.0 and np.all(np.diff(f) > 0.0)
+        if not rising:
+            raise WrongUseError("the lines of a FRF are finite, above zero and rise", f"{nf} lines")
+        if not (np.isfinite(self.response).all() and np.isfinite(self.covariance).all()):
+            raise WrongUseError("the responses and covariances of a FRF are finite numbers")
+        if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
+            raise WrongUseError("the variances of a FRF are not negative")
+        if np.asarray(self.trusted).dtype != bool:
+            raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
+        ny, nu = len(self.outputs), len(self.inputs)
+        shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
+        shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
+        shapes |= {"multiple_coherence": (nf, ny), "partial_coherence": (nf, ny, nu)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise WrongUseError(f"{name} of a FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
+
+    def _check_words(self) -> None:
+        if not 1.0 <= self.line_overlap < np.inf:
+            raise WrongUseError("the line overlap of a FRF is finite and 1 at least", f"{self.line_overlap!r}")
+        if not self.variance_freedom > 0.0:
+            raise WrongUseError("the variance freedom of a FRF is above zero", f"{self.variance_freedom!r}")
+        if not self.variance_pooled >= 1:
+            raise WrongUseError("a FRF's variance is pooled over 1 line at least", f"{self.variance_pooled!r}")
+        if not 0.0 <= self.rate_hz < np.inf:
+            raise WrongUseError("the rate of a FRF is finite and not negative", f"{self.rate_hz!r} Hz")
+        if wrong := [f"{k} = {v!r}" for k, v in self.operating_point.items() if not np.isfinite(v)]:
+            raise WrongUseError("the operating point of a FRF has finite values", ", ".join(wrong))
+
+    @property
+    def digest(self) -> str:
+        """A short mark of lines and response, by which a fit knows the FRF that it was made for."""
+        data = np.ascontiguousarray(self.frequency_hz).tobytes() + np.ascontiguousarray(self.response).tobytes()
+        return sha256(data).hexdigest()[:16]
+
+    @property
+    def siso(self) -> ComplexArray:
+        """Response (nf,) of a 1 x 1 FRF; refuses a larger one."""
+        if self.response.shape[1:] != (1, 1):
+            raise WrongUseError(
+                "one loop's response was asked of a FRF with several",
+                f"{self.response.shape[1:]}",
+                "pick an element",
+            )
+        return np.asarray(self.response[:, 0, 0])
+
+    @property
+    def variance(self) -> Array:
+        """Variance E|d|² of each element, (nf, ny, nu)."""
+        diagonal = np.real(np.einsum("fii->fi", self.covariance))
+        return diagonal.reshape(len(diagonal), len(self.inputs), len(self.outputs)).transpose(0, 2, 1)
+
+    def select(self, lines: np.ndarray) -> FRF:
+        """The same FRF on a mask or index of lines."""
+        changes = {n: getattr(self, n)[lines] for n in (*_ARRAYS, "trusted") if getattr(self, n) is not None}
+        return replace(self, **changes)
+
+    def between(self, f_low_hz: float, f_high_hz: float) -> FRF:
+        """The lines in a closed band; refuses a band without lines."""
+        mask = (self.frequency_hz >= f_low_hz) & (self.frequency_hz <= f_high_hz)
+        if not mask.any():
+            raise WrongUseError(
+                "no line of the FRF lies in the band",
+                f"{f_low_hz:g} to {f_high_hz:g} Hz",
+                f"the lines go from {self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz",
+            )
+        return self.select(mask)
+
+    def trusted_lines(self) -> FRF:
+        """The trusted lines; refuses a FRF without any."""
+        if not self.trusted.any():
+            raise WrongUseError(
+                f"no line of the FRF {self.loop} {self.recording} can be trusted".replace("  ", " "),
+                self.method,
+                "excite more, or measure longer",
+            )
+        return self.select(self.trusted)
+
+    @property
+    def trusted_band_hz(self) -> tuple[float, float]:
+        """Lowest and highest trusted line, (nan, nan) without any."""
+        f = self.frequency_hz[self.trusted]
+        return (float(f[0]), float(f[-1])) if f.size else (float("nan"), float("nan"))

@@ -1,0 +1,119 @@
+"""Models of a plant from one input to one output, and what a fit says about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, ComplexArray, angular
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunction:
+    """num(s)/den(s) exp(-s delay); coefficients in descending powers of s, s in rad/s."""
+
+    num: Array
+    den: Array
+    delay_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("num", "den"):
+            values = np.atleast_1d(np.array(getattr(self, name), dtype=float))
+            if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+                raise WrongUseError(f"{name} of a transfer function is a list of numbers", repr(values))
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        if self.den[0] == 0.0:
+            raise WrongUseError("the leading coefficient of a denominator must not be zero")
+
+    def response(self, frequency_hz: ArrayLike) -> ComplexArray:
+        """Response (nf,) at `frequency_hz` (nf,)."""
+        s = 1j * angular(frequency_hz)
+        return np.asarray(np.polyval(self.num, s) / np.polyval(self.den, s) * np.exp(-s * self.delay_s))
+
+    def stretched(self, shift: float) -> TransferFunction:
+        """The same on a frequency axis stretched by 1 + shift: G(s/(1 + shift))."""
+        num, den = (p * (1.0 + shift) ** -np.arange(p.size - 1.0, -1.0, -1.0) for p in (self.num, self.den))
+        return TransferFunction(num, den, self.delay_s / (1.0 + shift))
+
+    def poles(self) -> ComplexArray:
+        """Poles in rad/s."""
+        return np.asarray(np.roots(self.den), dtype=complex)
+
+    def integrators(self) -> int:
+        """Poles at s = 0 (trailing zeros of the denominator)."""
+        return int(self.den.size - 1 - np.flatnonzero(self.den)[-1])
+
+    def unstable_poles(self) -> int:
+        """Poles in the open right half plane."""
+        return int(np.sum(self.poles().real > 1e-9 * (1.0 + np.abs(self.poles()))))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One fitted parameter: value, unit, standard deviation, and its 95 % interval."""
+
+    name: str
+    value: float
+    unit: str
+    std: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval, normal approximation."""
+        return self.value - 1.959964 * self.std, self.value + 1.959964 * self.std
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to one FRF.
+
+    `outcome` is `converged`, `not_converged` or `at_bound`; `chi2_per_dof` compares the residual with the
+    FRF's own variance, `misfit_db` is the rms of |measured/model - 1| as 20 log10(1 + .); `sufficient` is
+    the residual test's word: does what is left look like the noise? Intervals are widened by
+    sqrt(chi2_per_dof) where the model misses more than the noise does. They then describe how well the
+    numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
+    `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF.
+    """
+
+    structure: str
+    model: TransferFunction
+    parameters: tuple[Estimate, ...]
+    covariance: Array
+    outcome: str
+    chi2_per_dof: float
+    p_value: float
+    runs_p_value: float
+    misfit_db: float
+    band_hz: tuple[float, float]
+    lines: int
+    recording: str = ""
+    loop: str = ""
+    operating_point: Mapping[str, float] = field(default_factory=dict)
+    delay_free: bool = False
+    rig_parameters: Mapping[str, float] = field(default_factory=dict)
+    frf_digest: str = ""
+
+    @property
+    def sufficient(self) -> bool:
+        """Whether the residual test accepts the model at 1 %."""
+        return self.p_value > 0.01 and self.runs_p_value > 0.01
+
+    def __getitem__(self, name: str) -> Estimate:
+        for estimate in self.parameters:
+            if estimate.name == name:
+                return estimate
+        raise WrongUseError(
+            "a fit has no such parameter",
+            f"{name!r}",
+            f"use one of {', '.join(p.name for p in self.parameters)}",
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Parameter values by name."""
+        return {p.name: p.value for p in self.parameters}

@@ -1,0 +1,155 @@
+"""A plant: what the core knows of a simulated machine, whichever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array
+from loopshape.data.channel import Channel
+from loopshape.data.controller import Controller
+from loopshape.data.effect import Effect, EffectForm, Spread
+
+if TYPE_CHECKING:
+    from loopshape.data.experiment import Experiment
+    from loopshape.data.recording import Recording
+    from loopshape.data.run import Run
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a plant: value, unit, bounds, the block it belongs to, and where it comes from."""
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+    block: str
+    source: str
+
+
+def rows(block: str, *entries: tuple[str, float, str, float, float, str]) -> tuple[Parameter, ...]:
+    """Parameters of one block from name, value, unit, bounds and source each."""
+    return tuple(Parameter(n, v, u, lo, hi, block, source) for n, v, u, lo, hi, source in entries)
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterTable:
+    """A plant's parameters in the order of its flat vector."""
+
+    rows: tuple[Parameter, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(row.name for row in self.rows)
+
+    def holding(self, values: Mapping[str, float]) -> ParameterTable:
+        """The table with these nominal values; names that it does not have are left aside."""
+        return ParameterTable(tuple(replace(r, value=values[r.name]) if r.name in values else r for r in self.rows))
+
+    def index(self, name: str) -> int:
+        """Place of a parameter in the vector; refuses an unknown name."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise WrongUseError(
+                "the plant has no such parameter", f"{name!r}", f"known are {', '.join(self.names)}"
+            ) from None
+
+    def vector(self, changes: Mapping[str, float] | None = None, effects: Iterable[Effect] = ()) -> Array:
+        """Flat vector (n,) of nominal values, with changes and effects applied; out of bounds is refused."""
+        values = np.array([row.value for row in self.rows])
+        moves = dict(changes or {})
+        for effect in effects:
+            moves |= dict(effect.moves)
+        for name, value in moves.items():
+            row = self.rows[self.index(name)]
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not row.low <= value <= row.high:
+                raise WrongUseError(
+                    f"parameter {name} is a number between {row.low:g} and {row.high:g} {row.unit}",
+                    f"{value!r}",
+                )
+            values[self.index(name)] = value
+        return values
+
+
+class Plant(Protocol):
+    """A simulated machine. Concrete plants live in `plants/` and are found by name in `registry`."""
+
+    name: str
+    loops: tuple[str, ...]
+    solvers: tuple[str, ...]
+    channels: tuple[Channel, ...]
+    parameters: ParameterTable
+
+    def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
+        """Controllers that hold the simulated machine over its working range."""
+
+    def check_operating_point(
+        self, operating_point: Mapping[str, float], changes: Mapping[str, float] | None = None
+    ) -> None:
+        """Refuse an operating point that the machine, with these changes, cannot stand in."""
+
+    def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
+        """Refuse changes of parameters, and a rate, that the machine cannot have."""
+
+    def simulate(
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        solver: str = "edges",
+        changes: Mapping[str, float] | None = None,
+        threads: int | None = None,
+        states: bool = False,
+    ) -> list[Recording]:
+        """One recording an experiment, in order, in parallel; `states` adds true states as columns."""
+
+
+class Followable(Plant, Protocol):
+    """A plant whose recordings a gap diagnosis can follow: it has effects, an ordinary spread, and submodels."""
+
+    effects: tuple[EffectForm, ...]
+    spread: tuple[Spread, ...]
+    trace_channel: str
+    needs: tuple[str, ...]
+    #: equation -> channels of `residuals` that a free disturbance there would explain whole, since each submodel
+    #: follows what was measured everywhere else
+    places: Mapping[str, tuple[str, ...]]
+
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
+        """This plant with the run's own nominal numbers, and the run and recordings as it wants to follow them."""
+
+    def stays_in_range(self, recording: Recording, run: Run) -> bool:
+        """Whether what was measured lies where the model holds."""
+
+    def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> Prepared:
+        """A recording ready to be followed, cut to `longest_s` after its lead if that is given."""
+
+    def residuals(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus modelled by channel, equally spaced means, from parameters moved as given."""
+
+    def residual_rate_hz(self, prepared: Any, channel: str) -> float:
+        """How many values a second `residuals` gives of a channel."""
+
+    def traces(self, prepared: Any, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
+        """Time step in s, measured and simulated `trace_channel`, in the unit that its name says, for the eye."""
+
+    def floors(self, prepared: Any) -> dict[str, float]:
+        """Rms that measurement noise alone leaves in each channel's residuals."""
+
+    def paths(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
+        """Measured minus simulated outputs over their floor, measured inputs in, by path such as u -> p."""
+
+
+class Prepared(Protocol):
+    """What a plant makes of a recording before it follows it."""
+
+    @property
+    def name(self) -> str:
+        """The recording's."""

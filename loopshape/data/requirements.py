@@ -1,0 +1,379 @@
+"""Requirements, margins, verdict: what is wished, what is found, and whether it holds.
+
+`Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.block import refuse_too_large
+from loopshape.data.controller import BLOCK_KINDS, Block, block_kind
+from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How a quantity is compared: `at_least` or `at_most`, its unit, and its name for people."""
+
+    name: str
+    sense: str
+    unit: str
+    label: str
+
+
+LIMITS: tuple[Limit, ...] = (
+    Limit("gain_margin_db", "at_least", "dB", "gain margin"),
+    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin"),
+    Limit("phase_margin_deg", "at_least", "deg", "phase margin"),
+    Limit("modulus_margin", "at_least", "1", "modulus margin"),
+    Limit("delay_margin_s", "at_least", "s", "delay margin"),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|"),
+    Limit("complementary_peak_db", "at_most", "dB", "peak |T|"),
+    Limit("control_peak_db", "at_most", "dB", "peak |CS|"),
+    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency"),
+    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)"),
+    Limit("disk_margin", "at_least", "1", "disk margin"),
+    Limit("process_peak_db", "at_most", "dB", "peak |PS|"),
+    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
+    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
+    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
+    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)"),
+)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of one loop at one operating point, by definition from L = C P on the FRF's lines.
+
+    All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
+    `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
+    `stable` is "stable", "unstable" or "undecided", with `stability_reason`, and where it is undecided
+    `stability_band_hz`, the band to measure. Frequencies of the peaks and of the worst margins stand beside them in
+    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
+    those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
+    `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
+    `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
+    the number found is the worst that may be, and `bounds` holds the best. `last_hz` is that frequency, `last_gain`
+    |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
+    `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
+    it was not looked for.
+    """
+
+    gain_margin_db: float
+    gain_reduction_margin_db: float
+    phase_margin_deg: float
+    modulus_margin: float
+    delay_margin_s: float
+    sensitivity_peak_db: float
+    complementary_peak_db: float
+    control_peak_db: float
+    control_high_frequency_db: float
+    bandwidth_hz: float
+    crossings_hz: tuple[float, ...]
+    phase_crossings_hz: tuple[float, ...]
+    at_hz: Mapping[str, float]
+    stable: str
+    stability_reason: str
+    disk_margin: float = float("nan")
+    process_peak_db: float = float("nan")
+    sensitivity_bandwidth_hz: float = float("nan")
+    complementary_bandwidth_hz: float = float("nan")
+    controller_bandwidth_hz: float = float("nan")
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    stability_band_hz: tuple[float, float] | None = None
+    crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    bounds: Mapping[str, float] = field(default_factory=dict)
+    last_hz: float = float("nan")
+    last_gain: float = float("nan")
+    last_slope: float = float("nan")
+    detuning_percent: float = float("nan")
+    detuning: Detuning | None = None
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that tuning may move between `low` and `high`, starting at `start` where given."""
+
+    low: float
+    high: float
+    start: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTemplate:
+    """A block whose parameters are fixed numbers or `Free`; `tie` names parameters kept equal to another."""
+
+    kind: str
+    parameters: Mapping[str, float | Free]
+    tie: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> BlockTemplate:
+        """Template from TOML: a number fixes, `{ min, max, start }` frees, `"f1_hz"` ties to another."""
+        kind = block_kind(table)
+        names = BLOCK_KINDS[kind].parameters
+        given = {k: v for k, v in table.items() if k not in ("kind", "order")}
+        if set(given) != set(names):
+            raise WrongUseError(
+                f"a {kind} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
+            )
+        tie = {k: v for k, v in given.items() if isinstance(v, str)}
+        for name, target in tie.items():
+            if target not in names or target == name or target in tie:
+                raise WrongUseError(f"{name} of a {kind} block is tied to nothing", f"{target!r}")
+        return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
+
+    def block(self, values: Mapping[str, float]) -> Block:
+        """Block with the free parameters at `values`."""
+        known = {k: (values[k] if isinstance(v, Free) else v) for k, v in self.parameters.items()}
+        return Block(self.kind, known | {k: known[target] for k, target in self.tie.items()})
+
+
+def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
+    if not isinstance(value, Mapping):
+        return float(value)
+    if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
+        raise WrongUseError(
+            f"{name} of a {kind} block is a number or a table with min, max and perhaps start",
+            f"{dict(value)!r}",
+        )
+    low, high, start = float(value["min"]), float(value["max"]), value.get("start")
+    if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
+        raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
+    refuse_too_large(kind, name, high)
+    return Free(low, high, None if start is None else float(start))
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What `tune` makes large, over the operating points at their worst each: a weighted sum of two terms.
+
+    `bandwidth` weighs ln of the first 0 dB crossing of L; `disturbance` the mean of ln 1/|S| over ln f on the lines up
+    to `disturbance_below_hz`. |S| is the error with the loop over the error without it, wherever a disturbance
+    enters, so that operating points compare. Refuses weights below zero, none above, and half a disturbance term.
+    """
+
+    bandwidth: float = 1.0
+    disturbance: float = 0.0
+    disturbance_below_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        weights = (self.bandwidth, self.disturbance)
+        if not all(_is_number(w) and 0.0 <= w < np.inf for w in weights) or max(weights) == 0.0:
+            raise WrongUseError("the weights of an objective are not negative, and one is above zero", f"{weights}")
+        below = self.disturbance_below_hz
+        if (self.disturbance > 0.0) != (below is not None):
+            raise WrongUseError(
+                "disturbance and disturbance_below_hz of an objective go together", "one of them", "give both or none"
+            )
+        if below is not None and not (_is_number(below) and 0.0 < below < np.inf):
+            raise WrongUseError("disturbance_below_hz must be above zero and finite", f"{below!r}")
+
+    @classmethod
+    def from_toml(cls, given: Any, below_hz: Any = None) -> Objective:
+        """Objective from "bandwidth", "disturbance" (with `disturbance_below_hz` beside it) or a table of weights."""
+        if isinstance(given, Mapping):
+            if unknown := set(given) - {f.name for f in fields(cls)}:
+                raise WrongUseError(
+                    "an objective has the keys bandwidth, disturbance and disturbance_below_hz",
+                    ", ".join(sorted(unknown)),
+                )
+            below = {} if below_hz is None else {"disturbance_below_hz": below_hz}
+            return cls(**({"bandwidth": 0.0} | below | dict(given)))
+        if given not in ("bandwidth", "disturbance"):
+            raise WrongUseError('an objective is "bandwidth", "disturbance" or a table of weights', f"{given!r}")
+        asked = given == "disturbance"
+        return cls(0.0 if asked else 1.0, 1.0 if asked else 0.0, below_hz)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Requirements:
+    """What one loop must keep at every operating point; None asks for nothing.
+
+    `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
+    the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
+    are looked at, and None takes the FRF's trusted band. `integrators` and `unstable_poles` declare the
+    plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
+    Refuses values that make no sense.
+    """
+
+    loop: str
+    gain_margin_db: float | None = None
+    gain_reduction_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    modulus_margin: float | None = None
+    delay_margin_s: float | None = None
+    sensitivity_peak_db: float | None = None
+    complementary_peak_db: float | None = None
+    control_peak_db: float | None = None
+    control_high_frequency_db: float | None = None
+    control_high_frequency_from_hz: float | None = None
+    bandwidth_hz: float | None = None
+    disk_margin: float | None = None
+    process_peak_db: float | None = None
+    sensitivity_bandwidth_hz: float | None = None
+    complementary_bandwidth_hz: float | None = None
+    controller_bandwidth_hz: float | None = None
+    detuning_percent: float | None = None
+    band_hz: tuple[float, float] | None = None
+    structure: tuple[BlockTemplate, ...] = ()
+    integrators: int | None = None
+    unstable_poles: int | None = None
+    objective: Objective = Objective()
+
+    def __post_init__(self) -> None:
+        self._check_values()
+        if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
+            raise WrongUseError(
+                f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
+                "one of them",
+                "give both or none",
+            )
+
+    def _check_values(self) -> None:
+        for name in (
+            "modulus_margin",
+            "delay_margin_s",
+            "bandwidth_hz",
+            "control_high_frequency_from_hz",
+            "disk_margin",
+            "sensitivity_bandwidth_hz",
+            "complementary_bandwidth_hz",
+            "controller_bandwidth_hz",
+            "detuning_percent",
+        ):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be above zero and finite", f"{value!r}")
+        for name in (limit.name for limit in LIMITS):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be finite", f"{value!r}")
+        for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
+            value = getattr(self, name)
+            if value is not None and value < 0.0:
+                raise WrongUseError(f"{name} of loop {self.loop!r} must not be negative", f"{value!r}")
+        for name, most in (("phase_margin_deg", 180.0), ("modulus_margin", 1.0), ("disk_margin", 2.0)):
+            value = getattr(self, name)
+            if value is not None and value > most:
+                raise WrongUseError(
+                    f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
+                    f"{value!r}",
+                )
+        if self.detuning_percent is not None and self.detuning_percent > SEARCHED_PERCENT:
+            raise WrongUseError(
+                f"detuning_percent of loop {self.loop!r} must not exceed {SEARCHED_PERCENT:g}",
+                f"{self.detuning_percent!r}",
+                "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states",
+            )
+        for name, least in (("integrators", -2), ("unstable_poles", 0)):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Requirements:
+        """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
+        known = {f.name for f in fields(cls)} | {"disturbance_below_hz"}
+        given = dict(table)
+        if "name" not in given:
+            raise WrongUseError("a [[loop]] of a requirements file needs a name", f"{given!r}")
+        given["loop"] = given.pop("name")
+        if unknown := set(given) - known:
+            raise WrongUseError(
+                f"unknown key in the requirements of loop {given['loop']!r}",
+                ", ".join(sorted(unknown)),
+                f"known are name, {', '.join(sorted(known - {'loop'}))}",
+            )
+        structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
+        band = given.pop("band_hz", None)
+        objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
+        for name, value in given.items():
+            if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
+        if band is not None and not _rising_pair(band):
+            raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
+        band_hz = None if band is None else (band[0], band[1])
+        return cls(**given, structure=structure, band_hz=band_hz, objective=objective)
+
+
+def _rising_pair(band: Any) -> bool:
+    numbers = isinstance(band, (list, tuple)) and all(isinstance(x, (int, float)) for x in band)
+    return numbers and len(band) == 2 and 0.0 < band[0] < band[1]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a verdict at its worst operating point: wished, found with its 95 % interval, spare, and the outcome.
+
+    `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
+    `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
+    then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
+    A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
+    to which frequency to measure, as |L| falls on over the highest lines (None: not known).
+    `beyond` tells that `found` is a bound, the largest that was searched.
+    """
+
+    quantity: str
+    unit: str
+    wished: float
+    found: float
+    spare: float
+    outcome: str
+    recording: str
+    at_hz: float | None
+    interval: tuple[float, float] | None = None
+    longer: float | None = None
+    bound: float | None = None
+    measure_to_hz: float | None = None
+    beyond: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether the requirement holds, as far as these data are sure."""
+        return self.outcome == "passed"
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """A check's outcome for one loop: the worst line of each requirement over all operating points.
+
+    `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
+    every operating point to be stable. A loop whose stability the data cannot decide does not pass.
+    `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
+    """
+
+    loop: str
+    lines: tuple[Line, ...]
+    margins: Mapping[str, Margins]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def unstable(self) -> tuple[str, ...]:
+        """Recordings whose loop is unstable or undecided."""
+        return tuple(name for name, m in self.margins.items() if m.stable != "stable")
+
+    @property
+    def outcome(self) -> str:
+        """What these data say of the controller: "passed", "failed" or "undecided"."""
+        stable = {m.stable for m in self.margins.values()}
+        lines = {line.outcome for line in self.lines}
+        if "unstable" in stable or "failed" in lines:
+            return "failed"
+        return "undecided" if "undecided" in stable | lines else "passed"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the controller may be signed on these data."""
+        return self.outcome == "passed"

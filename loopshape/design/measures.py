@@ -1,0 +1,113 @@
+"""What a tuning is judged by at a point x: its objective's terms and the room each requirement leaves, with slopes.
+
+Room is scaled to be of order one: 0 at the limit, negative beyond. Between lines ln L is linear in ln f.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from loopshape.core.units import Array
+from loopshape.design.crossings import bandwidth, crossing_rows
+from loopshape.design.evaluation import Evaluation
+from loopshape.design.objective import rejection, rejection_slopes
+from loopshape.design.peaks import peak_rows
+from loopshape.design.problem import Problem
+from loopshape.design.rows import Rows, Tighten
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """ln bandwidth (points,) and rooms (m,), each with what and where; slopes and stability when asked for.
+
+    `what` (m,) are names of `Margins`' fields, or "stability" for what keeps the count of encirclements sure; `at`
+    (m,) the flat line nearest to each, or a column above them; `point` (m,) its operating point, -1 for C alone.
+    """
+
+    evaluation: Evaluation
+    rows: tuple[Rows, ...]
+    bandwidths: Rows
+
+    @property
+    def ln_bandwidth(self) -> Array:
+        """ln of the first 0 dB crossing in Hz (points,)."""
+        return self.bandwidths.value
+
+    @cached_property
+    def bandwidth_slopes(self) -> Array:
+        """d ln bandwidth/d x (points, n)."""
+        return self._slopes[: self.bandwidths.value.size]
+
+    @cached_property
+    def rejection(self) -> Array:
+        """Mean ln 1/|S| over the objective's low lines (points,); zero where it asks for none."""
+        return rejection(self.evaluation)
+
+    @cached_property
+    def rejection_slopes(self) -> Array:
+        """d rejection/d x (points, n)."""
+        return rejection_slopes(self.evaluation)
+
+    @cached_property
+    def room(self) -> Array:
+        """Room of each row (m,)."""
+        return np.concatenate([np.zeros(0), *(r.value for r in self.rows)])
+
+    @cached_property
+    def room_slopes(self) -> Array:
+        """d room/d x (m, n)."""
+        return self._slopes[self.bandwidths.value.size :]
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Slopes of the bandwidths and of all rows, from C's on the columns that they name."""
+        return _slopes(self.evaluation, [self.bandwidths, *self.rows])
+
+    @cached_property
+    def what(self) -> list[str]:
+        """Quantity of each row."""
+        return [r.what for r in self.rows for _ in range(r.value.size)]
+
+    @cached_property
+    def at(self) -> np.ndarray:
+        """Flat line of each row."""
+        return np.concatenate([np.zeros(0, dtype=int), *(r.at for r in self.rows)])
+
+    @cached_property
+    def point(self) -> np.ndarray:
+        """Operating point of each row."""
+        return np.concatenate([np.zeros(0, dtype=int), *(r.point for r in self.rows)])
+
+    @property
+    def stable(self) -> bool:
+        """Whether the bare Nyquist count is zero at every operating point."""
+        return self.evaluation.stable
+
+    @property
+    def worst(self) -> float:
+        """Least room, +inf where nothing is required."""
+        return float(self.room.min()) if self.room.size else np.inf
+
+    def objective(self) -> float:
+        """The objective's weighted sum, each term at its worst operating point."""
+        wish = self.evaluation.p.requirements.objective
+        value = wish.bandwidth * float(self.ln_bandwidth.min()) if wish.bandwidth else 0.0
+        return value + (wish.disturbance * float(self.rejection.min()) if wish.disturbance else 0.0)
+
+
+def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
+    """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
+    e = Evaluation(p, x)
+    return Measures(e, (*peak_rows(e, tighten), *crossing_rows(e, tighten)), bandwidth(e))
+
+
+def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
+    """Slopes (m, n) of rows by x."""
+    i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
+    a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
+    columns, place = np.unique(np.concatenate([i, j]), return_inverse=True)
+    D = e.p.slopes(e.blocks, columns)
+    return np.real(a * D[:, place[: i.size]] + b * D[:, place[i.size :]]).T

@@ -1,0 +1,170 @@
+"""Rooms under the limits on magnitudes: |S|, |T|, |CS|, |PS|, the disk, the reach of L, and C's own bandwidth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray, rad
+from loopshape.design.evaluation import Evaluation
+from loopshape.design.problem import Problem
+from loopshape.design.rows import SURE, Rows, Tighten, on_lines, scaled, wished
+from loopshape.loop.controller_bandwidth import HALF_POWER
+from loopshape.loop.stability import FIT_DEG
+
+#: local peaks this far below their limit (in ln) are left out, save the highest of each operating point
+FAR = 0.7
+#: of lines this near to their limit (in ln) every fourth counts too: on a plateau the peak goes where a step tilts it
+PLATEAU, EVERY = 0.1, 4
+_OF_C = "controller_bandwidth_hz"
+
+
+def _S(L: ComplexArray) -> ComplexArray:
+    return np.asarray(1.0 / (1.0 + L))
+
+
+def _minus_T(L: ComplexArray) -> ComplexArray:
+    return np.asarray(-L / (1.0 + L))
+
+
+def _disk(L: ComplexArray) -> ComplexArray:
+    return np.asarray(-2.0 * L / (1.0 - L**2))
+
+
+#: quantity -> ln of its magnitude on the flat lines, and d of it/d ln L
+_PEAKS: dict[str, tuple[Callable[[Evaluation], Array], Callable[[ComplexArray], ComplexArray]]] = {
+    "sensitivity_peak_db": (lambda e: e.ln_S, _minus_T),
+    "modulus_margin": (lambda e: e.ln_S, _minus_T),
+    "complementary_peak_db": (lambda e: e.ln_L + e.ln_S, _S),
+    "control_peak_db": (lambda e: e.ln_C[e.p.line] + e.ln_S, _S),
+    "control_high_frequency_db": (lambda e: e.ln_C[e.p.line] + e.ln_S, _S),
+    "process_peak_db": (lambda e: e.p.ln_P + e.ln_S, _minus_T),
+    "disk_margin": (lambda e: e.ln_disk, _disk),
+}
+
+
+def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
+    """Rows of every limit on a magnitude that the requirements make."""
+    for name, (size_of, factor_of) in _PEAKS.items():
+        if getattr(e.p.requirements, name) is None:
+            continue
+        level = _level(name, wished(e.p, name, tighten))
+        from_hz = _from_hz(e.p, name)
+        size = size_of(e) if from_hz == 0.0 else np.where(e.p.f >= from_hz, size_of(e), -np.inf)
+        at = _chosen(e.p, size, level - FAR)
+        yield on_lines(name, e.p, level[e.p.owner[at]] - size[at], at, -factor_of(e.L[at]))
+        yield from _above(e, name, level, from_hz)
+    yield from _sure(e, tighten)
+    yield from _ends(e)
+    if e.p.f_wide.size:
+        yield _controller_bandwidth(e, tighten)
+
+
+def _level(name: str, limit: Array) -> Array:
+    """ln of the largest magnitude allowed."""
+    if name == "modulus_margin":
+        return -scaled(name, limit)
+    return np.log(2.0) - scaled(name, limit) if name == "disk_margin" else scaled(name, limit)
+
+
+def _from_hz(p: Problem, name: str) -> float:
+    return (p.requirements.control_high_frequency_from_hz or 0.0) if name == "control_high_frequency_db" else 0.0
+
+
+def _chosen(p: Problem, size: Array, above: Array) -> np.ndarray:
+    """Flat lines that are local maxima above a level or their neighbours, the largest of each point, and plateaus."""
+    level = above[0] if np.ptp(above) == 0.0 else above[p.owner]
+    k = np.flatnonzero(size > level)
+    here, end = size[k], p.f.size - 1
+    rises = (here >= size[np.maximum(k - 1, 0)]) | (k == p.first[p.owner[k]])
+    falls = (here >= size[np.minimum(k + 1, end)]) | (k == p.first[p.owner[k] + 1] - 1)
+    peaks = k[rises & falls]
+    before, after = peaks[peaks > p.first[p.owner[peaks]]] - 1, peaks[peaks < p.first[p.owner[peaks] + 1] - 1] + 1
+    plateau = k[(here > (level if np.ndim(level) == 0 else level[k]) + FAR - PLATEAU) & (k % EVERY == 0)]
+    chosen = np.unique(np.concatenate([peaks, before, after, p.largest(size), plateau]))
+    return chosen[np.isfinite(size[chosen])]
+
+
+def _above(e: Evaluation, name: str, level: Array, from_hz: float) -> Iterator[Rows]:
+    """Rows above the last lines, where |L| <= l, its last value: |S| <= 1/(1-l), |T| <= l/(1-l), |CS| <= |C|/(1-l)."""
+    share, last, p = e.share_above, e.last, e.p
+    worst, slope = -np.log1p(-share), share / (1.0 - share)
+    if name in ("sensitivity_peak_db", "modulus_margin"):
+        yield on_lines(name, p, level - worst, last, -slope)
+    elif name == "complementary_peak_db":
+        yield on_lines(name, p, level - np.log(share) - worst, last, -1.0 - slope)
+    elif name == "disk_margin":
+        yield on_lines(name, p, level - np.log1p(share) - worst, last, -2.0 * share / (1.0 - share**2))
+    elif name.startswith("control_") and p.f_above.size:
+        yield _control_above(e, name, level - worst, slope, from_hz)
+
+
+def _control_above(e: Evaluation, name: str, left: Array, slope: Array, from_hz: float) -> Rows:
+    """Rows of |C| above the last lines: the highest for each point, and near peaks for the one with least room."""
+    p, size = e.p, e.ln_C[e.p.above]
+    low = np.maximum(p.f[e.last], from_hz) * (1.0 - 1e-12)
+    seen = np.flatnonzero(low <= p.f_above[-1])
+    highest = {f: _highest(p.f_above, size, f) for f in set(low[seen].tolist())}
+    worst = int(np.argmin(left))
+    over = np.where(p.f_above >= low[worst], size, -np.inf)
+    near = np.flatnonzero(over > over.max() - 0.05)
+    point = np.concatenate([seen, np.full(near.size, worst)])
+    k = np.concatenate([np.array([highest[f] for f in low[seen].tolist()], dtype=int), near])
+    a, b = np.full(k.size, -1.0 + 0.0j), np.asarray(-slope[point], dtype=complex)
+    column, room = p.above.start + k, left[point] - size[k]
+    return Rows(name, room, p.f.size + k, point, column, a, p.line[e.last[point]], b)
+
+
+def _highest(f: Array, size: Array, from_hz: float) -> int:
+    start = int(np.searchsorted(f, from_hz))
+    return start + int(np.argmax(size[start:]))
+
+
+def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
+    """Rows that keep stability countable: -1 outside the 95 % circles of L, and |L| below 1 on lines beyond."""
+    p, level = e.p, -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), e.p.points)
+    if p.reach.any():
+        with np.errstate(divide="ignore"):
+            size = e.ln_C[p.line] + e.ln_S + np.log(p.reach)
+        if size.max() > level.min() - FAR:
+            at = _chosen(p, size, level - FAR)
+            yield on_lines(SURE, p, level[p.owner[at]] - size[at], at, -_S(e.L[at]))
+    if p.f_beyond.size:
+        size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
+        k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
+        column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
+        at = p.f.size + p.f_above.size + k
+        yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
+
+
+def _ends(e: Evaluation) -> Iterator[Rows]:
+    """Rows that keep both ends of L countable.
+
+    |L| is below 1 at the last lines; at the first ones, without a fit, above 1, and without any model that leads it on
+    near the phase of its integrators.
+    """
+    p, first = e.p, e.p.first[:-1] + e.p.led
+    yield on_lines(SURE, p, -1e-3 - e.ln_L[e.last], e.last, np.full(p.points, -1.0))
+    blind, unfitted = first[np.diff(p.first_below) == 0], first[~p.fitted]
+    owner = p.owner[blind]
+    swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
+    yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
+    yield on_lines(SURE, p, e.ln_L[unfitted], unfitted, np.ones(unfitted.size))
+
+
+def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
+    """Rows of |C| at and above its bandwidth's limit, 3 dB and what is tightened (ln) below the largest under it."""
+    p, size = e.p, e.ln_C[e.p.wide]
+    limit, lower = float(wished(p, _OF_C, {})[0]), float(np.max(tighten.get(_OF_C, 0.0)))
+    split = int(np.searchsorted(p.f_wide, limit * (1.0 - 1e-12)))
+    top, rest = int(np.argmax(size[: split + 1])), size[split:]
+    peak = np.ones(rest.size, dtype=bool)
+    peak[1:] &= rest[1:] >= rest[:-1]
+    peak[:-1] &= rest[:-1] >= rest[1:]
+    peak[0] = True
+    k = split + np.flatnonzero(peak)
+    one, start = np.full(k.size, 1.0 + 0.0j), p.wide.start
+    at, every = p.f.size + p.f_above.size + p.f_beyond.size + k, np.full(k.size, -1)
+    room = size[top] + HALF_POWER - lower - size[k]
+    return Rows(_OF_C, room, at, every, np.full(k.size, start + top), one, start + k, -one)

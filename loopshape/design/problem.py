@@ -1,0 +1,288 @@
+"""A tuning problem: free parameters of a structure, measured plants, and L with its exact slopes.
+
+Parameters are optimised as logarithms. All lines of all operating points lie in one flat array, so one
+evaluation is a handful of array operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.controller import Block, Controller, series_response
+from loopshape.data.loop import Loop, above_hz
+from loopshape.data.requirements import BlockTemplate, Requirements
+from loopshape.design.structure import Variable, refuse, variables_of
+from loopshape.loop.controller_bandwidth import controller_grid_hz
+from loopshape.loop.low_end import low_hz, low_models
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Plants on flat lines, the structure, and the requirements of one loop.
+
+    `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
+    flat line to its unique frequency, at which the controller is evaluated once. `led` (points,) counts the lines
+    before the measured ones on which a model leads towards the negative real axis at 0 Hz. The arrays with `below` do
+    the same for the models' lines below the measured ones, which only the count of encirclements sees: the fit's where
+    `fitted` (points,), else those of a small model of the lowest lines. Those with `beyond` are for less sure lines
+    above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle of P at each flat line: -1
+    must lie outside that of L.
+    """
+
+    requirements: Requirements
+    templates: tuple[BlockTemplate, ...]
+    variables: tuple[Variable, ...]
+    unit: Controller
+    precision: str
+    names: tuple[str, ...]
+    f: Array
+    P: ComplexArray
+    reach: Array
+    first: np.ndarray
+    led: np.ndarray
+    unique_f: Array
+    unique_s: ComplexArray
+    line: np.ndarray
+    integrators: np.ndarray
+    unstable: np.ndarray
+    fitted: np.ndarray
+    P_below: ComplexArray
+    s_below: ComplexArray
+    first_below: np.ndarray
+    f_above: Array
+    f_beyond: Array
+    P_beyond: ComplexArray
+    owner_beyond: np.ndarray
+    f_wide: Array
+
+    @cached_property
+    def low(self) -> Array:
+        """Lower bounds of x."""
+        return np.log([v.low for v in self.variables])
+
+    @cached_property
+    def high(self) -> Array:
+        """Upper bounds of x."""
+        return np.log([v.high for v in self.variables])
+
+    @property
+    def points(self) -> int:
+        """How many operating points there are."""
+        return len(self.names)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """Operating point of each flat line."""
+        return np.repeat(np.arange(self.points), np.diff(self.first))
+
+    @cached_property
+    def ln_P(self) -> Array:
+        """ln |P| on the flat lines."""
+        return np.log(np.abs(self.P))
+
+    @cached_property
+    def ln_f(self) -> Array:
+        """ln f on the flat lines."""
+        return np.log(self.f)
+
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Which flat lines have the next one at the same operating point, all but the last."""
+        return np.diff(self.owner) == 0
+
+    def largest(self, size: Array) -> np.ndarray:
+        """Flat line of each operating point where `size` (flat) is largest."""
+        counts = np.diff(self.first)
+        if np.ptp(counts) == 0:
+            return self.first[:-1] + size.reshape(self.points, -1).argmax(axis=1)
+        return np.array([a + np.argmax(size[a : a + n]) for a, n in zip(self.first[:-1], counts, strict=True)])
+
+    @cached_property
+    def s(self) -> ComplexArray:
+        """Columns: every s at which the controller is looked at (unique lines, above, beyond, wide)."""
+        grid = np.concatenate([self.f_above, self.f_beyond, self.f_wide])
+        return np.concatenate([self.unique_s, self.unit.s_at(grid)])
+
+    @cached_property
+    def outside(self) -> ComplexArray | None:
+        """What follows the sections on the columns, 1 on the wide ones: delay and added hold; None without."""
+        return self._outside(np.concatenate([self.unique_f, self.f_above, self.f_beyond]), self.f_wide.size)
+
+    def _outside(self, f: Array, ones: int) -> ComplexArray | None:
+        if not (self.unit.computation_delay_s or self.unit.added_hold):
+            return None
+        return np.concatenate([self.unit.outside(f), np.ones(ones)])
+
+    @cached_property
+    def above(self) -> slice:
+        """Columns above the last line, up to 0.45 of the rate."""
+        return slice(self.unique_s.size, self.unique_s.size + self.f_above.size)
+
+    @cached_property
+    def beyond(self) -> slice:
+        """Columns of the less sure lines above those that are judged."""
+        return slice(self.above.stop, self.above.stop + self.f_beyond.size)
+
+    @cached_property
+    def wide(self) -> slice:
+        """Columns on which the bandwidth of C is read; none where it is not limited."""
+        return slice(self.beyond.stop, self.s.size)
+
+    def blocks(self, x: Array) -> tuple[Block, ...]:
+        """Blocks at x."""
+        values: list[dict[str, float]] = [{} for _ in self.templates]
+        for v, value in zip(self.variables, np.exp(x), strict=True):
+            values[v.block][v.name] = min(max(float(value), v.low), v.high)
+        return tuple(t.block(values[k]) for k, t in enumerate(self.templates))
+
+    def controller(self, x: Array) -> Controller:
+        """Controller at x."""
+        return replace(self.unit, blocks=self.blocks(x), precision=self.precision)
+
+    def asked(self, requirements: Requirements) -> Problem:
+        """The same plants and structure under other limits."""
+        return replace(self, requirements=requirements, f_wide=_wide(requirements, self.unit.rate_hz))
+
+    def below(self, blocks: Sequence[Block]) -> ComplexArray:
+        """L below the lowest lines, by the models of the plants, flat."""
+        return series_response(blocks, self.s_below) * self.P_below
+
+    def place(self, at: int, point: int) -> tuple[str, float]:
+        """Operating point (-1: every one) and frequency in Hz of a flat line, or of a column above all lines."""
+        name = self.names[point] if point >= 0 else "every operating point"
+        if at < self.f.size:
+            return name, float(self.f[at])
+        return name, float(np.concatenate([self.f_above, self.f_beyond, self.f_wide])[at - self.f.size])
+
+    def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
+        """d ln C/d x (variables, columns), exact; `pi` blocks count as 1 on the wide columns."""
+        s = self.s[columns]
+        by_block = {k: blocks[k].log_slopes(s) for k in {v.block for v in self.variables}}
+        rows = np.empty((len(self.variables), s.size), dtype=complex)
+        for row, v in zip(rows, self.variables, strict=True):
+            template, block = self.templates[v.block], blocks[v.block]
+            names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
+            row[:] = block.parameters[v.name] * sum(by_block[v.block][name] for name in names)
+            if block.kind == "pi":
+                row[columns >= self.wide.start] = 0.0
+        return rows
+
+
+#: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
+OUTSIDE = 0.05
+#: where L is led below its first line, as shares of its frequency
+DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
+
+
+def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, precision: str = "double") -> Problem:
+    """Problem from loops and requirements with a structure.
+
+    Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold. Searches look at
+    coefficients in double precision; controllers are made in `precision`.
+    """
+    refuse(loops, requirements)
+    lines = [_lines(loop) for loop in loops]
+    below = [_below(loop) for loop in loops]
+    f = np.concatenate([own for own, _, _ in lines])
+    unique, line = np.unique(f, return_inverse=True)
+    unit = replace(loops[0].controller, loop=requirements.loop, blocks=(Block("gain", {"gain": 1.0}),), rate_hz=rate_hz)
+    below_hz = np.concatenate([own for own, _ in below])
+    outside = unit.outside(below_hz) if unit.computation_delay_s or unit.added_hold else np.ones(below_hz.size)
+    beyond = [_beyond(loop, rate_hz) for loop in loops]
+    return Problem(
+        requirements=requirements,
+        templates=requirements.structure,
+        variables=variables_of(requirements),
+        unit=unit,
+        precision=precision,
+        names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
+        f=f,
+        P=np.concatenate([P for _, P, _ in lines]),
+        reach=np.concatenate([reach for _, _, reach in lines]),
+        first=np.concatenate([[0], np.cumsum([own.size for own, _, _ in lines])]),
+        led=np.array([own.size - loop.frequency_hz.size for (own, _, _), loop in zip(lines, loops, strict=True)]),
+        unique_f=unique,
+        unique_s=unit.s_at(unique),
+        line=line,
+        integrators=np.array([loop.integrators or 0 for loop in loops])
+        + sum(t.kind == "pi" for t in requirements.structure),
+        unstable=np.array([loop.unstable_poles for loop in loops]),
+        fitted=np.array([loop.below_hz.size > 0 for loop in loops]),
+        P_below=np.concatenate([P for _, P in below]) * outside,
+        s_below=unit.s_at(below_hz),
+        f_above=above_hz(min(float(loop.frequency_hz[-1]) for loop in loops), rate_hz),
+        first_below=np.concatenate([[0], np.cumsum([own.size for own, _ in below])]),
+        f_beyond=np.concatenate([lines for lines, _ in beyond]),
+        P_beyond=np.concatenate([P for _, P in beyond]),
+        owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
+        f_wide=_wide(requirements, rate_hz),
+    )
+
+
+def _below(loop: Loop) -> tuple[Array, ComplexArray]:
+    """Frequencies below the first line and P there, by the fit, else by the likeliest model of the lowest lines."""
+    if loop.below_hz.size:
+        return loop.below_hz, loop.P_below
+    f, models = low_hz(loop), low_models(loop)
+    return (f, models[0].response(f)) if models else (np.zeros(0), np.zeros(0, dtype=complex))
+
+
+def _lines(loop: Loop) -> tuple[Array, ComplexArray, Array]:
+    """Frequencies, P and its reach on a loop's lines.
+
+    Without integrators P may start on the negative real axis at 0 Hz, and L pass -1 below the first line, where the
+    check reads margins too: then a model leads the lines down to there.
+    """
+    f, P, reach = loop.frequency_hz, loop.plant.siso, _reach(loop)
+    models = () if loop.integrators else low_models(loop)[:1]
+    down = f[0] * DOWN
+    for model in models:
+        led = model.response(down)
+        if led[0].real < 0.0:
+            relative = reach[0] / abs(P[0])
+            return np.append(down, f), np.append(led, P), np.append(relative * np.abs(led), reach)
+    return f, P, reach
+
+
+def _reach(loop: Loop) -> Array:
+    """Radius (nf,) of the 95 % circle of P; wider where its variance was itself estimated with few degrees of freedom.
+
+    |d|² over an estimated variance follows an F distribution with 2 and that many degrees.
+    """
+    freedom = loop.plant.variance_freedom
+    square = -np.log(OUTSIDE)
+    if np.isfinite(freedom):
+        square = 0.5 * freedom * np.expm1(2.0 * square / freedom)
+    return np.sqrt(square * loop.plant.variance[:, 0, 0])
+
+
+def _beyond(loop: Loop, rate_hz: float) -> tuple[Array, ComplexArray]:
+    """Less sure lines above the judged ones, below half the rate."""
+    if loop.beyond is None:
+        return np.zeros(0), np.zeros(0, dtype=complex)
+    f = loop.beyond.frequency_hz
+    return f[f < 0.5 * rate_hz], loop.beyond.siso[f < 0.5 * rate_hz]
+
+
+def _wide(requirements: Requirements, rate_hz: float) -> Array:
+    """Lines on which the bandwidth of C is read, and its limit; none where it is not limited."""
+    limit = requirements.controller_bandwidth_hz
+    if limit is None:
+        return np.zeros(0)
+    grid = controller_grid_hz(rate_hz)
+    return np.unique(np.append(grid, min(limit, float(grid[-1]))))
+
+
+def bounds_reached(p: Problem, x: Array) -> tuple[str, ...]:
+    """Parameters that stand at a bound, in words."""
+    names = []
+    for k, v in enumerate(p.variables):
+        for limit, word in ((p.low[k], "min"), (p.high[k], "max")):
+            if abs(x[k] - limit) < 1e-6:
+                names.append(f"{p.templates[v.block].kind} {v.name} at its {word} {np.exp(limit):g}")
+    return tuple(names)

@@ -1,0 +1,84 @@
+"""Rows of a tuning problem: values that are to be at least zero, each with its slopes in short."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray, db, deg, from_db, rad
+from loopshape.data.requirements import LIMITS, Limit
+from loopshape.design.problem import Problem
+
+#: how far limits are moved inward, in their own unit ("stability" and the bandwidth of C: in ln of a magnitude): one
+#: number, or one for each operating point
+Tighten = Mapping[str, float | Array]
+LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
+#: quantity of the rows that keep the count of encirclements sure: -1 outside the 95 % circles, |L| < 1 beyond
+SURE = "stability"
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Values (m,) of one quantity whose slopes are Re(a d ln C_i/d x + b d ln C_j/d x) with i and j columns.
+
+    `at` is the flat line nearest to each, or, from the number of flat lines on, a column above them; `point` its
+    operating point, -1 where it is of C alone.
+    """
+
+    what: str
+    value: Array
+    at: np.ndarray
+    point: np.ndarray
+    i: np.ndarray
+    a: ComplexArray
+    j: np.ndarray
+    b: ComplexArray
+
+
+def on_lines(what: str, p: Problem, value: Array, at: np.ndarray, factor: ComplexArray | Array) -> Rows:
+    """Rows whose slopes are Re(factor d ln C/d x) on flat lines."""
+    columns = p.line[at]
+    a = np.asarray(factor, dtype=complex)
+    return Rows(what, value, at, p.owner[at], columns, a, columns, np.zeros(at.size, dtype=complex))
+
+
+def between_lines(
+    what: str, p: Problem, value: Array, at: np.ndarray, share: Array, factor: ComplexArray | Array
+) -> Rows:
+    """Rows whose slopes are Re(factor d ln C/d x) at a share of the way from flat lines to the next ones."""
+    i, j = p.line[at], p.line[np.minimum(at + 1, p.f.size - 1)]
+    whole = np.asarray(factor, dtype=complex)
+    return Rows(what, value, at, p.owner[at], i, (1.0 - share) * whole, j, share * whole)
+
+
+def wished(p: Problem, name: str, tighten: Tighten) -> Array:
+    """Limit of a quantity at each operating point, tightened, in its own unit; ratios stay above zero."""
+    limit = LIMIT_OF[name]
+    moved = np.asarray(tighten.get(name, 0.0)) * (1.0 if limit.sense == "at_least" else -1.0)
+    every = np.broadcast_to(float(getattr(p.requirements, name)) + moved, p.points)
+    return every if limit.unit in ("dB", "deg") else np.maximum(every, 1e-12)
+
+
+def scaled(name: str, value: Array) -> Array:
+    """A limit as rows count it: ln of a magnitude or a ratio, rad of an angle."""
+    unit = LIMIT_OF[name].unit
+    return rad(value) if unit == "deg" else np.log(from_db(value)) if unit == "dB" else np.log(value)
+
+
+def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
+    """Spare in a quantity's own unit from a row's room against `limit`; negative where it is missed."""
+    unit = LIMIT_OF[name].unit
+    if unit == "deg":
+        return deg(room)
+    if unit == "dB":
+        return np.asarray(np.sign(room) * db(np.exp(np.abs(room))))
+    sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
+    return np.asarray(sign * np.asarray(limit) * np.expm1(sign * np.asarray(room)))
+
+
+def in_rows(name: str, limit: float | Array, spare: float | Array) -> Array:
+    """A spare as rows count it, to first order."""
+    unit = LIMIT_OF[name].unit
+    return np.asarray(scaled(name, np.asarray(spare)) if unit in ("dB", "deg") else np.asarray(spare) / limit)

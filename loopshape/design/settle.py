@@ -1,0 +1,137 @@
+"""From what the tuner reads to what `check` reads: limits tightened by what confidence and finer reading ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.units import Array
+from loopshape.data.controller import Controller
+from loopshape.data.requirements import Verdict
+from loopshape.design.measures import Measures, measure
+from loopshape.design.problem import Problem
+from loopshape.design.rows import LIMIT_OF, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.search import Found, Goal, begin, search
+
+#: what holds a controller against all requirements and has the last word
+Judge = Callable[[Controller], Verdict]
+#: rounds of checking and searching on at most; from this one on limits are never loosened again
+ROUNDS, FIRM = 8, 3
+#: a result is settled where the limits that bind were tightened by no more than this (ln or rad) beyond what was needed
+WASTE = 0.003
+#: where stability is not decided, L is kept farther from -1 by this much (ln) a round
+SURER = 0.15
+#: first of a rank where no line is missed, and stability is not decided
+UNSURE = (1, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A search's end, `check`'s verdict on it, and the tightening under which it was searched."""
+
+    found: Found
+    verdict: Verdict
+    tighten: Tighten
+
+    @property
+    def rank(self) -> tuple[int, float, float]:
+        """What makes one better than another, smallest first: outcome, worst miss of a limit, -(objective)."""
+        stable = {m.stable for m in self.verdict.margins.values()}
+        outcome = 3 if "unstable" in stable else ("passed", "undecided", "failed").index(self.verdict.outcome)
+        return outcome, round(0.0 if outcome == 0 else miss(self.verdict), 4), -self.found.measures.objective()
+
+
+def miss(verdict: Verdict) -> float:
+    """Worst miss of a verdict's lines, as rows count it."""
+    misses = [abs(float(in_rows(line.quantity, line.wished, line.spare))) for line in verdict.lines if line.spare < 0.0]
+    return max(misses, default=0.0)
+
+
+def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None) -> Settled:
+    """The best that passes `judge`, whose word is final: its readings are finer, and count to the bad end of their
+    95 % intervals.
+
+    Each round asks it how much less spare than the tuner it sees, for each quantity at each operating point, tightens
+    the limits by that and searches on. What is asked changes little with x, so a few rounds do. `tighten` is that under
+    which `best` was found.
+    """
+    tighten = tighten or {}
+    tried: list[Settled] = []
+    for k in range(ROUNDS):
+        tried.append(Settled(best, judge(p.controller(best.x)), tighten))
+        asked = allowances(p, best.x, tried[-1].verdict)
+        if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
+            break
+        tighten = _tightened(p, tighten, asked, tried[-1].verdict, firm=k >= FIRM)
+        goal = Goal(tighten)
+        best = search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
+    return min(tried, key=lambda one: one.rank)
+
+
+def allowances(p: Problem, x: Array, verdict: Verdict) -> dict[str, Array]:
+    """How much less spare than the tuner `check` sees, by quantity, at each operating point (points,), in its unit.
+
+    To the bad end of the interval; zero where the tuner was too careful, and where either sees no crossing.
+    """
+    read = spares(p, measure(p, x, {}))
+    out = {}
+    for name, mine in read.items():
+        sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
+        ends = [m.intervals.get(name, (getattr(m, name),) * 2) for m in verdict.margins.values()]
+        bad = np.array([low if sign > 0.0 else high for low, high in ends])
+        with np.errstate(invalid="ignore"):
+            gap = mine - sign * (bad - getattr(p.requirements, name))
+        out[name] = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
+    return out
+
+
+def spares(p: Problem, m: Measures) -> dict[str, Array]:
+    """Least spare of each quantity at each operating point (points,), in its unit; +inf where no row speaks of it.
+
+    `m` is measured without tightening.
+    """
+    with np.errstate(over="ignore"):
+        return {name: spare_of(name, wished(p, name, {}), room) for name, room in least_rooms(p, m).items()}
+
+
+def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
+    """Least room of each quantity that `check` reads at each operating point (points,), +inf where there is no row."""
+    out: dict[str, Array] = {}
+    for r in m.rows:
+        if r.what not in (SURE, "controller_bandwidth_hz"):
+            np.minimum.at(out.setdefault(r.what, np.full(p.points, np.inf)), r.point, r.value)
+    return out
+
+
+def _done(now: Settled, asked: Mapping[str, Array], k: int) -> bool:
+    """Whether it passes and little was wasted, or cannot pass although the tightening is about right."""
+    m, waste = now.found.measures, 0.0
+    p = m.evaluation.p
+    for name, room in least_rooms(p, m).items():
+        off = np.abs(in_rows(name, wished(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
+        waste = max(waste, float(off[room < 2.0 * WASTE].max(initial=0.0)))
+    if now.verdict.passed:
+        return waste < WASTE
+    return k >= 2 and m.worst < -1e-3 and waste < WASTE
+
+
+def _tightened(
+    p: Problem, before: Tighten, asked: Mapping[str, Array], verdict: Verdict, *, firm: bool
+) -> dict[str, float | Array]:
+    """The next tightening: what was asked, and a fifth of what it rose by; `firm` never less than before."""
+    out: dict[str, float | Array] = {}
+    for name, needed in asked.items():
+        given = np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points)
+        rise = np.maximum(needed - given, 0.0)
+        now = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(getattr(p.requirements, name)), 1e-3)
+        out[name] = np.maximum(given, now + 0.3 * rise) if firm else now
+    lines = {line.quantity: line.spare for line in verdict.lines}
+    name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
+    if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
+        missed = -lines[name] / wish if lines[name] < 0.0 else 0.0
+        out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
+    unsure = np.array([m.stable != "stable" for m in verdict.margins.values()])
+    sure = np.broadcast_to(np.asarray(before.get(SURE, 0.0), dtype=float), p.points)
+    return out | {SURE: sure + SURER * unsure}

@@ -1,0 +1,164 @@
+"""From what each hypothesis leaves to probabilities: none, every effect, pairs, and unknown.
+
+A hypothesis' energy is what it leaves when each recording is predicted from the others, over a temperature (all
+forms are wrong, so differences of fit count less than noise alone would say), plus what it costs to bring in one
+or two effects, plus how unusual its magnitude is. `unknown` is a form-free explanation that would leave a share of
+the healthy model's gap. Temperature, costs and share were chosen by hand, guided by a grid over development arms and by
+the answers of the first sealed exam (`experiments/exam`); what an effect that extends another, or a second one, costs
+where recordings are few was chosen with EMPS in view (`experiments/emps`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.data.effect import EffectForm
+from loopshape.diagnose.attribute import LeftOut, deviation_of_magnitude, left_out
+from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.fitting import Fitted
+from loopshape.diagnose.hypothesis import Hypothesis
+
+SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
+ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
+PER_NUMBER = 0.3  # beyond the first of each effect
+EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
+UNKNOWN, UNKNOWN_LEAVES = 3.2, 0.2
+HEALTHY_EXCESS = 2.5  # healthy development arms left 1.2 at most; beyond it `none` is not believed
+_UNUSUAL, _SLACK = 6.0, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A fitted hypothesis with its score.
+
+    `excess` is what it leaves over noise when recordings are left out, `price` what its effects and magnitudes
+    cost, `deviations` are standard deviations of the magnitudes.
+    """
+
+    fitted: Fitted
+    left: LeftOut
+    deviations: tuple[float, ...]
+    excess: float
+    price: float
+
+    @property
+    def energy(self) -> float:
+        """At the highest temperature, to choose among forms."""
+        return SHARPNESS * self.excess + self.price
+
+    @property
+    def name(self) -> str:
+        """Effects joined by +, or none."""
+        return self.fitted.hypothesis.name
+
+
+def unusual(form: EffectForm, magnitude: float) -> float:
+    """Energy of a magnitude outside the usual range: square of the logarithm by how much, beyond a slack."""
+    low, high = form.usual
+    size = max(abs(magnitude), 1e-12)
+    off = max(np.log(max(low, 1e-12) / size), np.log(size / high), 0.0)
+    return float(_UNUSUAL * max(off - _SLACK, 0.0) ** 2)
+
+
+def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
+    """A fitted hypothesis with its energy."""
+    left = left_out(evidence, fitted)
+    forms = fitted.hypothesis.forms
+    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, k) for k in range(len(forms)))
+    cost = (0.0, ONE_EFFECT, TWO_EFFECTS + SECOND / evidence.independent)[len(forms)]
+    cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
+    cost += sum(EXTENDS / evidence.independent for f in forms if f.extends)
+    odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
+    return Candidate(fitted, left, deviations, left.cost - evidence.quiet, cost + odd)
+
+
+def energies(evidence: Evidence, none: Candidate, scored: Mapping[str, Candidate]) -> dict[str, float]:
+    """Energy of every name scored, of every other effect of the catalogue, and of `unknown`.
+
+    Where the best explains all but noise its form is right, and differences count for more.
+    """
+    best = max(min(c.excess for c in scored.values()), 0.0)
+    sharpness = SHARPNESS + SHARPER * float(np.exp(-best / _EXPLAINED))
+    out = {name: sharpness * c.excess + c.price for name, c in scored.items()}
+    out["none"] = sharpness * none.excess + max(none.excess - HEALTHY_EXCESS, 0.0)
+    out["unknown"] = UNKNOWN + sharpness * unknown_excess(evidence, none)
+    for form in evidence.plant.effects:  # what was not worth fitting explains no more than nothing does
+        out.setdefault(form.effect, sharpness * none.excess + ONE_EFFECT + _NOT_FITTED)
+    return out
+
+
+_EXPLAINED, _NOT_FITTED = 3.0, 5.0
+
+
+def unknown_excess(evidence: Evidence, none: Candidate) -> float:
+    """What an explanation that the catalogue does not hold would leave: UNKNOWN_LEAVES of the gap's rms."""
+    excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
+    return float(np.sum(np.log1p(1.0 + UNKNOWN_LEAVES**2 * excess))) - evidence.quiet
+
+
+def best_by_name(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
+    """The candidate of least energy for each name, best first."""
+    best: dict[str, Candidate] = {}
+    for c in sorted(candidates, key=lambda c: c.energy):
+        best.setdefault(c.name, c)
+    return best
+
+
+def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
+    """Boltzmann's weights, most probable first."""
+    names = sorted(energies, key=lambda n: energies[n])
+    values = np.array([energies[n] for n in names])
+    weights = np.exp(-(values - values.min()))
+    return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
+
+
+def pair_bases(none: Candidate, singles: Mapping[str, Candidate], quiet: float, most: int) -> list[Candidate]:
+    """Single effects on which a second may build: the best few, if the best helps and leaves a gap worth it."""
+    found = [c for name, c in singles.items() if name != "none"]
+    if not found:
+        return []
+    best = min(c.fitted.cost for c in found)
+    gain, whole = none.fitted.cost - best, none.fitted.cost - quiet
+    if best - quiet < _PAIR_WORTH or gain < _PAIR_GAIN * whole:
+        return []
+    return [c for c in found if none.fitted.cost - c.fitted.cost >= 0.5 * gain][:most]
+
+
+_PAIR_WORTH, _PAIR_GAIN = 5.0, 0.1
+
+
+def pairs_on(base: Candidate, catalogue: Sequence[EffectForm]) -> list[Hypothesis]:
+    """The base with every other effect, in each effect's first two forms."""
+    seen: dict[str, int] = {}
+    out = []
+    for f in catalogue:
+        seen[f.effect] = seen.get(f.effect, 0) + 1
+        if seen[f.effect] <= _FIRST_FORMS:
+            out += _beside(base, f)
+    return out
+
+
+def other_forms(base: Candidate, catalogue: Sequence[EffectForm], effect: str) -> list[Hypothesis]:
+    """The base with an effect in the forms that `pairs_on` did not try."""
+    mine = [f for f in catalogue if f.effect == effect]
+    return [h for f in mine[_FIRST_FORMS:] for h in _beside(base, f)]
+
+
+_FIRST_FORMS = 2
+
+
+def _beside(base: Candidate, form: EffectForm) -> list[Hypothesis]:
+    """The base with a form, if its effect is another and the two can be told apart."""
+    forms = base.fitted.hypothesis.forms
+    if form.effect in {f.effect for f in forms} or _clash(forms, form):
+        return []
+    return [Hypothesis(base.fitted.hypothesis.plant, (*forms, form))]
+
+
+def _clash(forms: Sequence[EffectForm], other: EffectForm) -> bool:
+    """Whether two forms move one parameter: then they cannot be told apart."""
+    mine = {name for f in forms for name in f.moves([0.0] * len(f.free))}
+    return bool(mine & set(other.moves([0.0] * len(other.free))))

@@ -1,0 +1,117 @@
+"""Evidence: what a model with given parameters leaves unexplained of each recording, cell by cell.
+
+A cell is one compared channel of one recording. The plant says how its recordings are followed; nothing here
+knows which plant it is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.units import Array
+from loopshape.data.plant import Followable
+from loopshape.data.run import Run
+
+Moves = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Place of one channel of one recording in the residual vector, and the noise's rms there."""
+
+    recording: str
+    channel: str
+    start: int
+    stop: int
+    floor: float
+
+    @property
+    def part(self) -> slice:
+        """Its part of the vector."""
+        return slice(self.start, self.stop)
+
+
+@dataclass(eq=False)
+class Evidence:
+    """Recordings of one role, ready to be followed. `residuals` is the only thing that costs time; it counts itself.
+
+    `independent` is how many recordings there were before a plant cut them into pieces.
+    """
+
+    plant: Followable
+    prepared: Sequence[Any]
+    threads: int
+    cells: tuple[Cell, ...] = ()
+    independent: int = 1
+    evaluations: int = 0
+    known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        plant: Followable,
+        run: Run,
+        names: Sequence[str],
+        periodic_s: float,
+        threads: int | None = None,
+        brief_s: float = float("inf"),
+        independent: int | None = None,
+    ) -> Evidence:
+        """Evidence of the recordings named: `periodic_s` of those that repeat themselves, `brief_s` of the others."""
+        chosen = [run.recording(n) for n in names]
+        longest = [min(brief_s, max(periodic_s, r.info.period_s or float("inf"))) for r in chosen]
+        prepared = [plant.prepare(r, run, s if np.isfinite(s) else None) for r, s in zip(chosen, longest, strict=True)]
+        evidence = cls(plant, prepared, threads or os.cpu_count() or 1, independent=independent or len(names))
+        evidence.cells = _cells(prepared, plant, [plant.residuals(p, {}) for p in prepared])
+        return evidence
+
+    @property
+    def recordings(self) -> list[str]:
+        """Names of its recordings, in order."""
+        return list(dict.fromkeys(c.recording for c in self.cells))
+
+    @property
+    def quiet(self) -> float:
+        """What sum log(1 + ms) over the cells is where only noise is left."""
+        return len(self.cells) * float(np.log(2.0))
+
+    def residuals(self, many: Sequence[Moves]) -> list[Array]:
+        """Residual vectors (n,) for each set of moved parameters, all recordings and sets in parallel."""
+        keys = [tuple(sorted(moves.items())) for moves in many]
+        new = [k for k in dict.fromkeys(keys) if k not in self.known]
+        tasks = [(p, dict(k)) for k in new for p in self.prepared]
+        self.evaluations += len(new)
+        with ThreadPoolExecutor(self.threads) as pool:
+            parts = list(pool.map(lambda task: self.plant.residuals(*task), tasks))
+        width = len(self.prepared)
+        for j, key in enumerate(new):
+            rows = parts[j * width : (j + 1) * width]
+            self.known[key] = np.concatenate([values for row in rows for values in row.values()])
+        out = [self.known[k] for k in keys]
+        while len(self.known) > _REMEMBERED:
+            self.known.pop(next(iter(self.known)))
+        return out
+
+    def mean_squares(self, residual: Array) -> Array:
+        """Mean square of each cell relative to its noise floor's, (cells,)."""
+        return np.array([np.mean((residual[c.part] / c.floor) ** 2) for c in self.cells])
+
+
+_REMEMBERED = 64
+
+
+def _cells(prepared: Sequence[Any], plant: Followable, rows: Sequence[Mapping[str, Array]]) -> tuple[Cell, ...]:
+    out: list[Cell] = []
+    at = 0
+    for p, row in zip(prepared, rows, strict=True):
+        floors = plant.floors(p)
+        for channel, values in row.items():
+            out.append(Cell(p.name, channel, at, at + values.size, floors[channel]))
+            at += values.size
+    return tuple(out)

@@ -1,0 +1,122 @@
+"""Fitting a hypothesis to evidence: Gauss-Newton in a box, every cell weighted by what it leaves.
+
+Each cell has a variance of its own that nobody knows (all forms are wrong): the concentrated likelihood
+sum log(1 + ms) is lowered by weights 1/(1 + ms), with ms the cell's mean square over its noise floor's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from loopshape.core.units import Array
+from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.hypothesis import Hypothesis
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A hypothesis at its numbers phi (p,): residual (n,), mean squares (cells,), and the slopes (n, p) last known."""
+
+    hypothesis: Hypothesis
+    phi: Array
+    residual: Array
+    mean_squares: Array
+    slopes: Array
+
+    @property
+    def cost(self) -> float:
+        """Sum over cells of log(1 + ms)."""
+        return cost(self.mean_squares)
+
+    @property
+    def magnitudes(self) -> list[float]:
+        """One an effect, in its unit."""
+        return self.hypothesis.magnitudes(self.phi)
+
+
+def cost(mean_squares: Array) -> float:
+    """Sum over cells of log(1 + ms); infinite where a model gave no number."""
+    total = float(np.sum(np.log1p(mean_squares)))
+    return total if np.isfinite(total) else float("inf")
+
+
+def at(evidence: Evidence, hypothesis: Hypothesis, phi: Array, slopes: Array) -> Fitted:
+    """The hypothesis at phi, with slopes from elsewhere."""
+    (residual,) = evidence.residuals([hypothesis.moves(phi)])
+    return Fitted(hypothesis, phi, residual, evidence.mean_squares(residual), slopes)
+
+
+def with_slopes(evidence: Evidence, fitted: Fitted, which: range) -> Fitted:
+    """Slopes of the numbers `which` anew, by differences."""
+    steps = fitted.hypothesis.steps(fitted.phi)
+    moved = []
+    for k in which:
+        phi = fitted.phi.copy()
+        phi[k] += steps[k]
+        moved.append(fitted.hypothesis.moves(phi))
+    slopes = fitted.slopes.copy()
+    for k, residual in zip(which, evidence.residuals(moved), strict=True):
+        slopes[:, k] = np.nan_to_num((residual - fitted.residual) / steps[k], nan=0.0, posinf=0.0, neginf=0.0)
+    return replace(fitted, slopes=slopes)
+
+
+def weights(evidence: Evidence, mean_squares: Array) -> Array:
+    """Weight of each sample (n,): its cell counts once, over its noise floor and what it leaves."""
+    out = np.empty(evidence.cells[-1].stop)
+    for cell, ms in zip(evidence.cells, mean_squares, strict=True):
+        out[cell.part] = 1.0 / ((1.0 + ms) * cell.floor**2 * (cell.stop - cell.start))
+    return out
+
+
+def box_step(fitted: Fitted, weight: Array, free: Array) -> Array:
+    """The step of phi (p,) that lowers the weighted sum of squares most inside the box, numbers `free` only."""
+    slopes = fitted.slopes[:, free]
+    h = slopes.T @ (slopes * weight[:, None])
+    g = -slopes.T @ (fitted.residual * weight)
+    spread = np.flatnonzero(free) >= fitted.hypothesis.n_free
+    h[spread, spread] += _SPREAD
+    g[spread] -= _SPREAD * fitted.phi[free][spread]
+    return _solve(h, g, (fitted.hypothesis.low - fitted.phi)[free], (fitted.hypothesis.high - fitted.phi)[free], free)
+
+
+def _solve(h: Array, g: Array, low: Array, high: Array, free: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
+    factor = np.linalg.cholesky(h / np.outer(scale, scale) + 1e-9 * np.eye(len(h)))
+    solution = lsq_linear(
+        factor.T, np.linalg.solve(factor, g / scale), (low * scale - 1e-12, high * scale + 1e-12), method="bvls"
+    )
+    step = np.zeros(free.size)
+    step[free] = np.clip(solution.x / scale, low, high)
+    return step
+
+
+def improve(evidence: Evidence, fitted: Fitted, rounds: int, *, all_slopes: bool) -> Fitted:
+    """Some rounds of Gauss-Newton with halved steps where one does not pay; slopes of the spread anew if asked."""
+    p = fitted.phi.size
+    for _ in range(rounds):
+        which = range(p) if all_slopes else range(fitted.hypothesis.n_free)
+        fitted = with_slopes(evidence, fitted, which)
+        free = np.any(fitted.slopes != 0.0, axis=0)
+        if not free.any():
+            return fitted
+        step = box_step(fitted, weights(evidence, fitted.mean_squares), free)
+        better = None
+        for share in (1.0, 0.4, 0.1):
+            phi = np.clip(fitted.phi + share * step, fitted.hypothesis.low, fitted.hypothesis.high)
+            trial = at(evidence, fitted.hypothesis, phi, fitted.slopes)
+            if trial.cost < fitted.cost:
+                better = trial
+                break
+        if better is None:
+            return fitted
+        gain, fitted = fitted.cost - better.cost, better
+        if gain < _ENOUGH:
+            return fitted
+    return fitted
+
+
+_ENOUGH = 0.08
+_SPREAD = 0.05  # a light hold on the spread: it decides only what the data leave open

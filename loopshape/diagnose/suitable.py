@@ -1,0 +1,88 @@
+"""Which recordings a diagnosis can use, and what a run cannot tell: said before anything is fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError
+from loopshape.core.units import Array
+from loopshape.data.channel import sum_terms
+from loopshape.data.plant import Followable
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
+
+SHORTEST_S = 3.0
+RUN = 10  # equal samples in a row
+SATURATED = 0.02  # share of samples at a measured signal's ends
+
+
+def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
+    """Notes and the recordings that can be followed; raises BadSignalError where there are none to fit."""
+    notes: list[str] = []
+    usable = [r for r in run.recordings if _usable(plant, run, r, notes)]
+    estimation = [r for r in usable if r.info.role == "estimation"]
+    if not estimation:
+        why = "; ".join(notes) or "the run has none of role estimation"
+        raise BadSignalError(
+            f"no recording of this run can be followed on {plant.name}",
+            why,
+            f"record the columns {', '.join(plant.needs)} for at least {SHORTEST_S:g} s, role estimation",
+        )
+    if not any(r.info.role == "validation" for r in usable):
+        notes.append(
+            "no validation recording: how far the gap shrinks cannot be told; hold a sweep and a staircase out "
+            '(role = "validation"), at other operating points'
+        )
+    points = {tuple(sorted(r.info.operating_point.items())) for r in estimation}
+    if len(points) == 1:
+        notes.append(
+            "one operating point: effects that part only by pressure or angle stay together in the ambiguity set; "
+            "record at two more angles and another pressure"
+        )
+    if len(estimation) == 1:
+        notes.append("one estimation recording: intervals by leaving recordings out do not exist; record more")
+    return notes, usable
+
+
+def _usable(plant: Followable, run: Run, recording: Recording, notes: list[str]) -> bool:
+    try:
+        fault = _fault(plant, run, recording)
+    except BadSignalError as error:
+        fault = f"left out: {error}"
+    if fault:
+        notes.append(f"{recording.info.file}: {fault}" if fault.startswith("left out") else fault)
+    return not fault
+
+
+def _fault(plant: Followable, run: Run, recording: Recording) -> str:
+    """What keeps a recording from being used, in a sentence; empty where nothing does."""
+    file, missing = recording.info.file, [c for c in plant.needs if c not in recording.columns]
+    if missing:
+        return f"{file} has no {', '.join(missing)}: it is left out; record them"
+    values = {c: recording.column(c) for c in plant.needs}
+    seconds = len(values[plant.needs[0]]) / recording.rate_hz
+    if seconds < SHORTEST_S:
+        return f"{file} lasts {seconds:.2g} s: too short, left out; record at least {SHORTEST_S:g} s"
+    if not plant.stays_in_range(recording, run):
+        return f"{file} leaves the model's range: it is left out; keep inside what the model describes"
+    outputs = {c for loop in run.loops for c in sum_terms(loop.output)} & set(plant.needs)
+    for column in sorted(outputs):
+        if np.ptp(values[column]) == 0.0:
+            return f"{file}: {column} never moves: a dead sensor, left out"
+        stuck = at_its_ends(values[column])
+        if stuck > SATURATED:
+            return f"{file}: {column} rests at its end in {stuck:.0%} of the samples: saturated, left out"
+    return ""
+
+
+def at_its_ends(values: Array) -> float:
+    """Share of samples in runs of at least ten equal values at the largest or smallest.
+
+    0 where as many such runs lie elsewhere: then it is a coarse sensor and not a saturated one.
+    """
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    lengths = np.diff(np.concatenate([starts, [values.size]]))
+    long = lengths >= RUN
+    ends = np.isin(values[starts], (values.min(), values.max()))
+    there, elsewhere = int(lengths[long & ends].sum()), int(lengths[long & ~ends].sum())
+    return there / values.size if there > elsewhere else 0.0

@@ -1,0 +1,245 @@
+"""Samples of a signal that a sensor or an amplifier spoiled: spikes, clipped peaks, stuck stretches.
+
+Each is named by its rows, counted from 0, and times. Steps, square waves, staircases and sharp noise are none of them:
+a spike comes back to where it left, far beyond what the signal does elsewhere (cf. Ljung, System Identification,
+2nd ed. 1999, 14.2; the limits are ours, set so that Gaussian noise of a million samples shows none).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError
+from loopshape.core.stretches import AT_ONCE, LongSignal, Signal
+from loopshape.core.units import Array
+
+#: samples that a spike lasts at most; a longer one is a step there and back
+WIDTH = 3
+#: a spike's height: over what 98 % of the moves from sample to sample stay below, over the median move, and over the
+#: upper quartile of the moves within `AROUND` samples
+COMMON, TYPICAL, LOCAL, AROUND = 2.0, 5.0, 3.0, 10
+#: a signal of at most so many values is a switched one; of more than the second it is finely resolved
+FEW, FINE = 20, 200
+#: equal extreme samples in a row that are a clipped peak, and share of the samples at an extreme that is one anyway
+CLIPPED, CLIPPED_SHARE = 3, 0.02
+#: and how many times as many these must be as those one step of the resolution lower: a sine's crest has 2.4
+PILED = 4.0
+#: equal samples in a row that are a stuck sensor at the least, and the chance of such a stretch that is allowed
+STUCK, BY_CHANCE = 8, 1e-6
+#: rows that a sentence names
+NAMED = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """Spoiled samples of one signal: `kind` is spikes, saturated, or stuck; `rows` (k,) rise, counted from 0.
+
+    `size` is the highest spike, the value at which a signal is clipped or stuck, in its unit.
+    """
+
+    kind: str
+    name: str
+    rows: np.ndarray
+    size: float
+    sentence: str
+
+
+def by_stretches(
+    look: Callable[[Array, float, str, int], Fault | None], signal: Signal, rate_hz: float, name: str
+) -> Fault | None:
+    """`look` (`spikes` or `saturated`) at a signal (n,); at a long one stretch by stretch, each judged by itself.
+
+    The sentence is that of the first stretch with a fault, and says how many stretches have one.
+    """
+    if not isinstance(signal, LongSignal):
+        return look(signal, rate_hz, name, 0)
+    starts = [max(0, k - 2 * AROUND) for k in range(0, signal.size, AT_ONCE)]
+    every = (look(signal[start : start + AT_ONCE + 2 * AROUND], rate_hz, name, start) for start in starts)
+    found = [fault for fault in every if fault is not None]
+    if not found:
+        return None
+    rows, size = np.unique(np.concatenate([f.rows for f in found])), max(found, key=lambda f: abs(f.size)).size
+    more = f"; so in {len(found)} of {len(starts)} stretches of {AT_ONCE / rate_hz:.3g} s, this is the first"
+    return replace(found[0], rows=rows, size=size, sentence=found[0].sentence + more)
+
+
+def spikes(values: Array, rate_hz: float, name: str = "the signal", first_row: int = 0) -> Fault | None:
+    """Excursions of up to three samples that come back, in a signal (n,) at `rate_hz`; None where there are none.
+
+    Overlooks spikes smaller than twice an ordinary large move of the signal, those in more than about 1 % of the
+    samples, and those at the record's very ends. A single sample of a switched signal (at most 20 values) that lands
+    on a value where it rests is its own. Impulses that are shorter than four samples by
+    intention are taken for spikes. Rows are counted on from `first_row`.
+    """
+    x = _checked(values, name)
+    moves = np.abs(np.diff(x))
+    moving = moves[moves > 0.0]
+    if x.size < 2 * AROUND or not moving.size:
+        return None
+    limit = max(COMMON * float(np.quantile(moves, 0.98)), TYPICAL * float(np.median(moving)))
+    found = [
+        (start, width, height)
+        for width in range(1, WIDTH + 1)
+        for start, height in _excursions(x, width, limit)
+        if height > LOCAL * _moves_near(moves, start, width)
+    ]
+    found = [one for one in found if not _its_own(x, one[0], one[1])]
+    if not found:
+        return None
+    rows = first_row + np.unique(np.concatenate([np.arange(start, start + width) for start, width, _ in found]))
+    highest = max(height for *_, height in found)
+    words = (
+        f"{name} has {_count(rows.size, 'spike sample')} at {_where(rows, rate_hz)}, up to {highest:.3g} beyond both"
+        " neighbours: check the cable and the sensor; cut the recording there, or record again"
+    )
+    return Fault("spikes", name, rows, highest, words)
+
+
+def _excursions(x: Array, width: int, limit: float) -> list[tuple[int, float]]:
+    """Starts and heights of stretches of `width` samples that lie beyond both neighbours by more than `limit`."""
+    count = x.size - width - 1
+    within = [x[1 + k : 1 + k + count] for k in range(width)]
+    before, after = x[:count], x[width + 1 :]
+    up = reduce(np.minimum, within) - np.maximum(before, after)
+    down = np.minimum(before, after) - reduce(np.maximum, within)
+    height = np.maximum(up, down)
+    return [(int(k) + 1, float(height[k])) for k in np.flatnonzero(height > limit)]
+
+
+def _moves_near(moves: Array, start: int, width: int) -> float:
+    """Upper quartile of the moves around a stretch, its own two ends and what lies between left out."""
+    near = np.concatenate(
+        [moves[max(0, start - 1 - AROUND) : start - 1], moves[start + width : start + width + AROUND]]
+    )
+    return float(np.quantile(near, 0.75)) if near.size else 0.0
+
+
+def _its_own(x: Array, start: int, width: int) -> bool:
+    """Whether a switched signal went to a value on which it rests elsewhere."""
+    if np.unique(x).size > FEW:
+        return False
+    there = (x == x[start]).astype(int)
+    there[start : start + width] = 0
+    return any(b - a > WIDTH for a, b in _runs(there.astype(bool)))
+
+
+def saturated(values: Array, rate_hz: float, name: str = "the signal", first_row: int = 0) -> Fault | None:
+    """Samples of a signal (n,) at `rate_hz` that sit on its largest or smallest value as if clipped; None without any.
+
+    Clipped is a run of three or more at an extreme, into or out of which the signal moves at such a speed that the
+    peak it would have made is more than three steps of its resolution; or 2 % of all samples at one extreme, and four
+    times as many as at the next value. Signals of at most 200 values pass: coarse converters, staircases, square waves.
+    A peak clipped for one or two samples, and a signal that creeps into its limit, are overlooked; one that rests on
+    its end stop for 2 % of the time is named. Rows are counted on from `first_row`.
+    """
+    x = _checked(values, name)
+    few = max(1, min(FINE, x.size // 2))
+    if np.unique(x[: 20 * FINE]).size <= few and np.unique(x).size <= few:
+        return None
+    moves = np.abs(np.diff(x))
+    step = float(moves[moves > 0.0].min())
+    many = x.size > 2 * FINE or np.unique(x).size > FINE
+    rows, at = [], 0.0
+    for extreme, following in ((x.max(), x[x < x.max()].max()), (x.min(), x[x > x.min()].min())):
+        there = x == extreme
+        most, next_most = int(there.sum()), int((x == following).sum())
+        piled = many and most > CLIPPED_SHARE * x.size and most > PILED * next_most
+        runs = [run for run in _runs(there) if run[1] - run[0] >= CLIPPED]
+        if piled or any(_cut_off(x, *run, step) for run in runs):
+            rows.append(first_row + np.flatnonzero(there))
+            at = float(extreme)
+    if not rows:
+        return None
+    every = np.sort(np.concatenate(rows))
+    both = f"{x.max():g} and {x.min():g}" if len(rows) == 2 else f"{at:g}"
+    share = 100.0 * every.size / x.size
+    percent = f"{share:.1f}" if share >= 1.0 else f"{share:.2g}"
+    words = (
+        f"{name} sits at {both} for {percent} % of its samples ({_count(every.size, 'sample')} at"
+        f" {_where(every, rate_hz)}): saturated? Cut these rows off, or excite less"
+    )
+    return Fault("saturated", name, every, at, words)
+
+
+def _cut_off(x: Array, start: int, end: int, step: float) -> bool:
+    """Whether a signal enters or leaves x[start:end] too fast for that to be the top of a smooth peak."""
+    speeds = []
+    if start >= 2:
+        speeds.append(abs(float(x[start - 1] - x[start - 2])))
+    if end + 2 <= x.size:
+        speeds.append(abs(float(x[end + 1] - x[end])))
+    return bool(speeds) and 0.25 * (end - start) * min(speeds) > 3.0 * step and min(speeds) > 1.5 * step
+
+
+def stuck(values: Array, rate_hz: float, name: str = "the signal", drive: Array | None = None) -> Fault | None:
+    """Stretches of a sensor's signal (n,) without any change, far longer than its own repeats; None without any.
+
+    With the share q of repeated samples elsewhere, a stretch of L counts where n q^L is below one in a million, three
+    times over, and L is 8 at the least; the signal must move by two steps of its resolution just before and after.
+    Stretches in which `drive` (n,) stands still too are rest, not a fault. What cannot be judged passes: signals of at
+    most 200 values or that rest for half of the time (setpoints, encoders), or that repeat in over a fifth of their
+    samples elsewhere. For sensors: a command may well stand still.
+    """
+    x = _checked(values, name)
+    moves = np.abs(np.diff(x))
+    still = moves == 0.0
+    if np.unique(x).size <= FINE:
+        return None
+    runs = [run for run in _runs(still) if run[1] - run[0] + 1 >= STUCK]
+    if drive is not None:
+        runs = [(a, b) for a, b in runs if np.ptp(drive[a : b + 1]) > 0.0]
+    long = sum(b - a for a, b in runs)
+    share = max((float(still.sum()) - long) / max(x.size - 1 - long, 1), 1.0 / x.size)
+    if not runs or share > 0.2 or long > 0.5 * x.size:
+        return None
+    step = float(moves[moves > 0.0].min())
+    runs = [
+        (a, b)
+        for a, b in runs
+        if all(m.max() > 1.5 * step for m in (moves[max(0, a - 5) : a], moves[b : b + 5]) if m.size)
+    ]
+    least = max(STUCK, 3.0 * np.log(BY_CHANCE / x.size) / np.log(share))
+    rows = [np.arange(a, b + 1) for a, b in runs if b - a + 1 >= least]
+    if not rows:
+        return None
+    every = np.concatenate(rows)
+    words = (
+        f"{name} does not change for {_count(every.size, 'sample')} at {_where(every, rate_hz)},"
+        " while it moves elsewhere: stuck? Check the sensor and its cable; cut these rows off, or record again"
+    )
+    return Fault("stuck", name, every, float(x[every[0]]), words)
+
+
+def _checked(values: Array, name: str) -> Array:
+    x = np.asarray(values, dtype=float)
+    bad = np.flatnonzero(~np.isfinite(x))
+    if x.ndim != 1 or bad.size:
+        what = f"the first in row {bad[0]}" if bad.size else f"an array of shape {x.shape}"
+        raise BadSignalError(f"{name} is no row of numbers", what, "repair the recording or leave it out")
+    return x
+
+
+def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Starts and ends (exclusive) of the runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' * (n != 1)}"
+
+
+def _where(rows: np.ndarray, rate_hz: float) -> str:
+    """The first stretches of rows, from 0, with their times."""
+    stretches = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    words = [f"{s[0]}-{s[-1]}" if s.size > 1 else f"{s[0]}" for s in stretches[:NAMED]]
+    rest = len(stretches) - NAMED
+    more = f" and {rest} stretch{'es' * (rest > 1)} more" if rest > 0 else ""
+    last = stretches[min(len(stretches), NAMED) - 1][-1]
+    return (
+        f"row{'s' * (rows.size > 1)} {', '.join(words)} (from {rows[0] / rate_hz:.6g} to {last / rate_hz:.6g} s){more}"
+    )

@@ -1,0 +1,232 @@
+"""FRF -> Fit: a low-order model on the trusted lines, with intervals and a residual test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
+from loopshape.data.channel import Channel
+from loopshape.data.frf import FRF
+from loopshape.data.model import Estimate, Fit
+from loopshape.identify.fit.least_squares import Data, Solution, solve
+from loopshape.identify.fit.structures import Integrator, Rational, Structure, ThirdOrder
+
+STRUCTURES = ("third_order", "third_order_delay", "integrator", "integrator_delay", "rational", "auto")
+WEIGHTINGS = ("variance", "relative")
+
+
+def structure_by_name(
+    name: str, *, numerator: int = 0, denominator: int = 1, integrators: int = 0, delay: bool = False
+) -> Structure:
+    """A structure from its word; the orders are for `rational` only."""
+    if name in ("third_order", "third_order_delay"):
+        return ThirdOrder(delay or name.endswith("_delay"))
+    if name in ("integrator", "integrator_delay"):
+        return Integrator(delay or name.endswith("_delay"))
+    if name == "rational":
+        return Rational(numerator, denominator, integrators, delay)
+    raise WrongUseError("a structure is not known", f"{name!r}", f"use one of {', '.join(STRUCTURES)}")
+
+
+def fit(
+    frf: FRF, structure: Structure, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None
+) -> Fit:
+    """Fit a structure to the trusted lines of a 1 x 1 FRF, or to those in `band_hz`.
+
+    `variance` weights each line by its own variance: parameters of least spread if the structure is right.
+    `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the
+    residual test still compares with the variance. Sources: Pintelon and Schoukens (2012), chapters 8, 9.
+
+    Misleads where the structure is wrong: intervals say how well the numbers are pinned, not how true they
+    are; `sufficient` and `misfit_db` tell.
+    """
+    if weighting not in WEIGHTINGS:
+        raise WrongUseError("a weighting is not known", f"{weighting!r}", f"use {' or '.join(WEIGHTINGS)}")
+    lines = frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()
+    f, G, variance = lines.frequency_hz, lines.siso, lines.variance[:, 0, 0]
+    if not variance.min() > 0.0:
+        raise WrongUseError(
+            "a fit weighs lines by their variance, and it must be above zero",
+            f"{float(variance.min()):g} at {f[np.argmin(variance)]:g} Hz",
+            "estimate the FRF from noisy data, or give it a variance",
+        )
+    if 2 * f.size <= len(structure.names) + 2:
+        raise WrongUseError(
+            f"too few lines to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
+        )
+    if isinstance(structure, Rational):
+        structure = _centred(structure, f)
+    weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
+    low, high = structure.bounds()
+    starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, 1.0 / np.sqrt(weight_variance))]
+    data = Data(G, variance, lines.line_overlap, lines.variance_freedom, lines.variance_pooled)
+    solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
+    return _fit(structure, solution, lines, frf.digest)
+
+
+#: delays in s that a fit with a delay starts from
+DELAYS = (0.0, 0.01, 0.03, 0.1)
+
+
+def _starts(structure: Structure, f: Array, G: ComplexArray, weight: Array) -> list[Array]:
+    """Starts of a fit: rational ones also from smoothed lines, for their linear equations suffer from noise; with a
+    delay, from data turned back by several delays, for the phase may wrap."""
+    views = [G]
+    if isinstance(structure, Rational):
+        views += [_smoothed(G, half) for half in (2, 6) if f.size > 8 * half]
+    if "delay_s" not in structure.names:
+        return [structure.start(f, view, weight) for view in views]
+    starts = []
+    for view, delay in [(view, 0.0) for view in views] + [(G, delay) for delay in DELAYS[1:]]:
+        start = structure.start(f, view * np.exp(1j * angular(f) * delay), weight)
+        start[-1] = delay + 1e-4
+        starts.append(start)
+    return starts
+
+
+def _smoothed(G: ComplexArray, half: int) -> ComplexArray:
+    """Moving mean of ln G over neighbouring lines."""
+    ln_G = np.log(np.abs(G)) + 1j * np.unwrap(np.angle(G))
+    padded = np.pad(ln_G, half, mode="edge")
+    return np.asarray(np.exp(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1).mean(-1)))
+
+
+def _centred(structure: Rational, f: Array) -> Rational:
+    w0 = TWO_PI * float(np.exp(np.mean(np.log(f))))
+    return Rational(structure.numerator, structure.denominator, structure.integrators, structure.delay, w0)
+
+
+def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
+    model = structure.model(s.x)
+    jacobian = _slopes(structure, s.x)
+    covariance = jacobian @ s.covariance @ jacobian.T
+    values, std = structure.meaning(s.x), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    misfit = np.sqrt(np.mean(np.abs(lines.siso / model.response(lines.frequency_hz) - 1.0) ** 2))
+    return Fit(
+        structure=structure.name,
+        model=model,
+        parameters=tuple(
+            Estimate(n, float(v), _unit(u, lines), float(d))
+            for n, v, u, d in zip(structure.names, values, structure.units, std, strict=True)
+        ),
+        covariance=covariance,
+        outcome=s.outcome,
+        chi2_per_dof=s.chi2_per_dof,
+        p_value=s.p_value,
+        runs_p_value=s.runs_p_value,
+        misfit_db=float(db(1.0 + misfit)),
+        band_hz=(float(lines.frequency_hz[0]), float(lines.frequency_hz[-1])),
+        lines=lines.frequency_hz.size,
+        recording=lines.recording,
+        loop=lines.loop,
+        operating_point=dict(lines.operating_point),
+        rig_parameters=dict(lines.parameters),
+        frf_digest=digest,
+        delay_free="delay_s" in structure.names,
+    )
+
+
+def _unit(unit: str, lines: FRF) -> str:
+    """A parameter's unit with the plant's own in it: 1/s3 of a plant from V to rad is rad/(V s3)."""
+    if not unit.startswith("1/s"):
+        return unit
+    output, given = (Channel.from_column(c[0]).unit for c in (lines.outputs, lines.inputs))
+    return f"{SUFFIXES[output]}/({SUFFIXES[given]} {unit[2:]})"
+
+
+def _slopes(structure: Structure, x: Array) -> Array:
+    """d meaning/d x by central differences; the maps are smooth and cheap."""
+    columns = []
+    for k in range(x.size):
+        step = np.zeros(x.size)
+        step[k] = 1e-6 * max(abs(x[k]), 1e-3)
+        columns.append((structure.meaning(x + step) - structure.meaning(x - step)) / (2.0 * step[k]))
+    return np.array(columns).T
+
+
+def fit_best(
+    frf: FRF,
+    structures: Sequence[Structure],
+    *,
+    weighting: str = "variance",
+    band_hz: tuple[float, float] | None = None,
+) -> Fit:
+    """The simplest fit whose Bayesian information criterion (Schwarz 1978) lies within 10 of the least.
+
+    Ten is what Kass and Raftery (1995) ask of very strong evidence; less is what chance finds when a richer
+    structure may put a narrow mode anywhere. Fits that did not converge come last.
+    """
+
+    def criterion(found: Fit) -> float:
+        count = len(found.parameters)
+        total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
+        return total + count * float(np.log(2 * found.lines / frf.line_overlap))
+
+    made = [fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures]
+    good = [found for found in made if found.outcome == "converged"] or made
+    least = min(criterion(found) for found in good)
+    near = [found for found in good if criterion(found) <= least + 10.0]
+    return min(near, key=lambda found: (len(found.parameters), criterion(found)))
+
+
+#: a named structure that follows the lines this well, rms, is not exchanged for a rational one
+FOLLOWS_DB = 1.0
+
+
+def fit_automatically(frf: FRF, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None) -> Fit:
+    """The best named structure; where it misses the lines by over 1 dB, the best with rational ones to order four."""
+    named = [structure_by_name(name) for name in STRUCTURES[:4]]
+    best = fit_best(frf, named, weighting=weighting, band_hz=band_hz)
+    lines = (frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()).frequency_hz.size
+    if (best.outcome == "converged" and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
+        return best
+    orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
+    rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
+    return fit_best(frf, [*named, *rational], weighting=weighting, band_hz=band_hz)
+
+
+def modes(found: Fit) -> tuple[Estimate, ...]:
+    """Eigenfrequencies (Hz) and damping ratios of a rational fit's zeros and poles, with their spread.
+
+    A complex pair counts once, a real root has damping 1 or -1, roots at zero are left out; names are
+    zero1_f_hz, zero1_damping, ... by rising frequency. Spreads follow from the coefficients' covariance by
+    linearisation, mislead where two roots all but coincide, and are nan where they do. Refuses other fits.
+    """
+    if not found.structure.startswith("rational"):
+        raise WrongUseError("zeros and poles are read off rational fits", repr(found.structure))
+    size = found.covariance.shape[0] - found.delay_free
+    x = np.array([p.value for p in found.parameters])[:size]
+    zeros = found.model.num.size
+
+    def features(values: Array) -> Array:
+        den = np.concatenate([[1.0], values[zeros:], np.zeros(found.model.integrators())])
+        return np.concatenate([_pairs(values[:zeros]), _pairs(den)])
+
+    values = features(x)
+    columns = []
+    for k in range(size):
+        step = np.zeros(size)
+        step[k] = 1e-6 * max(abs(x[k]), 1e-12)
+        ahead, behind = features(x + step), features(x - step)
+        same = ahead.size == behind.size == values.size  # else a pair meets on the real axis, and has no slope there
+        columns.append((ahead - behind) / (2.0 * step[k]) if same else np.full(values.size, np.nan))
+    slopes = np.array(columns).T
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, found.covariance[:size, :size], slopes), 0.0))
+    count = _pairs(found.model.num).size // 2
+    names = [f"zero{k + 1}" for k in range(count)] + [f"pole{k + 1}" for k in range(values.size // 2 - count)]
+    return tuple(
+        Estimate(f"{name}_{what}", float(values[2 * k + j]), unit, float(std[2 * k + j]))
+        for k, name in enumerate(names)
+        for j, (what, unit) in enumerate((("f_hz", "Hz"), ("damping", "1")))
+    )
+
+
+def _pairs(polynomial: Array) -> Array:
+    """Frequency in Hz and damping ratio of each root that is not at zero, complex pairs once, by frequency."""
+    roots = np.roots(polynomial)
+    keep = roots[(roots.imag >= 0.0) & (np.abs(roots) > 0.0)]
+    keep = keep[np.argsort(np.abs(keep))]
+    return np.stack([np.abs(keep) / TWO_PI, -keep.real / np.abs(keep)], axis=1).ravel()

@@ -1,0 +1,209 @@
+"""Structures that a fit can take: how parameters make a transfer function, where they start, what they mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, hz
+from loopshape.data.model import TransferFunction
+from loopshape.identify.fit.linear_start import levy
+
+MAX_DELAY_S = 0.2
+
+
+class Structure(Protocol):
+    """A family of transfer functions over a parameter vector x, scaled to be of order one."""
+
+    @property
+    def name(self) -> str:
+        """The structure's word."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Reported parameters."""
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units beside them."""
+
+    def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
+        """First guess from the data."""
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of x."""
+
+    def model(self, x: Array) -> TransferFunction:
+        """The transfer function of x."""
+
+    def meaning(self, x: Array) -> Array:
+        """The reported parameters of x, in `names` and `units`."""
+
+
+@dataclass(frozen=True)
+class ThirdOrder:
+    """kappa/(s³ + 2 zeta w s² + w² s), with a delay if wanted (4.10); x = kappa, ln w, ln zeta, delay."""
+
+    delay: bool = False
+
+    @property
+    def name(self) -> str:
+        """The structure's word."""
+        return "third_order_delay" if self.delay else "third_order"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Reported parameters."""
+        return ("kappa", "f_hz", "zeta") + (("delay_s",) if self.delay else ())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units beside them."""
+        return ("1/s3", "Hz", "1") + (("s",) if self.delay else ())
+
+    def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
+        """The best of a grid over w and zeta, each with its own linear kappa."""
+        s = 1j * angular(f)
+        w, zeta = np.geomspace(0.5 * angular(f[0]), 2.0 * angular(f[-1]), 60), np.array([0.01, 0.03, 0.1, 0.3, 1.0])
+        W, Z = w[:, None, None], zeta[:, None]
+        shape = weight / (s * (s * s + 2.0 * Z * W * s + W * W))
+        kappa = (shape.conj() * (response * weight)).sum(-1).real / (np.abs(shape) ** 2).sum(-1)
+        error = (np.abs(response * weight - kappa[..., None] * shape) ** 2).sum(-1)
+        i, j = np.unravel_index(int(np.argmin(error)), error.shape)
+        x = [kappa[i, j], np.log(w[i]), np.log(zeta[j])]
+        return np.array([*x, 1e-3] if self.delay else x)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Wide ones; the delay lies between 0 and 0.2 s."""
+        low, high = [-np.inf, -20.0, -12.0], [np.inf, 20.0, 3.0]
+        return (
+            np.array([*low, 0.0] if self.delay else low),
+            np.array([*high, MAX_DELAY_S] if self.delay else high),
+        )
+
+    def model(self, x: Array) -> TransferFunction:
+        """Transfer function."""
+        w, zeta = np.exp(x[1:3])
+        return TransferFunction(x[:1], np.array([1.0, 2.0 * zeta * w, w * w, 0.0]), float(x[3]) if self.delay else 0.0)
+
+    def meaning(self, x: Array) -> Array:
+        """kappa, f, zeta, delay."""
+        w, zeta = np.exp(x[1:3])
+        return np.array([x[0], hz(w), zeta, *x[3:]])
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """kappa/s, with a delay if wanted; x = kappa, delay."""
+
+    delay: bool = False
+
+    @property
+    def name(self) -> str:
+        """The structure's word."""
+        return "integrator_delay" if self.delay else "integrator"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Reported parameters."""
+        return ("kappa", "delay_s") if self.delay else ("kappa",)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units beside them."""
+        return ("1/s", "s") if self.delay else ("1/s",)
+
+    def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
+        """Median of Re(G s)."""
+        kappa = np.median((response * 1j * angular(f)).real)
+        return np.array([kappa, 1e-3] if self.delay else [kappa])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Wide ones; the delay lies between 0 and 0.2 s."""
+        return (
+            np.array([-np.inf, 0.0] if self.delay else [-np.inf]),
+            np.array([np.inf, MAX_DELAY_S] if self.delay else [np.inf]),
+        )
+
+    def model(self, x: Array) -> TransferFunction:
+        """Transfer function."""
+        return TransferFunction(x[:1], np.array([1.0, 0.0]), float(x[1]) if self.delay else 0.0)
+
+    def meaning(self, x: Array) -> Array:
+        """kappa and delay."""
+        return np.array(x)
+
+
+@dataclass(frozen=True)
+class Rational:
+    """Ratio of polynomials of chosen orders, with poles at zero and a delay if wanted.
+
+    x holds the numerator's and the monic denominator's coefficients in s/w0 with w0 in the middle of the
+    band; reported are the coefficients in s. `fit.modes` gives zeros and poles with their spread.
+    """
+
+    numerator: int
+    denominator: int
+    integrators: int = 0
+    delay: bool = False
+    w0: float = TWO_PI
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.numerator <= self.denominator <= 20 or not 0 <= self.integrators <= self.denominator:
+            raise WrongUseError(
+                "a rational structure has 0 <= numerator <= denominator <= 20 and no more integrators than poles",
+                f"numerator {self.numerator}, denominator {self.denominator}, integrators {self.integrators}",
+            )
+
+    @property
+    def name(self) -> str:
+        """The structure's word."""
+        poles = f"rational {self.numerator}/{self.denominator}"
+        poles += f" with {self.integrators} at zero" if self.integrators else ""
+        return poles + (" and delay" if self.delay else "")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coefficients of s^k, numerator first."""
+        num = tuple(f"b{k}" for k in range(self.numerator, -1, -1))
+        den = tuple(f"a{k}" for k in range(self.denominator - 1, self.integrators - 1, -1))
+        return num + den + (("delay_s",) if self.delay else ())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Coefficients carry mixed units: those of s^k."""
+        return tuple("s" if n == "delay_s" else "SI" for n in self.names)
+
+    def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
+        """By Sanathanan and Koerner's iteration."""
+        m = levy(f, response, weight, self.numerator, self.denominator, self.integrators, iterations=30)
+        num = m.num * self.w0 ** (np.arange(self.numerator, -1, -1) - self.denominator)
+        powers = np.arange(self.denominator - 1, self.integrators - 1, -1) - self.denominator
+        den = m.den[1 : 1 + powers.size] * self.w0 ** powers.astype(float)
+        return np.concatenate([num, den, [1e-4] if self.delay else []])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Free coefficients; the delay lies between 0 and 0.2 s."""
+        n = len(self.names)
+        low, high = np.full(n, -np.inf), np.full(n, np.inf)
+        if self.delay:
+            low[-1], high[-1] = 0.0, MAX_DELAY_S
+        return low, high
+
+    def model(self, x: Array) -> TransferFunction:
+        """Transfer function in s."""
+        values = self.meaning(x)
+        k = self.numerator + 1
+        free = self.denominator - self.integrators
+        den = np.concatenate([[1.0], values[k : k + free], np.zeros(self.integrators)])
+        return TransferFunction(values[:k], den, float(x[-1]) if self.delay else 0.0)
+
+    def meaning(self, x: Array) -> Array:
+        """Coefficients in s."""
+        powers = [self.denominator - k for k in range(self.numerator, -1, -1)]
+        powers += [self.denominator - k for k in range(self.denominator - 1, self.integrators - 1, -1)]
+        powers += [0] if self.delay else []
+        return x * self.w0 ** np.array(powers, dtype=float)

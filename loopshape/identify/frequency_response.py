@@ -1,0 +1,246 @@
+"""Run or recording -> FRF of a loop, with variance, coherence, spectra and valid band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.frf import FRF, joined
+from loopshape.data.recording import Recording
+from loopshape.data.run import Run
+from loopshape.identify.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
+from loopshape.identify.averages import trusted_lines
+from loopshape.identify.feedback import controller_lines, controller_note, direct_signals
+from loopshape.identify.periods import by_periods
+from loopshape.identify.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
+from loopshape.identify.respond import respond
+from loopshape.identify.settings import BY_INSTRUMENT, SPECTRAL, Settings
+from loopshape.identify.signals import LoopSignals, held_note, loop_signals, read_signals, wiring_notes
+from loopshape.identify.welch import by_welch
+
+
+def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
+    """FRFs of all recordings of a run that excite one loop, in order; refuses a run without any."""
+    return [estimate_frf(r, run.loop(str(r.info.excites)), settings) for r in excited_recordings(run)]
+
+
+def excited_recordings(run: Run) -> list[Recording]:
+    """The estimation recordings that excite a loop, in order; refuses a run without any.
+
+    Validation recordings are held out: nothing downstream of a FRF may have seen them.
+    """
+    found = [r for r in run.recordings if r.info.excites is not None and r.info.role == "estimation"]
+    if not found:
+        raise BadSignalError(
+            "no estimation recording of the run excites a loop",
+            f"{len(run.recordings)} recordings",
+            'say what each excites, and give role = "estimation" to those that may be used',
+        )
+    return found
+
+
+def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FRF:
+    """FRF (1 x 1) from what enters the plant to the loop's output, with variance and valid band.
+
+    The reference-based estimator H = Phi_yn/Phi_un is consistent in closed loop; with n in front of the
+    controller it is the source's -(Phi_e1n)/(C Phi_e2n) (4.9, H.6). `direct` takes Phi_yu/Phi_uu, which
+    under feedback tends to -1/C where noise outweighs the excitation: it warns. Other loops stay closed:
+    with interaction the answer is the equivalent plant with those loops closed. A resonance sharper than
+    the resolution is rounded off, which no variance shows.
+
+    Raises BadSignalError for a record too short, without instrument, constant, or not a number.
+    """
+    settings = settings or Settings()
+    if recording.info.excites_also and recording.info.period_s is not None:
+        raise WrongUseError(
+            f"recording {recording.info.file} excites several loops at once: no loop's FRF follows from it",
+            ", ".join(recording.info.excited),
+            "estimate the matrix of all its loops: loopshape frf RUN --matrix",
+        )
+    if settings.estimator == "direct":
+        s, notes = direct_signals(recording, loop, settings)
+    else:
+        s, notes = read_signals(recording, loop), ()
+    if settings.estimator in SPECTRAL:
+        _refuse_spectral(recording, settings)
+        answers = by_welch(recording, [s.y, s.u], [s.u], settings)
+    else:
+        answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
+    notes += open_loop_note(recording, loop) + unfed_notes(recording, [loop])
+    return _loop_frf([recording], loop, s, answers, settings, notes)
+
+
+def estimate_realisations(recordings: Sequence[Recording], loop: LoopSetup) -> FRF:
+    """FRF (1 x 1) of a loop from several multisines with phases drawn anew, made alike at one operating point.
+
+    The covariance is that of the mean, from the scatter between recordings: noise and what a nonlinear plant answers
+    differently to each draw. `noise_covariance` is noise's part, from the scatter between periods (Pintelon and
+    Schoukens 2012, 4.3). Two recordings at least; with few, variances are pooled over neighbouring lines. What the
+    plant's nonlinearity does alike to every draw - a gain that falls with the amplitude - is no scatter.
+    """
+    if len(recordings) < 2:
+        raise WrongUseError("realisations are two recordings or more", f"{len(recordings)}", "record more draws")
+    signals = [loop_signals(r, loop) for r in recordings]
+    parts = [(r, [s.y, s.u], [s.instrument], 0) for r, s in zip(recordings, signals, strict=True)]
+    return _loop_frf(recordings, loop, signals[0], by_periods(parts, Settings()), Settings(), ())
+
+
+def _loop_frf(
+    recordings: Sequence[Recording],
+    loop: LoopSetup,
+    s: LoopSignals[Any],
+    answers: Answers,
+    settings: Settings,
+    notes: tuple[str, ...],
+) -> FRF:
+    """The noun of one loop's answers."""
+    recording, info = recordings[0], recordings[0].info
+    plant = _by_spectra(plant_of([answers], 1), answers, settings.estimator)
+    finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
+    rows = _kept(answers.excited) & finite
+    if not rows.any():
+        raise BadSignalError(
+            f"no line of recording {info.file} carries excitation in loop {loop.name}",
+            answers.method,
+            "excite more; of a sweep too few segments may carry each line: ask for a coarser resolution",
+        )
+    a, f = answers.select(rows), answers.frequency_hz[rows]
+    G, covariance = plant.response[rows], plant.covariance[rows]
+    if settings.estimator in BY_INSTRUMENT:
+        z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
+        notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0])
+    trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
+    notes += why
+    notes += inverse_note(recording, loop, f[trusted], G[trusted, 0, 0])
+    notes += a.notes + band_note(f, trusted)
+    notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
+    return FRF(
+        frequency_hz=f,
+        response=G,
+        covariance=covariance,
+        noise_covariance=None if plant.noise is None else plant.noise[rows],
+        trusted=trusted,
+        inputs=(s.input_channel.column,),
+        outputs=(s.output_channel.column,),
+        method=f"{settings.estimator} estimator, {a.method}",
+        recording=joined([r.info.name for r in recordings]),
+        recordings=tuple(r.info.name for r in recordings),
+        loop=loop.name,
+        rate_hz=recording.rate_hz,
+        operating_point=dict(info.operating_point),
+        coherence=np.clip(ordinary_coherence(a.power, 0, 1), 0.0, 1.0),
+        input_power=a.power[:, 1, 1].real,
+        output_power=a.power[:, 0, 0].real,
+        cross_power=a.power[:, 0, 1],
+        power_per=a.power_per,
+        line_overlap=a.line_overlap,
+        variance_freedom=a.freedom,
+        variance_pooled=a.pooled,
+        averages=a.averages,
+        parameters=dict(info.parameters),
+        held_by=loop.controller if info.closed_loop else None,
+        open_loop=stayed_bounded(recordings, [loop.output]),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _refuse_spectral(recording: Recording, settings: Settings) -> None:
+    """Refuse spectral estimators where feedback biases all of them, and where whole periods are at hand."""
+    name, info = settings.estimator.capitalize(), recording.info
+    if info.closed_loop:
+        raise WrongUseError(
+            f"{name} is for records in open loop: under feedback it is biased towards -1/C ({info.file})",
+            "closed_loop = true",
+            "use the reference estimator, or direct, which says where it is biased",
+        )
+    if info.period_s is not None:
+        raise WrongUseError(
+            f"{name} averages segments, and {info.file} repeats: whole periods tell noise from signal better",
+            f"period_s = {info.period_s:g}",
+            "use the reference estimator, or take period_s out of run.toml",
+        )
+
+
+def _by_spectra(plant: PlantEstimate, a: Answers, estimator: str) -> PlantEstimate:
+    """H1 as it is; H2 = H1/coherence and Hv = H1/sqrt(coherence) = sqrt(H1 H2) (Rocklin, Crowley, Vold, IMAC 1985).
+
+    To first order all three scatter alike, relative to themselves; Hv takes noise to signal as equal at both ends.
+    """
+    power = {"h2": 1.0, "hv": 0.5}.get(estimator)
+    if power is None:
+        return plant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = (1.0 / ordinary_coherence(a.power, 0, 1) ** power)[:, None, None]
+        return PlantEstimate(plant.response * factor, plant.covariance * factor**2, plant.noise, plant.drowned)
+
+
+def _valid(
+    plant: PlantEstimate,
+    rows: np.ndarray,
+    a: Answers,
+    G: ComplexArray,
+    variance: Array,
+    recording: Recording,
+    loop: LoopSetup,
+    settings: Settings,
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Lines (nf,) of the valid band of an estimate G (nf,) of this variance, and why others are outside."""
+    sound = plant.sound(rows)
+    relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
+    trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
+    notes = drowned_note(a.frequency_hz, sound)
+    if a.unresolved is not None:
+        trusted = trusted & ~a.unresolved
+    if settings.estimator == "direct" and recording.info.closed_loop and loop.controller is not None:
+        inverse = controller_lines(a, G, variance, loop.controller)
+        trusted, notes = trusted & ~inverse, notes + controller_note(a.frequency_hz, inverse)
+    return trusted, notes
+
+
+#: share of the frequencies from which on loop noise above the excitation is reported; fewer lie at its ends
+DROWNING = 0.1
+
+
+def drowned_note(frequency_hz: Array, sound: np.ndarray) -> tuple[str, ...]:
+    """A warning where loop noise exceeds the excitation at the plant input."""
+    if np.mean(~sound) < DROWNING:
+        return ()
+    f = frequency_hz[~sound]
+    return (
+        f"at {f.size} of {frequency_hz.size} frequencies, {f[0]:.3g} to {f[-1]:.3g} Hz, loop noise exceeds the"
+        " excitation at the plant input: the quotient would be -1/C, and these frequencies are outside the valid band;"
+        " excite more or measure longer",
+    )
+
+
+def _kept(excited: np.ndarray) -> np.ndarray:
+    """Lines worth keeping: from the first to the last excited one for dense lines, else the excited ones."""
+    k = np.flatnonzero(excited)
+    keep = np.zeros(excited.size, dtype=bool)
+    if k.size:
+        dense = k.size > 0.9 * (k[-1] - k[0] + 1)
+        keep[slice(k[0], k[-1] + 1) if dense else k] = True
+    return keep
+
+
+def band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
+    """A warning where few lines or none are known well."""
+    if trusted.any():
+        known = f[trusted]
+        if known.size > 0.1 * f.size:
+            return ()
+        return (
+            f"only {known.size} of {f.size} excited lines are known well, {known[0]:.3g} to {known[-1]:.3g} Hz:"
+            " excite more, measure longer, or ask for a coarser resolution",
+        )
+    return (f"no line between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
+
+
+def _early_note(recording: Recording) -> tuple[str, ...]:
+    ended = recording.info.ended_early
+    return () if ended is None else (f"the recording ended early: {ended}",)

@@ -1,0 +1,109 @@
+"""A wish for accuracy, and the plan that answers it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array
+from loopshape.data.multisine import Multisine
+from loopshape.identify import plan_words
+from loopshape.identify.plan_lines import KINDS
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is wanted, and what the rig allows; signals in stored units.
+
+    `std` is the relative std of |G| at the crossover, which is that of the phase in rad (0.0116 is 0.1 dB or 0.66 deg);
+    of the complex response it is sqrt(2) times as much. `at_hz` stands in for the crossover. `max_amplitude` bounds the
+    injected peak (None: that of the first recording), `max_input` |u| with its resting value, `max_output` the
+    excursion of y from rest. `kind` of lines: `odd` (one in four left out), `log`, or `all`. The band defaults to the
+    valid one within a decade of the crossover.
+    """
+
+    std: float
+    at_hz: float | None = None
+    max_amplitude: float | None = None
+    max_input: float | None = None
+    max_output: float | None = None
+    longest_s: float = 600.0
+    f_low_hz: float | None = None
+    f_high_hz: float | None = None
+    kind: str = "odd"
+    per_octave: float = 12.0
+    level_ratio: float = 10.0
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        numbers = ("std", "at_hz", "max_amplitude", "max_input", "max_output", "longest_s", "f_low_hz", "f_high_hz")
+        for name in (*numbers, "per_octave", "level_ratio"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise WrongUseError(f"{name.replace('_', ' ')} of a plan must be positive", f"{value!r}")
+        if self.std >= 0.5 or self.level_ratio < 1.0:
+            raise WrongUseError(
+                "a plan's std is below 50 % and its level ratio 1 at least", f"{self.std!r}, {self.level_ratio!r}"
+            )
+        if self.kind not in KINDS:
+            raise WrongUseError("a kind of lines is not known", f"{self.kind!r}", f"use {', '.join(KINDS)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An experiment and what it is predicted to reach; arrays (n,) over its lines, signals in stored units.
+
+    `std` is the predicted relative std of |G|, `floor` the part of it that distortion leaves, `line_amplitude` the peak
+    of each sine; `column` is what is injected, in `unit`. `before_std` (nf,) on `before_hz`, and `before` at the
+    crossover, are those of the first record, distortion included. `at_crossover` is the planned std there, known
+    itself to about `sure` (relative). `binds` is what keeps the experiment from being better or shorter: amplitude,
+    input, output, distortion, or shortest (nothing else: a plan has four periods). `short_by` is std over wish, 1
+    where reached; `needed_s` and `needed_amplitude` would each reach the wish alone, the latter infinite where
+    distortion forbids. Of several `realisations` each is recorded with phases of its own, and `std` and `floor` are
+    those of their mean. Peaks hold the noise of the first record too. What a plan cannot know is in `notes`.
+    """
+
+    loop: str
+    recording: str
+    injection: str
+    column: str
+    unit: str
+    wish: Wish
+    excitation: Multisine
+    realisations: int
+    lines_hz: Array
+    line_amplitude: Array
+    std: Array
+    floor: Array
+    crossover_hz: float
+    at_crossover: float
+    before: float
+    before_hz: Array
+    before_std: Array
+    sure: float
+    measured_s: float
+    peak_input: float
+    peak_output: float
+    binds: str
+    reached: bool
+    short_by: float
+    needed_s: float
+    needed_amplitude: float
+    notes: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Whole length of all realisations with their ramps."""
+        return self.realisations * self.excitation.duration_s
+
+    @property
+    def met(self) -> bool:
+        """Whether the first record already has what is wanted, so that nothing is to be measured."""
+        return self.before <= self.wish.std
+
+    @property
+    def sentence(self) -> str:
+        """The plan for people."""
+        return plan_words.sentence(self)

@@ -1,0 +1,174 @@
+"""Which signals of a recording an estimate uses: plant input, output, and the signal that only we moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError
+from loopshape.core.stretches import Signal, equal, extent, stretches
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording
+
+S = TypeVar("S", bound=Signal)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSignals(Generic[S]):
+    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.data.loop`.
+
+    u is what enters the plant (z, plus n where n enters there). `instrument` is the injected signal, the
+    moving reference, or u itself in open loop. `feedback` tells whether a loop was closed around them.
+    """
+
+    u: S
+    y: S
+    instrument: S
+    feedback: bool
+    input_channel: Channel
+    output_channel: Channel
+
+
+def loop_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Array]:
+    """As `read_signals`, each whole."""
+    s = read_signals(recording, loop)
+    u, y, source = (np.asarray(x) for x in (s.u, s.y, s.instrument))
+    return LoopSignals(u, y, source, s.feedback, s.input_channel, s.output_channel)
+
+
+def read_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Signal]:
+    """Signals of a loop in a recording that excites it; those of a long recording are read a stretch at a time.
+
+    Refuses a closed loop without a signal that only we moved (there the data cannot tell plant from
+    inverse controller), constant signals, and an output that is the same column as another signal.
+    """
+    info = recording.info
+    refuse_alike(recording, loop)
+    u, y = input_signal(recording, loop), recording.signal(loop.output)
+    source = moved_signal(recording, loop)
+    for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
+        seen = extent(signal)
+        if seen.least == seen.most:
+            raise BadSignalError(
+                f"the {what} of loop {loop.name} in recording {info.file} is constant",
+                f"{seen.least:g} in every row",
+                "check the cable, the map, or which loop the recording excites",
+            )
+    return LoopSignals(u, y, source, info.closed_loop, Channel.from_column(loop.control), output_channel(loop))
+
+
+def refuse_alike(recording: Recording, loop: LoopSetup) -> None:
+    """Refuse an output that holds the same numbers as the control, injected or reference column."""
+    y = recording.signal(loop.output)
+    for name in dict.fromkeys((loop.control, loop.injected, loop.reference)):
+        if (
+            name in recording.columns
+            and equal(y, recording.signal(str(name)))
+            and any(part.any() for (part,) in stretches(y))
+        ):
+            raise BadSignalError(
+                f"{loop.output} and {name} of loop {loop.name} in {recording.info.file} hold the same numbers",
+                f"{y.size} equal rows, the first {y[:1][0]:g}",
+                "map each to a column of its own in the file",
+            )
+
+
+def plant_input(recording: Recording, loop: LoopSetup) -> Array:
+    """As `input_signal`, whole."""
+    return np.asarray(input_signal(recording, loop))
+
+
+def input_signal(recording: Recording, loop: LoopSetup) -> Signal:
+    """What enters the plant (n,): z, plus the injected signal where it enters there."""
+    if recording.info.injection == "plant_input" and loop.injected in recording.columns:
+        return recording.signal(f"{loop.control} + {loop.injected}")
+    return recording.signal(loop.control)
+
+
+def _instrument_column(recording: Recording, loop: LoopSetup) -> str | None:
+    info = recording.info
+    if info.injection == "control" or not info.closed_loop:
+        return loop.control
+    return loop.reference if info.injection == "reference" else loop.injected
+
+
+def has_instrument(recording: Recording, loop: LoopSetup) -> bool:
+    """Whether the recording holds a signal that only we moved."""
+    return _instrument_column(recording, loop) in recording.columns
+
+
+def instrument(recording: Recording, loop: LoopSetup) -> Array:
+    """As `moved_signal`, whole."""
+    return np.asarray(moved_signal(recording, loop))
+
+
+def moved_signal(recording: Recording, loop: LoopSetup) -> Signal:
+    """The signal (n,) that only we moved; refuses a closed loop without one."""
+    name = _instrument_column(recording, loop)
+    if name is None or name not in recording.columns:
+        raise BadSignalError(
+            f"recording {recording.info.file} was made in closed loop and has no injected signal for loop {loop.name}",
+            f"columns {', '.join(recording.columns)}",
+            "name the injected column, or ask for the direct estimator and take its bias",
+        )
+    return recording.signal(name)
+
+
+def output_channel(loop: LoopSetup) -> Channel:
+    """Channel of a loop's output; a sum of columns goes by the loop's name."""
+    if len(sum_terms(loop.output)) > 1:
+        return Channel(loop.name, loop.output_unit)
+    return Channel.from_column(loop.output)
+
+
+def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
+    """A warning where the loop stood clearly elsewhere than its resting reference asked."""
+    info = recording.info
+    if loop.reference not in recording.columns or not info.closed_loop or info.injection == "reference":
+        return ()
+    wished, found = extent(recording.signal(str(loop.reference))), extent(recording.signal(loop.output))
+    gap = abs(wished.mean - found.mean)
+    if wished.most > wished.least or gap <= max(0.1 * abs(wished.mean), 3.0 * found.std):
+        return ()
+    unit = loop.output_unit
+    return (
+        f"loop {loop.name} did not hold its setpoint: {wished.least:.3g} {unit} asked,"
+        f" {found.mean:.3g} {unit} on average; the FRF is that of where it stood",
+    )
+
+
+def wiring_notes(
+    recording: Recording, loop: LoopSetup, frequency_hz: Array, z: ComplexArray, y: ComplexArray
+) -> tuple[str, ...]:
+    """Warnings where the log contradicts its description; z, y (nf,) are responses to the instrument.
+
+    With a known controller, z must be its answer to the error; where it is not, the injection or the
+    controller is other than said. A plant-input log whose z follows the injected signal one to one at high
+    frequency was taken after the sum, and the plant's input is then counted twice.
+    """
+    injection, controller = recording.info.injection, loop.controller
+    if not recording.info.closed_loop or injection == "control" or not frequency_hz.size:
+        return ()
+    notes: tuple[str, ...] = ()
+    below = frequency_hz < 0.45 * recording.rate_hz
+    if controller is not None and below.any():
+        error = -y[below] if injection == "plant_input" else 1.0 - y[below]
+        apart = np.abs(z[below] - controller.response(frequency_hz[below]) * error) / np.abs(z[below])
+        few = min(5, apart.size)  # a median over neighbouring lines: one bad line is no contradiction
+        off = float(np.median(np.lib.stride_tricks.sliding_window_view(apart, few), axis=1).max())
+        if off > 0.15:
+            notes += (
+                f"the logged control of loop {loop.name} is not its controller's answer to the error (off by"
+                f" {100.0 * off:.0f} % where it is worst): check injection, controller, units and signs",
+            )
+    top = z[3 * z.size // 4 :]
+    if injection == "plant_input" and top.size and float(np.median(np.abs(top - 1.0))) < 0.2:
+        notes += (
+            f"the control of loop {loop.name} follows the injected signal one to one at high frequency: it seems logged"
+            ' after the sum; then say injection = "reference" and name the injected column as reference',
+        )
+    return notes

@@ -1,0 +1,139 @@
+"""A run, a controller's file and a requirements' file -> what a check says of each loop: the command's and pytest's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.data.baseline import Checked, Comparison
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Requirements, Verdict
+from loopshape.io.controllers import read_controllers
+from loopshape.io.fits import read_fits
+from loopshape.io.frfs import read_frfs
+from loopshape.io.requirements import read_requirements
+from loopshape.io.verdicts import read_verdicts
+from loopshape.loop.baseline import bridge, checked, compare
+from loopshape.loop.verdict import check
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCheck:
+    """One loop of a requirements file: what was checked, and what came out."""
+
+    frfs: tuple[FRF, ...]
+    requirements: Requirements
+    fits: tuple[Fit, ...]
+    checked: Checked
+
+    @property
+    def controller(self) -> Controller:
+        """The controller that was checked."""
+        return self.checked.controller
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the check says."""
+        return self.checked.verdict
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What became of a baseline: in all, and where controller and data both changed, the part of each.
+
+    `by_controller` compares both controllers on the present data, `by_plant` the baseline's controller on both data.
+    """
+
+    whole: Comparison
+    by_controller: Comparison | None = None
+    by_plant: Comparison | None = None
+
+    @property
+    def parts(self) -> dict[str, Comparison]:
+        """The comparisons by their titles, the whole first."""
+        named = {
+            "Against the baseline": self.whole,
+            "Of this, by the controller (both on the present data)": self.by_controller,
+            "Of this, by the plant (the baseline's controller on both data)": self.by_plant,
+        }
+        return {title: one for title, one in named.items() if one is not None}
+
+    @property
+    def worse(self) -> bool:
+        """Whether something got worse, in all or by the controller, which other data do not hide."""
+        return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
+
+
+def check_files(run: Path, controller: Path, require: Path | None) -> tuple[LoopCheck, ...]:
+    """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
+
+    Refuses files that cannot be read, a loop without a controller, and one without FRFs.
+    """
+    controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
+    measured = {one.loop for one in frfs}
+    if require is not None:
+        requirements = read_requirements(require)
+    else:
+        requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
+    if not requirements:
+        raise WrongUseError(
+            "no loop has both a controller and an FRF",
+            f"controllers of {', '.join(c.loop for c in controllers)}; FRFs of {', '.join(sorted(measured))}",
+            "give a controller file of this run's loops",
+        )
+    return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in requirements)
+
+
+def _check(frfs: Sequence[FRF], controller: Controller, wished: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:
+    mine = tuple(one for one in frfs if one.loop == wished.loop)
+    return LoopCheck(mine, wished, fits, checked(check(mine, controller, wished, fits), controller, mine))
+
+
+def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
+    """Compare with a stored verdict.
+
+    Where a loop's controller and data have both changed, the baseline's controller is checked on the present data too:
+    what the controller did and what the plant did are told apart. Where that check cannot be made, as at another
+    rate, a note says so instead.
+    """
+    before, now = read_verdicts(baseline), [loop.checked for loop in loops]
+    whole, old = compare(before, now), {c.verdict.loop: c.controller for c in before}
+    bridges, notes = [], []
+    for x in _of(loops, set(bridge(before, now))):
+        try:
+            bridges.append(_check(x.frfs, old[x.verdict.loop], x.requirements, x.fits).checked)
+        except LoopshapeError as error:
+            why = f"{error.what} ({error.received})" if error.received else error.what
+            notes.append(
+                f"loop {x.verdict.loop}: the baseline's controller cannot be checked on the present data, so what the"
+                f" controller did and what the plant did are not told apart: {why}"
+            )
+    whole, across = replace(whole, notes=(*whole.notes, *notes)), {c.verdict.loop for c in bridges}
+    if not across:
+        return Baseline(whole)
+    return Baseline(
+        whole,
+        by_controller=compare(bridges, [x.checked for x in _of(loops, across)]),
+        by_plant=compare([c for c in before if c.verdict.loop in across], bridges),
+    )
+
+
+def _of(loops: Sequence[LoopCheck], names: set[str]) -> list[LoopCheck]:
+    return [loop for loop in loops if loop.verdict.loop in names]
+
+
+def fits_of(run: Path) -> tuple[Fit, ...]:
+    """The run's fits, none where nothing was fitted yet."""
+    return read_fits(run) if (run / "fits.json").exists() else ()
+
+
+def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:
+    """The controller of a loop; refuses a file without it."""
+    for one in controllers:
+        if one.loop == loop:
+            return one
+    raise WrongUseError(f"the controller file has no loop {loop!r}", f"loops {', '.join(c.loop for c in controllers)}")

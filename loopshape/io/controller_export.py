@@ -1,0 +1,100 @@
+"""Controllers out to the target: one file a loop, as JSON, MATLAB or C99, all of the sections that `check` judges.
+
+    controller_<loop>.json        JSON, format loopshape-biquads/1
+    controller_<loop>.m       MATLAB: sections, gain, and a tf on request
+    controller_<loop>.h       C99 and C++: coefficients, a state, a reset and a step function
+
+Every file carries the controller's digest, rate, precision, prewarping and delay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from loopshape import __version__
+from loopshape.core.errors import WrongUseError
+from loopshape.core.kernels.cascade import error_feedback
+from loopshape.data.controller import Block, Controller
+from loopshape.io.controller_c import c_text
+from loopshape.io.controller_matlab import matlab_text
+from loopshape.io.controller_words import FORM, identifier
+from loopshape.io.files import make_folder, write_json, write_text_whole
+
+FORMAT = "loopshape-biquads/1"
+
+
+def export_controllers(folder: Path, controllers: Sequence[Controller], to: str) -> tuple[Path, ...]:
+    """Write each controller to `folder` as "json", "matlab" or "c"; returns the files, in order.
+
+    Nothing is written before all are made. Refuses an unknown format, no controller, two loops whose names become one
+    (upper and lower case count as one, as on some disks), and sections that are unstable as they will run.
+    """
+    if to not in WRITERS:
+        raise WrongUseError("a format for controllers is not known", repr(to), f"use {', '.join(WRITERS)}")
+    if not controllers:
+        raise WrongUseError("there is no controller to export", "an empty list")
+    ending, write = WRITERS[to]
+    names = [f"{identifier(one.loop)}{ending}" for one in controllers]
+    for k, name in enumerate(names):
+        if name.casefold() in (other.casefold() for other in names[:k]):
+            raise WrongUseError("two loops would become one file", name, "give them names that differ in letters")
+    for one in controllers:
+        one.check_sections()
+    made = [write(one) for one in controllers]
+    make_folder(folder)
+    for name, content in zip(names, made, strict=True):
+        if isinstance(content, str):
+            write_text_whole(folder / name, content)
+        else:
+            write_json(folder / name, content)
+    return tuple(folder / name for name in names)
+
+
+def biquads_table(controller: Controller) -> dict[str, Any]:
+    """The JSON object `loopshape-biquads/1`: numbers that read back exactly, in decimal and hexadecimal."""
+    c, form = controller, controller.number_format
+    sections = c.biquads()
+    integers = form.integers(sections) if form.fixed else [None] * len(sections)
+    table: dict[str, Any] = {
+        "format": FORMAT,
+        "made_by": f"loopshape {__version__}",
+        "loop": c.loop,
+        "digest": c.digest,
+        "rate_hz": float(c.rate_hz),
+        "discretisation": c.discretisation,
+        "prewarp_hz": c.prewarp_hz,
+        "computation_delay_s": c.computation_delay_s,
+        "added_hold": c.added_hold,
+        "precision": c.precision,
+        "form": FORM,
+    }
+    if form.fixed:
+        table["fixed_point"] = {
+            "integer_bits": form.integer_bits,
+            "fraction_bits": form.fraction_bits,
+            "signal_limit": form.signal_limit,
+        }
+    rows = zip(c.blocks, sections.tolist(), integers, strict=True)
+    return table | {"sections": [_section(block, row, whole) for block, row, whole in rows]}
+
+
+_NAMES = ("b0", "b1", "b2", "a1", "a2")
+
+
+def _section(block: Block, row: list[float], integers: list[int] | None) -> dict[str, Any]:
+    table: dict[str, Any] = dict(zip(_NAMES, row, strict=True))
+    table["hex"] = {name: value.hex() for name, value in zip(_NAMES, row, strict=True)}
+    if integers is not None:
+        table["integers"] = dict(zip(_NAMES, integers, strict=True))
+        table["error_feedback"] = list(error_feedback(row[3], row[4]))
+    return table | {"block": block.to_table()}
+
+
+#: format -> ending of the file, and its content: a text, or an object for JSON
+WRITERS: dict[str, tuple[str, Callable[[Controller], str | dict[str, Any]]]] = {
+    "json": (".json", biquads_table),
+    "matlab": (".m", matlab_text),
+    "c": (".h", c_text),
+}

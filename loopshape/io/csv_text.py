@@ -1,0 +1,156 @@
+"""CSV files: separator, header, and columns of numbers, with the row that is wrong."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError
+from loopshape.core.units import Array
+from loopshape.io.files import reading, short
+from loopshape.io.growth import Bounded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class CsvShape:
+    """How a CSV file is laid out; `separator` " " takes any run of blanks."""
+
+    separator: str = ","
+    header: bool = True
+    skip_rows: int = 0
+    decimal: str = "."
+
+
+@dataclass(frozen=True, eq=False)
+class CsvTable:
+    """A CSV file in memory; `names` are stripped of blanks, or "1", "2", ... without a header."""
+
+    path: Path
+    names: tuple[str, ...]
+    frame: pd.DataFrame
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: k for k, name in enumerate(self.names)}
+
+    def column(self, name: str) -> Array:
+        """A column (n,) of numbers, empty cells NaN; refuses a cell that is no number, naming its row."""
+        import pandas as pd
+
+        raw = self.frame.iloc[:, self._places[name]]
+        values = np.asarray(pd.to_numeric(raw, errors="coerce"), dtype=float)
+        bad = np.flatnonzero(np.isnan(values) & raw.notna().to_numpy())
+        if bad.size:
+            raise UnreadableInputError(
+                f"column {name} of {self.path.name} holds {bad.size} cells that are not numbers",
+                f"{short(raw.iloc[bad[0]], 40)!r} in row {raw.index[bad[0]]}",
+                "repair the file, or say its separator and decimal sign",
+            )
+        return values
+
+
+def read_csv_names(path: Path, shape: CsvShape) -> tuple[str, ...]:
+    """Names in the header, without the rest of the file; refuses one that has none or names two alike."""
+    return _header(path, shape)[0] if shape.header else ()
+
+
+def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
+    """The whole file; refuses rows that have more cells than the header or the row before."""
+    if path.suffix == ".gz":  # to its end: a table takes many times the room of its text
+        with reading(path, "CSV"), _bytes(path) as packed:
+            while packed.read(1 << 20):
+                pass
+    return next(csv_stretches(path, shape, None))
+
+
+def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[CsvTable]:
+    """The file so many rows at a time, or at once (None); refuses as `read_csv_table` does, when it comes there."""
+    import pandas as pd
+
+    names, lines = _header(path, shape) if shape.header else ((), _skipped(path, shape))
+    with reading(path, "CSV"), _bytes(path) as file:
+        frames = pd.read_csv(
+            file,
+            sep=r"\s+" if shape.separator == " " else shape.separator,
+            header=None,
+            skiprows=lines,
+            decimal=shape.decimal,
+            skipinitialspace=True,
+            skip_blank_lines=False,
+            encoding="utf-8-sig",
+            low_memory=False,
+            iterator=True,
+        )
+        while True:
+            try:
+                frame = frames.read(rows)
+            except StopIteration:
+                return
+            yield _table(path, names, frame)
+            if rows is None:
+                return
+
+
+def _table(path: Path, names: tuple[str, ...], frame: pd.DataFrame) -> CsvTable:
+    if names and len(names) != frame.shape[1]:
+        raise UnreadableInputError(
+            f"the header of {path.name} names {len(names)} columns",
+            f"rows of {frame.shape[1]} cells",
+            "say its separator, or repair the header",
+        )
+    return CsvTable(path, names or tuple(str(i + 1) for i in range(frame.shape[1])), frame)
+
+
+def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
+    """Names, and how many lines lie above the first row."""
+    with reading(path, "CSV", csv.Error), _open(path) as file:
+        skipped = _skip(file, shape.skip_rows)
+        if shape.separator == " ":
+            cells, lines = file.readline().split(), 1
+        else:
+            reader = csv.reader(file, delimiter=shape.separator, skipinitialspace=True)
+            cells, lines = next(reader, []), reader.line_num
+    names = tuple(cell.strip() for cell in cells)
+    given = [name for name in names if name]
+    if not given or len(set(given)) != len(given):
+        raise UnreadableInputError(
+            f"the header of {path.name} must give each column a name of its own",
+            short(", ".join(names)) or "nothing",
+            "repair the header",
+        )
+    return names, skipped + lines
+
+
+def _skipped(path: Path, shape: CsvShape) -> int:
+    with reading(path, "CSV"), _open(path) as file:
+        return _skip(file, shape.skip_rows)
+
+
+def _skip(file: IO[str], lines: int) -> int:
+    """Pass over lines; gives how many there were."""
+    for k in range(lines):
+        if not file.readline():
+            return k
+    return lines
+
+
+def _open(path: Path) -> IO[str]:
+    return io.TextIOWrapper(_bytes(path), encoding="utf-8-sig", newline="")
+
+
+def _bytes(path: Path) -> IO[bytes]:
+    """The file's bytes; of a packed one as they are unpacked, and no more than its size can carry."""
+    if path.suffix == ".gz":
+        return io.BufferedReader(Bounded(path, gzip.open(path)))
+    return path.open("rb")

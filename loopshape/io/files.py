@@ -1,0 +1,219 @@
+"""Files written whole or not at all, names that stay in their folder, TOML and JSON that say what is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import tokenize
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from math import isfinite, isnan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.io.seen import look, own, refuse_changed
+from loopshape.io.toml_text import toml_text
+
+PART = ".part"  # ending of a file that is still being written
+_LONGEST_TOML = 256 * 1024 * 1024  # bytes; a run of half a million recordings is shorter
+
+#: what readers of damaged or foreign files raise
+_DAMAGE: tuple[type[Exception], ...] = (
+    OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError, MemoryError,
+    NotImplementedError, RecursionError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile,
+    SyntaxError, tokenize.TokenError,  # numpy parses the head of an array as Python
+)  # fmt: skip
+
+
+def short(value: object, limit: int = 160) -> str:
+    """A value in one line that fits in a sentence."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+@contextmanager
+def reading(path: Path, kind: str, *also: type[Exception]) -> Iterator[None]:
+    """Turn what a reader raises over a missing or damaged file into `UnreadableInputError`; every reader stands in it.
+
+    A pipe, a socket or a device is refused before it is opened, and a file that changed since it was read. `kind`
+    completes "cannot be read as ..."; `also` are a reader's own exceptions.
+    """
+    look(path)
+    try:
+        yield
+    except FileNotFoundError:
+        raise UnreadableInputError("a file does not exist", str(path), "check its name") from None
+    except IsADirectoryError:
+        raise UnreadableInputError("a folder stands where a file was asked for", str(path), "name the file") from None
+    except PermissionError:
+        raise UnreadableInputError("a file may not be read", str(path), "ask for permission to read it") from None
+    except (*_DAMAGE, *also) as error:
+        raise UnreadableInputError(
+            f"{path} cannot be read as {kind}",
+            short(error) or type(error).__name__,
+            "it is damaged or of another kind: write it again or name another file",
+        ) from None
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write` fill a temporary file beside `path`, then put it in place in one step.
+
+    `path` holds the old content or the new one, never half of it. A folder or disk that cannot be written
+    is refused with `UnreadableInputError`, a path without a name with `WrongUseError`; whatever `write` raises
+    leaves no temporary file behind. Nothing is put in place where a file that was read has changed since.
+    """
+    if not path.name:
+        raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
+    part = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}{PART}")
+    try:
+        with writing(path):
+            write(part)
+            _sync(part)
+            refuse_changed()
+            own(path)
+            os.replace(part, path)
+            _sync(path.parent)
+    except UnicodeEncodeError:
+        raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A folder or disk that cannot be written is refused with `UnreadableInputError`."""
+    try:
+        yield
+    except OSError as error:
+        raise UnreadableInputError(
+            f"{path} cannot be written", error.strerror or short(error), "check the folder, its rights and the disk"
+        ) from None
+
+
+def write_all(handle: int, data: bytes) -> None:
+    """Write it to its end: a full disk takes a part and says so at the next one only."""
+    while data:
+        data = data[os.write(handle, data) :]
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_bytes_whole(path: Path, data: bytes) -> None:
+    """Write bytes whole or not at all, making the folder where it is missing."""
+    make_folder(path.parent)
+
+    def write(part: Path) -> None:
+        part.write_bytes(data)
+
+    write_whole(path, write)
+
+
+def write_text_whole(path: Path, text: str) -> None:
+    """Write UTF-8 text, whole or not at all."""
+    write_whole(path, lambda part: _write_text(part, text))
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        data = text.encode("utf-8")
+    except UnicodeEncodeError as error:
+        near = error.object[max(error.start - 20, 0) : error.end + 20]
+        raise WrongUseError("a text holds half a character", short(ascii(near)), "write names as UTF-8") from None
+    path.write_bytes(data)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it; refuses where that is not possible."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnreadableInputError(
+            f"the folder {path} cannot be made", error.strerror or short(error), "choose another place"
+        ) from None
+
+
+def plain_name(name: object, what: str) -> str:
+    """The name itself if it is a plain file name; refuses separators, `..`, absolute paths, hidden names."""
+    plain = isinstance(name, str) and 0 < len(name) <= 200 and name == name.strip() and not name.startswith(".")
+    if not plain or any(c in '/\\:*?"<>|$^{}' or not c.isprintable() for c in str(name)):
+        raise UnreadableInputError(
+            f"{what} must be a plain name inside its folder",
+            short(repr(name)),
+            "leave out folders, separators, leading dots and special characters",
+        )
+    return str(name)
+
+
+def inside(folder: Path, name: object, what: str) -> Path:
+    """Path of a plain name in a folder; refuses a link that leads out of it."""
+    path = folder / plain_name(name, what)
+    with reading(path, "a file of its folder"):
+        stays = path.resolve().parent == folder.resolve()
+    if not stays:
+        raise UnreadableInputError(
+            f"{what} is a link that leaves its folder", short(repr(name)), "copy the file into the folder"
+        )
+    return path
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file; refuses one that is missing, damaged, or not TOML."""
+    with reading(path, "TOML"), path.open("rb") as file:
+        data = bytearray()
+        while part := file.read(1 << 20):  # all at once would take the room of the longest file
+            data += part
+            if len(data) > _LONGEST_TOML:
+                raise ValueError(f"more than {_LONGEST_TOML} bytes")
+        return tomllib.loads(data.decode("utf-8-sig"))  # some editors put a byte order mark in front
+
+
+def write_toml(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a TOML file whole; `None` values are left out."""
+    write_text_whole(path, toml_text(data))
+
+
+def read_json(path: Path) -> Any:
+    """Content of a JSON file; refuses one that is missing, damaged, or not JSON."""
+    with reading(path, "JSON"):
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a JSON file whole.
+
+    Dataclasses become objects and arrays become lists. Numbers that JSON cannot hold become the strings
+    "nan", "inf" and "-inf", which `float` reads back.
+    """
+    write_text_whole(path, json.dumps(json_ready(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def json_ready(value: Any, unknown: str | None = "nan") -> Any:
+    """The value in words that JSON knows, nan as `unknown`; refuses what has none (complex numbers, functions)."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if isfinite(value) else unknown if isnan(value) else str(value)
+    if isinstance(value, Mapping):
+        return {str(k): json_ready(v, unknown) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(v, unknown) for v in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: json_ready(getattr(value, f.name), unknown) for f in fields(value)}
+    raise WrongUseError("a value has no form in JSON", short(repr(value)), "turn it into numbers, words or lists")

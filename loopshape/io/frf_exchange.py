@@ -1,0 +1,139 @@
+"""FRFs to and from other programs' files: one table of formats, an export that is whole or not at all, an import."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.frf import FRF
+from loopshape.io.files import PART, inside, make_folder, short
+from loopshape.io.frf_csv import frf_csv, read_frf_csv
+from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
+from loopshape.io.frf_mat import read_frf_mat, write_frf_mat
+from loopshape.io.frf_uff import read_frf_uff, write_frf_uff
+from loopshape.io.frf_words import frf_arrays
+from loopshape.io.frfs import FOLDER, has_any, read_frfs, write_frfs
+from loopshape.io.run_folder import RUN_TOML
+from loopshape.io.words import refuse_doubles
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file: `write` returns what is lost in it; `read` takes what the user states of channels."""
+
+    ending: str
+    write: Callable[[Path, FRF], tuple[str, ...]]
+    read: Callable[[Path, Stated], ForeignFRF]
+
+
+def _write_csv(path: Path, frf: FRF) -> tuple[str, ...]:
+    frf_csv(path, frf, header=True)
+    lost = [
+        n for n in ("input_power", "output_power", "cross_power", "noise_covariance") if getattr(frf, n) is not None
+    ]
+    lost += [n for n in ("multiple_coherence", "partial_coherence") if getattr(frf, n) is not None]
+    return (f"a table holds no {', '.join(lost)}: export to mat to keep them",) if lost else ()
+
+
+def _write_mat(path: Path, frf: FRF) -> tuple[str, ...]:
+    write_frf_mat(path, frf)
+    return ()
+
+
+FORMATS: dict[str, Format] = {
+    "mat": Format(".mat", _write_mat, lambda path, _: read_frf_mat(path)),
+    "csv": Format(".csv", _write_csv, read_frf_csv),
+    "uff": Format(".uff", write_frf_uff, lambda path, _: read_frf_uff(path)),
+}
+_ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
+
+
+def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """One file `<recording>.<loop>.<ending>` for each FRF; returns the files, and what they do not hold.
+
+    All are written beside each other first and put in place when the last is whole; one of the same name is replaced.
+    """
+    if to not in FORMATS:
+        raise WrongUseError("a format is not known", repr(to), f"use {', '.join(FORMATS)}")
+    kind = FORMATS[to]
+    names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}{kind.ending}" for frf in frfs]
+    refuse_doubles(names, str(out), "FRFs")
+    make_folder(out)
+    paths = [inside(out, name, "the name of a FRF's recording and loop") for name in names]
+    stage = out / f".export.{os.getpid()}-{os.urandom(4).hex()}{PART}"
+    make_folder(stage)
+    try:
+        notes = [note for name, frf in zip(names, frfs, strict=True) for note in kind.write(stage / name, frf)]
+        for name, path in zip(names, paths, strict=True):
+            os.replace(stage / name, path)
+    except OSError as error:
+        raise UnreadableInputError(f"{out} cannot be written", error.strerror or short(error), "check it") from None
+    finally:
+        with suppress(OSError):
+            shutil.rmtree(stage)
+    return tuple(paths), tuple(dict.fromkeys(notes))
+
+
+def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
+    """The FRF of a file, its kind told by its ending; refuses one whose error neither file nor user states.
+
+    A recording without a name is called after the file, a loop without one after the outputs.
+    """
+    kind = _ENDINGS.get(path.suffix.lower())
+    if kind is None:
+        raise UnreadableInputError("a FRF in a file of this kind is not read", str(path), f"use {', '.join(_ENDINGS)}")
+    stated = stated or Stated()
+    frf = frf_of(FORMATS[kind].read(path, stated), stated)
+    return replace(
+        frf,
+        recording=frf.recording or path.stem.replace(".", "-"),
+        loop=frf.loop or "+".join(frf.outputs),
+        notes=(*frf.notes, f"imported from {path.name}"),
+    )
+
+
+def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -> tuple[Path, ...]:
+    """Put FRFs into a folder of imported FRFs, which commands read as a run's; the same ones again change nothing.
+
+    Refuses a run with recordings, whose FRFs are its own, a folder that holds other things, and another FRF of the same
+    recording and loop unless it is to be replaced.
+    """
+    if (folder / RUN_TOML).exists():
+        raise WrongUseError(
+            "the FRFs of a run come from its recordings, and others are not mixed in",
+            str(folder),
+            "choose another folder",
+        )
+    ours = (PART, "figures", "fits.json", "export", FOLDER)
+    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)] if folder.is_dir() else []
+    if foreign:
+        raise WrongUseError(
+            "a folder that is no run is not written into",
+            f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
+            "choose a new or an empty folder",
+        )
+    there = read_frfs(folder) if has_any(folder, FOLDER) else ()
+    old = {(one.recording, one.loop): one for one in there}
+    taken = [one for one in frfs if (one.recording, one.loop) in old]
+    other = [one for one in taken if not _same(one, old[(one.recording, one.loop)])]
+    if other and not replace_same:
+        raise WrongUseError(
+            f"{folder} has another FRF of this recording and loop",
+            ", ".join(f"{one.recording} of {one.loop}" for one in other),
+            "add --replace, or give it another name (--recording, --loop)",
+        )
+    return write_frfs(folder, frfs)
+
+
+def _same(one: FRF, two: FRF) -> bool:
+    """Whether all numbers, names and rates are the same."""
+    a, b = frf_arrays(one), frf_arrays(two)
+    names = (one.inputs, one.outputs, one.rate_hz) == (two.inputs, two.outputs, two.rate_hz)
+    return names and a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)

@@ -1,0 +1,228 @@
+"""MAP.toml: what a user says of somebody else's file, so that nothing has to be guessed.
+
+    format = "loopshape-map/1"
+    rate_hz = 100.0                            # the rate of the recording that is made
+    plant = "servo-axis"                       # as in run.toml; outputs, pwm and parameters may stand here too
+    time = { from = "t", unit = "ms" }         # optional: the stamps, checked against rate_hz
+    resample = true                            # optional: stamps are irregular, interpolate linearly
+
+    [csv]                                      # optional, for text files
+    separator = "tab"                          # a character, "tab", or "blank" for any run of blanks
+    header = false                             # default true
+    skip_rows = 2                              # lines above the header or the first row
+    decimal = ","                              # default "."
+
+    [columns]                                  # stored name = where it comes from
+    theta_m_rad = { from = "theta_mx", unit = "deg", sign = -1 }
+    force_n = { from = "data", column = 3, unit = "V", gain = 50.0, offset = -0.1 }
+
+    [[loop]]                                   # as in run.toml
+    [recording]                                # as in run.toml without file, and with
+    name = "r01"                               # default: the file's name
+    from_row = 2001                            # first and last row that are taken
+    to_row = 52000
+
+Columns, rows of an array (`row = 2`, for signals that lie in rows) and rows of a recording count from 1; a
+header is no row. A headerless table takes `column` alone. stored = factor (sign gain value + offset): gain and
+offset bring the file's number to `unit` (a sensor in volts read as newtons), factor brings `unit` to the stored
+one, and the stored name must end in that unit. `t_s` is made from the rate; `period_s` and
+`periodic_from_s` count from the first row that is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import SUFFIXES, to_stored
+from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import RecordingInfo
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.files import plain_name
+from loopshape.io.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
+from loopshape.io.sources import Place
+from loopshape.io.tables import TIME
+from loopshape.io.words import Words, read_words, said_in
+
+FORMAT = "loopshape-map/1"
+_KEYS = (
+    "format", "rate_hz", "plant", "outputs", "pwm", "parameters", "time", "resample", "csv", "columns", "loop",
+    "recording",
+)  # fmt: skip
+_SEPARATORS = {"tab": "\t", "blank": " ", " ": " "}
+
+
+@dataclass(frozen=True)
+class ColumnRule:
+    """How one stored column comes out of a file: scale is factor sign gain, shift is factor offset."""
+
+    stored: str
+    place: Place
+    scale: float
+    shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class ImportMap:
+    """A map that has been read: rows are counted from 0 here, `to_row` excluded."""
+
+    rate_hz: float
+    time: ColumnRule | None
+    resample: bool
+    csv: CsvShape
+    columns: tuple[ColumnRule, ...]
+    loops: tuple[LoopSetup, ...]
+    info: RecordingInfo
+    from_row: int
+    to_row: int | None
+    plant: str | None
+    pwm: Mapping[str, float]
+    parameters: Mapping[str, Any]
+    outputs: tuple[str, ...] = ()
+
+
+def read_map(map_file: Path, default_name: str) -> ImportMap:
+    """Read a MAP.toml; refuses missing and unknown keys, wrong units, loops and outputs without their columns."""
+    words = read_words(map_file, FORMAT)
+    words.only(*_KEYS)
+    words.need("rate_hz", "columns", "loop", "recording")
+    rate_hz = words.positive("rate_hz")
+    loops = read_loops(words, rate_hz)
+    columns = _read_columns(words.inner("columns"))
+    outputs = read_outputs(words)
+    _refuse_unfed(loops, outputs, {rule.stored for rule in columns}, words.where)
+    _refuse_twice(loops, {rule.stored: rule.place for rule in columns}, words.where)
+    recording = words.inner("recording")
+    from_row, to_row = _rows(recording)
+    return ImportMap(
+        rate_hz=rate_hz,
+        time=_read_rule(TIME, words.inner("time")) if "time" in words.table else None,
+        resample=_resample(words),
+        csv=_read_csv(words.inner("csv")),
+        columns=columns,
+        loops=loops,
+        info=_read_info(recording, default_name, loops),
+        from_row=from_row,
+        to_row=to_row,
+        plant=words.maybe_text("plant"),
+        pwm=words.numbers("pwm"),
+        parameters=words.numbers("parameters"),
+        outputs=outputs,
+    )
+
+
+def _resample(words: Words) -> bool:
+    resample = words.truth("resample", False)
+    if resample and "time" not in words.table:
+        raise WrongUseError(
+            f"{words.where}: resample needs the stamps",
+            "no time",
+            'write time = { from = "...", unit = "s" }',
+        )
+    return resample
+
+
+def _read_csv(words: Words) -> CsvShape:
+    words.only("separator", "header", "skip_rows", "decimal")
+    separator = words.text("separator", ",")
+    separator = _SEPARATORS.get(separator, separator)
+    if len(separator) != 1 or separator in "\r\n\"'.0123456789":
+        raise WrongUseError(
+            f"{words.where}: separator is one character",
+            repr(separator),
+            'write ",", ";", "tab", or "blank" for any run of blanks',
+        )
+    decimal = words.one_of("decimal", (".", ","), ".")
+    if decimal == separator:
+        raise WrongUseError(f"{words.where}: separator and decimal are the same", repr(decimal), "say which is which")
+    return CsvShape(separator, words.truth("header", True), words.whole("skip_rows", 0), decimal)
+
+
+def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
+    if TIME in words.table:
+        raise WrongUseError(f"{words.where}: t_s is made from rate_hz", "a rule for it", "write time = { ... } instead")
+    rules = tuple(_read_rule(stored, words.inner(stored)) for stored in words.table)
+    if not rules:
+        raise WrongUseError(f"{words.where}: no column is imported", "an empty table", "name at least one")
+    return rules
+
+
+def _read_rule(stored: str, words: Words) -> ColumnRule:
+    words.only("from", "column", "row", "unit", "sign", "gain", "offset")
+    with said_in(words.where):
+        suffix, factor = to_stored(words.text("unit"))
+        wanted = Channel.from_column("time_s" if stored == TIME else stored).unit
+    if suffix != wanted:
+        raise WrongUseError(
+            f"{words.where}: the stored name ends in _{wanted}, which is {SUFFIXES[wanted]}",
+            f"unit = {words.text('unit')!r}",
+            f"end the name in _{suffix}, or correct the unit",
+        )
+    sign = words.number("sign", 1.0)
+    if sign not in (1.0, -1.0):
+        raise WrongUseError(f"{words.where}: sign is 1 or -1", f"{sign:g}", "use gain for other factors")
+    scale = factor * sign * words.number("gain", 1.0)
+    return ColumnRule(stored, _read_place(words), scale, factor * words.number("offset", 0.0))
+
+
+def _read_place(words: Words) -> Place:
+    if not {"from", "column"} & set(words.table):
+        raise WrongUseError(f"{words.where}: it comes from nowhere", "no from", 'write from = "name in the file"')
+    return Place(words.maybe_text("from"), _count(words, "column"), _count(words, "row"))
+
+
+def _count(words: Words, key: str) -> int | None:
+    """A number that counts from 1, or None where it is missing."""
+    number = words.whole(key, 1)
+    if number < 1:
+        raise WrongUseError(f"{words.where}: {key} counts from 1", f"{number}")
+    return number if key in words.table else None
+
+
+def _rows(words: Words) -> tuple[int, int | None]:
+    first, last = _count(words, "from_row") or 1, _count(words, "to_row")
+    if last is not None and last <= first:
+        raise WrongUseError(f"{words.where}: to_row lies above from_row", f"from {first} to {last}", "let it rise")
+    return first - 1, last
+
+
+def _read_info(words: Words, default_name: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
+    words.only("name", "from_row", "to_row", *INFO_KEYS)
+    with said_in(words.where):
+        name = plain_name(words.text("name", default_name), "the name of a recording")
+    if "." in name:
+        raise WrongUseError(f"{words.where}: the name of a recording has no dot", repr(name), "write another name")
+    return read_info(words, f"{name}.parquet", loops)
+
+
+def _refuse_unfed(loops: tuple[LoopSetup, ...], outputs: tuple[str, ...], stored: set[str], where: str) -> None:
+    named: dict[str, set[str | None]] = {
+        f"loop {loop.name!r} names": {loop.reference, loop.injected, loop.control, *sum_terms(loop.output)} - {None}
+        for loop in loops
+    }
+    named["outputs name"] = {term for output in outputs for term in sum_terms(output)}
+    for who, columns in named.items():
+        if missing := sorted(str(name) for name in columns - stored):
+            raise WrongUseError(
+                f"{where}: {who} columns that [columns] does not make",
+                ", ".join(missing),
+                f"it makes {', '.join(sorted(stored))}",
+            )
+
+
+def _refuse_twice(loops: tuple[LoopSetup, ...], places: Mapping[str, Place], where: str) -> None:
+    """Refuse a loop whose output comes from the place in the file that one of its other signals comes from."""
+    for loop in loops:
+        others = [str(name) for name in (loop.control, loop.injected, loop.reference) if name is not None]
+        for output, other in product(sum_terms(loop.output), others):
+            if places[output] == places[other]:
+                raise WrongUseError(
+                    f"{where}: {output} and {other} of loop {loop.name!r} come from one place in the file",
+                    ", ".join(str(x) for x in (places[other].name, places[other].column) if x is not None),
+                    "map each to a column of its own",
+                )

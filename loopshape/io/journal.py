@@ -1,0 +1,63 @@
+"""What happened to a run, line by line: begun, finished, stopped. A last line torn by a kill does no harm.
+
+The journal is for people and for `verify`; what a run holds stands in `run.toml` alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from loopshape.io.files import json_ready, reading, write_all, writing
+from loopshape.io.seen import own
+
+FILE = "journal.jsonl"
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere
+_LONGEST = 64 * 1024 * 1024  # bytes read
+
+
+def note(folder: Path, event: str, **words: object) -> None:
+    """Add a line, on the disk when this returns. Refuses a folder or disk that cannot be written."""
+    line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
+    path = folder / FILE
+    own(path)
+    with writing(path):
+        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o644)
+        try:
+            torn = _torn(handle)
+            first, text = "\n" * torn, json.dumps(line, ensure_ascii=False)
+            write_all(handle, f"{first}{text}\n".encode("utf-8", "replace"))
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _torn(handle: int) -> bool:
+    """Whether the last line was not finished."""
+    size = os.fstat(handle).st_size
+    return size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+
+
+def read_journal(folder: Path) -> tuple[list[Mapping[str, Any]], int]:
+    """The lines that are whole, in order, and how many are not; empty where there is no journal."""
+    path = folder / FILE
+    if not os.path.lexists(path):
+        return [], 0
+    with reading(path, "a journal"):
+        if not path.is_file():
+            raise ValueError("it is no file")
+        if path.stat().st_size > _LONGEST:
+            raise ValueError(f"{path.stat().st_size} bytes")
+        lines = path.read_bytes().decode("utf-8", "replace").splitlines()
+    read: list[Mapping[str, Any]] = []
+    for line in lines:
+        with suppress(ValueError, RecursionError):
+            words = json.loads(line)
+            if isinstance(words, dict) and isinstance(words.get("event"), str):
+                read.append(words)
+    return read, sum(bool(line.strip()) for line in lines) - len(read)

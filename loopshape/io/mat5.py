@@ -1,0 +1,134 @@
+"""MAT files of version 5 to 7: their numeric arrays, and texts where they are asked for.
+
+scipy's reader ends the process with a segmentation fault on some damaged files, so the few elements that
+carry numbers and texts are read here, every length checked against what is there. Format: MathWorks, "MAT-File
+Format", chapter 1 (level 5). Structures, objects and other cells than lists of texts are named and left closed.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.io.growth import inflated
+
+_HEADER = 128
+_MATRIX, _COMPRESSED = 14, 15
+_STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_NUMERIC_CLASSES = range(6, 16)
+_CELL, _CHAR = 1, 4
+_CODES = {1: "ascii", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
+_OPAQUE = 17
+_COMPLEX = 0x0800
+
+
+@dataclass(frozen=True)
+class _Element:
+    kind: int
+    data: memoryview
+
+
+def read_mat5(path: Path, *, texts: bool = False) -> dict[str, np.ndarray]:
+    """Arrays by name with MATLAB's shape, real or complex; what is not numeric is an empty array of objects.
+
+    With `texts` a text of one row is an array () of it, and a cell of texts one (n,) of them.
+    Raises `ValueError` for a file that is damaged or of another version; `zlib.error` and `struct.error` too.
+    """
+    raw = path.read_bytes()
+    order = _byte_order(raw)
+    arrays, grown = {}, 0
+    for element in _elements(memoryview(raw)[_HEADER:], order):
+        if element.kind == _COMPRESSED:
+            unpacked = inflated(path, element.data, grown)
+            grown += len(unpacked)
+            element = _next(_elements(memoryview(unpacked), order))
+        if element.kind == _MATRIX and (named := _matrix(element.data, order, texts)) and named[0]:
+            arrays[named[0]] = named[1]
+    return arrays
+
+
+def _byte_order(raw: bytes) -> str:
+    """Byte order, < or >, from the header's two last bytes."""
+    orders = {b"IM": "<", b"MI": ">"}
+    order = orders.get(raw[126:128])
+    if order is None or struct.unpack(order + "H", raw[124:126])[0] != 0x0100:
+        raise ValueError("it is no MAT file of version 5 to 7.3")
+    return order
+
+
+def _elements(data: memoryview, order: str) -> Iterator[_Element]:
+    """Elements one after the other; a length beyond the end is refused."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(order + "II", data, at)
+        start = at + 8
+        if kind >> 16:  # up to four bytes lie in the tag itself
+            kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
+        if start + size > len(data) or (start == at + 4 and size > 4):
+            raise ValueError(f"it ends within an element of {size} bytes")
+        yield _Element(kind, data[start : start + size])
+        at = start + size
+        if kind != _COMPRESSED:
+            at += -at % 8
+
+
+def _matrix(data: memoryview, order: str, texts: bool) -> tuple[str, np.ndarray] | None:
+    """Name and values of one variable or member of a cell; None for an object, whose parts are others."""
+    if not data:  # an empty place of a cell
+        return "", np.empty(0, dtype=object)
+    parts = _elements(data, order)
+    word = struct.unpack_from(order + "I", _next(parts).data)[0]
+    number_class = word & 0xFF
+    if number_class == _OPAQUE:
+        return None
+    shape = np.frombuffer(_next(parts).data, dtype=order + "i4")
+    name = bytes(_next(parts).data).decode("ascii")
+    if not shape.size or shape.min() < 0:
+        raise ValueError(f"{name} has no shape")
+    sizes = tuple(int(n) for n in shape)
+    if number_class in _NUMERIC_CLASSES:
+        values = _numbers(_next(parts), name, sizes, order)
+        return name, values + 1j * _numbers(_next(parts), name, sizes, order) if word & _COMPLEX else values
+    if texts and number_class == _CHAR:
+        return name, _text(_next(parts), sizes, order)
+    if texts and number_class == _CELL:
+        return name, _texts([_matrix(part.data, order, texts) for part in parts if part.kind == _MATRIX], sizes)
+    return name, np.empty(0, dtype=object)
+
+
+def _numbers(values: _Element, name: str, sizes: tuple[int, ...], order: str) -> np.ndarray:
+    """One part, real or imaginary, in MATLAB's shape; another length than the shape's is refused."""
+    if values.kind not in _STORED:
+        raise ValueError(f"the numbers of {name} are of the unknown type {values.kind}")
+    return np.frombuffer(values.data, dtype=order + _STORED[values.kind]).reshape(sizes, order="F")
+
+
+def _text(letters: _Element, sizes: tuple[int, ...], order: str) -> np.ndarray:
+    """A text of one row as an array (); an empty one without rows, a table of letters as one of objects."""
+    if letters.kind not in _CODES or len(sizes) != 2 or sizes[0] > 1:
+        return np.empty(0, dtype=object)
+    code = _CODES[letters.kind]
+    ending = {"<": "-le", ">": "-be"}[order] if code.startswith("utf-") and code != "utf-8" else ""
+    return np.array(bytes(letters.data).decode(code + ending) if sizes[0] else "", dtype=str)
+
+
+def _texts(members: list[tuple[str, np.ndarray] | None], sizes: tuple[int, ...]) -> np.ndarray:
+    """A list of texts (n,); a cell of other things is an empty array of objects, one of another length is refused."""
+    if len(members) != math.prod(sizes):
+        raise ValueError(f"a cell of {math.prod(sizes)} holds {len(members)}")
+    values = [member[1] for member in members if member is not None]
+    if len(values) != len(members) or any(v.dtype.kind != "U" or v.ndim for v in values):
+        return np.empty(0, dtype=object)
+    return np.array([str(v) for v in values], dtype=str)
+
+
+def _next(parts: Iterator[_Element]) -> _Element:
+    element = next(parts, None)
+    if element is None:
+        raise ValueError("a variable is cut short")
+    return element

@@ -1,0 +1,69 @@
+"""Requirements files: what each loop must keep."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.io.words import Words, is_number, read_words, refuse_doubles, said_in
+
+FORMAT = "loopshape-requirements/1"
+
+
+def read_requirements(path: Path) -> tuple[Requirements, ...]:
+    """Requirements of a file, one a loop.
+
+    Refuses another format, unknown keys, values of the wrong kind, no loop, and two of one name.
+    """
+    words = read_words(path, FORMAT)
+    words.only("format", "loop", "several")
+    words.need("loop")
+    requirements = tuple(_read(table) for table in words.tables("loop"))
+    if not requirements:
+        raise WrongUseError(f"{path.name} asks for nothing", "no [[loop]]", "write a [[loop]] with a name")
+    refuse_doubles((one.loop for one in requirements), path.name, "loops")
+    return requirements
+
+
+def read_several(path: Path) -> SeveralRequirements:
+    """The table `[several]` of a requirements file: what all loops must keep together; nothing where it is missing.
+
+    Refuses another format, unknown keys and values of the wrong kind.
+    """
+    words = read_words(path, FORMAT).inner("several")
+    words.only(*(f.name for f in fields(SeveralRequirements)))
+    if "band_hz" in words.table:
+        words.list_of_numbers("band_hz")
+    for key in words.table:
+        if key not in ("band_hz", "integrators", "unstable_poles"):  # whole numbers are the noun's to check
+            words.number(key)
+    with said_in(words.where):
+        return SeveralRequirements.from_table(words.table)
+
+
+def _read(words: Words) -> Requirements:
+    words.text("name")
+    for block in words.tables("structure"):
+        _check_block(block)
+    if "band_hz" in words.table:
+        words.list_of_numbers("band_hz")
+    for key, value in words.table.items():
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            words.number(key)  # refuses inf and nan
+    with said_in(words.where):
+        return Requirements.from_table(words.table)
+
+
+def _check_block(words: Words) -> None:
+    """Refuse a parameter that is no number, no table of numbers and no parameter's name."""
+    words.text("kind")
+    for key, value in words.table.items():
+        if isinstance(value, dict):
+            words.numbers(key)
+        elif not is_number(value) and not isinstance(value, str):
+            raise WrongUseError(
+                f"{words.where}: {key} is a number, a table with min and max, or a parameter's name", repr(value)
+            )

@@ -1,0 +1,234 @@
+"""Other people's files: the arrays that a CSV, MAT, Parquet, NPZ or MDF file holds, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal
+from loopshape.core.units import Array
+from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
+from loopshape.io.files import reading, short
+from loopshape.io.growth import check_growth, check_zip
+from loopshape.io.mat5 import read_mat5
+from loopshape.io.mdf4 import mdf_array, mdf_names
+from loopshape.io.spool import Spool
+from loopshape.io.tables import TableColumns
+
+_TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+_MDF = (".mf4", ".mdf")
+#: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
+LONG_TEXT = 200_000_000
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a signal stands: an array's name, and its column or row (from 1) where it has two dimensions."""
+
+    name: str | None
+    column: int | None = None
+    row: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ...
+
+    `long` gives those that are too long to be loaded, and None for others.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    load: Callable[[str], np.ndarray]
+    numbered: bool = False
+    long: Callable[[str], LongSignal | None] = lambda name: None
+
+    def signal(self, place: Place) -> Signal:
+        """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
+        name = str(place.column) if self.numbered else place.name
+        alone = self.numbered or (place.column is None and place.row is None)
+        if name in self.names and alone and (long := self.long(str(name))) is not None:
+            return long
+        if self.numbered:
+            return _numbers(self.path, place.name or "", self.load(self._numbered_name(place)))
+        if place.name not in self.names:
+            raise WrongUseError(
+                f"{self.path.name} holds nothing of this name",
+                repr(place.name) if place.name is not None else "no from",
+                f"it holds {short(', '.join(self.names), 400)}" + self._hint(),
+            )
+        return _pick(_numbers(self.path, place.name, self.load(place.name)), place, self.path.name)
+
+    def _hint(self) -> str:
+        one = self.names[0] if len(self.names) == 1 else ""
+        return "; a single column: say its separator in [csv]" if any(c in one for c in ";\t ") else ""
+
+    def _numbered_name(self, place: Place) -> str:
+        if place.name is not None or place.row is not None or str(place.column) not in self.names:
+            raise WrongUseError(
+                f"a column of {self.path.name}, which has no header, is picked by its number",
+                short(place),
+                f"write column = 1 to {len(self.names)}, and no from",
+            )
+        return str(place.column)
+
+
+def _numbers(path: Path, name: str, values: np.ndarray) -> Array:
+    if values.dtype.kind not in "biuf":
+        raise WrongUseError(
+            f"{name} of {path.name} is not an array of real numbers", f"{values.dtype}", "pick another or convert it"
+        )
+    return np.array(values, dtype=float)
+
+
+def _pick(values: Array, place: Place, file: str) -> Array:
+    """One signal (n,) of an array; (n, 1) and (1, n) need no column or row."""
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape and place.column is None and place.row is None):
+        if place.column is not None or place.row is not None:
+            raise WrongUseError(f"{place.name} of {file} has one dimension", "a column or row", "leave it out")
+        return values.ravel()
+    number, axis = (place.column, 1) if place.column is not None else (place.row, 0)
+    if values.ndim != 2 or (place.column is not None and place.row is not None):
+        number = None
+    if number is None or not 1 <= number <= values.shape[axis]:
+        raise WrongUseError(
+            f"{place.name} of {file} is an array of {' x '.join(map(str, values.shape))}",
+            f"column {place.column}, row {place.row}",
+            "pick one signal of a two-dimensional array by column or by row, counted from 1",
+        )
+    return np.ascontiguousarray(values[:, number - 1] if axis == 1 else values[number - 1])
+
+
+def open_source(
+    path: Path, shape: CsvShape, wanted: Sequence[Place] | None = None, beside: Path | None = None
+) -> Source:
+    """The arrays of a file, by its ending; nothing is unpickled. `shape` is for text files.
+
+    Of a long file of text only the places `wanted` are read, onto the disk of the folder `beside`.
+
+    Refuses an unknown ending, and a missing or damaged file (`UnreadableInputError`).
+    """
+    name = path.name.lower()
+    if name.endswith(_TEXT):
+        if wanted is not None and _is_long_text(path):
+            return _long_csv_source(path, shape, wanted, beside)
+        return _csv_source(path, shape)
+    if name.endswith(".mat"):
+        return _mat_source(path)
+    if name.endswith(".npz"):
+        return _npz_source(path)
+    if name.endswith(".parquet"):
+        table = TableColumns(path)
+        return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
+    if name.endswith(_MDF):
+        return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
+    raise UnreadableInputError(
+        "a file of this kind is not read", str(path), f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF))}"
+    )
+
+
+def _csv_source(path: Path, shape: CsvShape) -> Source:
+    table = read_csv_table(path, shape)
+    return Source(path, tuple(name for name in table.names if name), table.column, numbered=not shape.header)
+
+
+def _is_long_text(path: Path) -> bool:
+    with reading(path, "a file of text"):
+        return path.stat().st_size * (4 if path.suffix == ".gz" else 1) >= LONG_TEXT
+
+
+def _long_csv_source(path: Path, shape: CsvShape, wanted: Sequence[Place], beside: Path | None) -> Source:
+    """Columns that are wanted, on disk; a name that is not there is refused when it is asked for."""
+    blocks = csv_stretches(path, shape, AT_ONCE // 4)
+    first = next(blocks)
+    asked = [str(place.column) if not shape.header else place.name for place in wanted]
+    columns = [name for name in dict.fromkeys(asked) if name and name in first.names]
+    spool = Spool(len(columns), beside)
+    for block in chain([first], blocks):
+        spool.add([block.column(name) for name in columns])
+    spooled = {name: k for k, name in enumerate(columns)}
+    return Source(
+        path,
+        tuple(name for name in first.names if name),
+        first.column,
+        numbered=not shape.header,
+        long=lambda name: spool.signal(spooled[name]),
+    )
+
+
+def _long_column(table: TableColumns, name: str) -> LongSignal | None:
+    if table.rows < LONG:
+        return None
+    return LongSignal(table.rows, lambda start, stop: table.stretch(name, start, stop))
+
+
+def _npz_source(path: Path) -> Source:
+    with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        check_zip(path)
+        names = tuple(file.files)
+
+    def load(name: str) -> np.ndarray:
+        with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            return np.asarray(file[name])
+
+    return Source(path, names, load)
+
+
+def _mat_source(path: Path) -> Source:
+    import h5py
+
+    with reading(path, "MAT"):
+        path.open("rb").close()
+        new = h5py.is_hdf5(path)
+    return _mat73_source(path) if new else _mat5_source(path)
+
+
+def _mat5_source(path: Path) -> Source:
+    with reading(path, "MAT"):
+        arrays = read_mat5(path)
+    return Source(path, tuple(arrays), arrays.__getitem__)
+
+
+def _mat73_source(path: Path) -> Source:
+    """MAT v7.3 is HDF5 with every array's axes reversed; links to other files are not followed."""
+    import h5py
+
+    with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+        names = tuple(key for key in file if not key.startswith("#") and _own_array(file, key))
+
+    def load(name: str) -> np.ndarray:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            check_growth(path, file[name].nbytes)
+            return np.asarray(file[name][()]).T
+
+    def long(name: str) -> LongSignal | None:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            check_growth(path, file[name].nbytes)
+            shape, kind = file[name].shape, file[name].dtype.kind
+        if max(shape, default=0) < LONG or np.prod(shape) != max(shape) or kind not in "biuf":
+            return None
+        return LongSignal(max(shape), lambda start, stop: stretch(name, start, stop))
+
+    def stretch(name: str, start: int, stop: int) -> Array:
+        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
+            values = file[name]
+            rows = tuple(slice(start, stop) if n == values.size else slice(None) for n in values.shape)
+            return np.asarray(values[rows], dtype=float).ravel()
+
+    return Source(path, names, load, long=long)
+
+
+def _own_array(file: Any, key: str) -> bool:
+    """Whether a member is a dataset that lies in this file itself."""
+    import h5py
+
+    if not isinstance(file.get(key, getlink=True), h5py.HardLink):
+        return False
+    member = file[key]
+    return isinstance(member, h5py.Dataset) and not member.is_virtual and not member.external

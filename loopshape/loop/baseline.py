@@ -1,0 +1,219 @@
+"""Verdict, baseline -> Comparison: what got worse, by how much, and whether that is more than chance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from math import hypot, inf, isfinite, isnan
+from statistics import NormalDist
+
+import numpy as np
+
+from loopshape.data.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Verdict
+
+#: changes without an error of their own count from here on: what four figures do not show is none
+TINY = 1e-4
+#: chance that any margin is called changed although none has
+FALSE_ALARM = 0.05
+
+
+def checked(verdict: Verdict, controller: Controller, frfs: Sequence[FRF]) -> Checked:
+    """A verdict with what it was made from; `frfs` are those that were checked, in the same order."""
+    marks = [data_mark(frf) for frf in frfs]
+    return Checked(verdict, controller, dict(zip(verdict.margins, marks, strict=True)))
+
+
+def data_mark(frf: FRF) -> str:
+    """A short mark of lines and response to about six figures.
+
+    Unlike `FRF.digest` it survives the last digits, which differ from processor to processor when the same recording
+    is estimated again.
+    """
+    size = np.abs(frf.response)
+    turn = np.round(frf.response / np.where(size > 0.0, size, 1.0), 5)
+    numbers = [*frf.frequency_hz.ravel(), *size.ravel()]
+    turns = [*turn.real.ravel(), *turn.imag.ravel()]
+    text = " ".join([*(f"{x:.6g}" for x in numbers), *(f"{x + 0.0:.5f}" for x in turns)])  # + 0: no negative zero
+    return sha256(text.encode()).hexdigest()[:16]
+
+
+def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
+    """What became of a baseline, loop by loop and operating point by operating point.
+
+    Where both verdicts come from the same data, their errors are common: whatever changed is the controller's (or the
+    program's), and no interval hides it. Else the change's interval is had from both margins' own by recovering their
+    variances (Zou and Donner, Statistics in Medicine 27, 2008): lower and upper parts added in quadrature, so that an
+    interval may be lopsided; all are widened (Bonferroni) so that by chance alone any margin at all is called changed
+    in one comparison out of 20. A margin without an interval is taken as exact, and that is noted.
+
+    Where a loop is unstable, or is judged otherwise than before, only that is said: its margins mean no room.
+    On the same data the change of the estimate is certain, that of the true margin a little less: the errors cancel
+    fully only where both margins are read at the same frequency.
+    """
+    mine, theirs = {c.verdict.loop: c for c in now}, {c.verdict.loop: c for c in before}
+    both = [loop for loop in mine if loop in theirs]
+    lines = [x for loop in both for x in _lines(loop, theirs[loop].verdict, mine[loop].verdict)]
+    stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop].verdict, mine[loop].verdict)]
+    pairs = [pair for loop in both for pair in _pairs(theirs[loop], mine[loop])]
+    margins = _judged(pairs)
+    moved = {change.loop for change in margins if change.outcome != "unchanged"}
+    notes = [note for loop in both for note in _underneath(theirs[loop], mine[loop], loop in moved)]
+    return Comparison(
+        tuple(sorted(lines, key=lambda x: not x.worse)),
+        tuple(sorted(stabilities, key=lambda x: not x.worse)),
+        tuple(margins),
+        tuple(_only(theirs, mine)),
+        tuple(_only(mine, theirs)),
+        (*notes, *_bare(pairs)),
+    )
+
+
+def bridge(before: Sequence[Checked], now: Sequence[Checked]) -> tuple[str, ...]:
+    """Loops whose controller and data have both changed, so that a change alone does not tell which of them did it.
+
+    The way across is a check of the baseline's controller on the present data: compared with the baseline it is the
+    plant's part, compared with the present check the controller's.
+    """
+    theirs = {c.verdict.loop: c for c in before}
+    return tuple(
+        c.verdict.loop
+        for c in now
+        if (was := theirs.get(c.verdict.loop)) is not None
+        and not same_controller(was.controller, c.controller)
+        and any(was.data.get(name) not in (None, mark) for name, mark in c.data.items())
+    )
+
+
+def same_controller(one: Controller, other: Controller) -> bool:
+    """Whether two controllers run the same: all their fields are equal."""
+    return all(getattr(one, name) == getattr(other, name) for name in vars(one))
+
+
+def _lines(loop: str, before: Verdict, now: Verdict) -> list[LineChange]:
+    was, found = ({line.quantity: line for line in v.lines} for v in (before, now))
+    changes = [LineChange(loop, q, was.get(q), found.get(q)) for q in dict.fromkeys((*was, *found))]
+    return [c for c in changes if _said(c.before) != _said(c.now)]
+
+
+def _said(line: Line | None) -> tuple[str, float] | None:
+    return None if line is None else (line.outcome, line.wished)
+
+
+def _stabilities(loop: str, before: Verdict, now: Verdict) -> list[StabilityChange]:
+    return [
+        StabilityChange(loop, name, was.stable, m.stable, m.stability_reason)
+        for name, m in now.margins.items()
+        if (was := before.margins.get(name)) is not None and was.stable != m.stable
+    ]
+
+
+class _Pair:
+    """One margin, then and now, with the reach of both intervals to either side of the change."""
+
+    def __init__(self, loop: str, recording: str, limit: Limit, was: Margins, found: Margins, common: bool) -> None:
+        self.loop, self.recording, self.limit = loop, recording, limit
+        self.before, self.now = float(getattr(was, limit.name)), float(getattr(found, limit.name))
+        self.was, self.found = was.intervals.get(limit.name), found.intervals.get(limit.name)
+        self.common = common
+        below_was, above_was = _reach(self.before, self.was)
+        below_now, above_now = _reach(self.now, self.found)
+        none = common or not (isfinite(self.before) and isfinite(self.now))
+        self.below, self.above = (0.0, 0.0) if none else (hypot(below_now, above_was), hypot(above_now, below_was))
+
+    @property
+    def known(self) -> bool:
+        """Whether both were found at all (a limit on |CS| that nobody asked for is -inf, an old file's gap NaN)."""
+        values = (self.before, self.now)
+        return not (any(map(isnan, values)) or -inf in values)
+
+
+def _reach(value: float, interval: tuple[float, float] | None) -> tuple[float, float]:
+    return (0.0, 0.0) if interval is None else (max(value - interval[0], 0.0), max(interval[1] - value, 0.0))
+
+
+def _pairs(before: Checked, now: Checked) -> list[_Pair]:
+    return [
+        _Pair(now.verdict.loop, name, limit, was, found, before.data.get(name) == now.data.get(name))
+        for name, found in now.verdict.margins.items()
+        if (was := before.verdict.margins.get(name)) is not None and _comparable(was, found)
+        for limit in LIMITS
+    ]
+
+
+def _comparable(was: Margins, found: Margins) -> bool:
+    """Margins mean room where the loop is stable: between a loop that is and one that is not nothing is compared."""
+    return was.stable == found.stable != "unstable"
+
+
+def _judged(pairs: Sequence[_Pair]) -> list[MarginChange]:
+    known = [pair for pair in pairs if pair.known]
+    uncertain = sum(pair.below > 0.0 or pair.above > 0.0 for pair in known)
+    one = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM)
+    widen = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(uncertain, 1)) / one
+    return [_judge(pair, widen) for pair in known]
+
+
+def _judge(pair: _Pair, widen: float) -> MarginChange:
+    made = MarginChange(
+        pair.loop, pair.recording, pair.limit.name, pair.limit.unit, pair.before, pair.now, None, pair.common, ""
+    )
+    low = high = made.change
+    if not isfinite(made.change) and not pair.common:
+        low, high = _apart(pair)
+    elif pair.below > 0.0 or pair.above > 0.0:
+        low, high = made.change - widen * pair.below, made.change + widen * pair.above
+    interval = (low, high) if low < high and isfinite(made.change) else None
+    floor = 1.0 if pair.limit.unit in ("dB", "deg") else 0.0
+    finite = [abs(x) for x in (pair.before, pair.now) if isfinite(x)]
+    outcome = _outcome(low, high, TINY * max([*finite, floor]), pair.limit.sense)
+    return MarginChange(**{**vars(made), "interval": interval, "outcome": outcome})
+
+
+def _apart(pair: _Pair) -> tuple[float, float]:
+    """Bounds of a change from or to no limit at all: certain only where the two intervals lie apart."""
+    (low, high), (was_low, was_high) = (x or (v, v) for x, v in ((pair.found, pair.now), (pair.was, pair.before)))
+    return (inf, inf) if low > was_high else (-inf, -inf) if high < was_low else (-inf, inf)
+
+
+def _outcome(low: float, high: float, tiny: float, sense: str) -> str:
+    if low > tiny:
+        return "better" if sense == "at_least" else "worse"
+    if high < -tiny:
+        return "worse" if sense == "at_least" else "better"
+    return "unchanged"
+
+
+def _only(these: Mapping[str, Checked], others: Mapping[str, Checked]) -> list[str]:
+    """Loops, and operating points of loops that both have, which the others do not have."""
+    found = []
+    for loop, one in these.items():
+        if loop not in others:
+            found.append(f"loop {loop}")
+        else:
+            found += [f"{name} of loop {loop}" for name in one.data if name not in others[loop].data]
+    return found
+
+
+def _underneath(before: Checked, now: Checked, moved: bool) -> list[str]:
+    """What differs below the margins: the controller, the data, or something else where both are the same."""
+    shared = [name for name in now.data if name in before.data]
+    if not shared:
+        return []
+    others = sum(before.data[name] != now.data[name] for name in shared)
+    same = same_controller(before.controller, now.controller)
+    data = "the same data" if others == 0 else "other data"
+    if 0 < others < len(shared):
+        data += f" at {others} of {len(shared)} operating points"
+    neither = "; the program, its fits or the requirements have changed" if moved and same and others == 0 else ""
+    return [f"loop {now.verdict.loop}: {'the same' if same else 'another'} controller, {data}{neither}"]
+
+
+def _bare(pairs: Sequence[_Pair]) -> list[str]:
+    """A note on margins of different data that changed and lack an interval on one side at least."""
+    bare = [p for p in pairs if p.known and not p.common and isfinite(p.now - p.before) and None in (p.was, p.found)]
+    changed = sum(pair.now != pair.before for pair in bare)
+    word = "margin lacks an interval and is" if changed == 1 else "margins lack an interval and are"
+    return [f"{changed} {word} compared as exact"] if changed else []

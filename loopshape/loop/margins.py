@@ -1,0 +1,282 @@
+"""Loop -> Margins, by definition, from a measured plant's lines; with intervals where it knows its scatter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.kernels import margins as kernel
+from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import Margins
+from loopshape.loop.between import followed
+from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
+from loopshape.loop.crossings import axis_crossings, unit_crossings
+from loopshape.loop.low_end import Model, judged_lines, low_models
+from loopshape.loop.low_frequency import LowModel
+from loopshape.loop.obstacles import slope_at_end
+from loopshape.loop.stability import closed_loop_stability
+
+#: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
+#: from the same lines, which the draws do not repeat (measured in experiments/margin_coverage)
+REACH = 1.04 * 1.972
+Interval = tuple[float, float]
+
+#: fields of `Margins` read as they are, and those read as logarithms
+PLAIN = {
+    "gain_margin_db": kernel.GAIN_DB,
+    "gain_reduction_margin_db": kernel.REDUCTION_DB,
+    "phase_margin_deg": kernel.PHASE_DEG,
+    "complementary_peak_db": kernel.COMPLEMENTARY_DB,
+    "control_peak_db": kernel.CONTROL_DB,
+    "control_high_frequency_db": kernel.CONTROL_HIGH_DB,
+    "process_peak_db": kernel.PROCESS_DB,
+}
+LOGARITHMS = {
+    "modulus_margin": kernel.LN_MODULUS,
+    "delay_margin_s": kernel.LN_DELAY_S,
+    "disk_margin": kernel.LN_DISK,
+    "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
+    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
+    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+}
+#: where L is read below its first line, as shares of its frequency
+_DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+#: bandwidths that lie above the last line where nothing was met up to it
+_BANDWIDTHS = {
+    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
+    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+}
+#: what these lie between, from 0
+_MOST = {
+    "gain_margin_db": np.inf,
+    "gain_reduction_margin_db": np.inf,
+    "phase_margin_deg": 180.0,
+    "disk_margin": 2.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Lines that margins are read from, with the loop's scatter carried along."""
+
+    f: Array
+    L: ComplexArray
+    C: ComplexArray
+    reference: ComplexArray | None
+    deviations: ComplexArray | None
+
+
+def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margins:
+    """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
+
+    - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
+      axis with |L| < 1, and never more than 1/|L| at the last line: beyond it L is taken to cross somewhere,
+      no larger; the reduction margin the same for |L| > 1, as a factor down;
+    - phase margin: least rotation, either way, that brings L onto -1 over all 0 dB crossings;
+    - delay margin: least delay that does so;
+    - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
+    - above the last line |L| is taken to stay below its last value l: there |S| may reach 1/(1 - l), |T|
+      l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that; where it decides a number, that number is a
+      bound, and `bounds` says how good it may be;
+    - a loop without integrators whose gain at 0 Hz is negative crosses the negative real axis there: small models of
+      the lowest lines lead to it (`loopshape.loop.low_frequency`), and what they disagree about widens the interval;
+    - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
+      complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
+    - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
+      -3 dB (0 where it never reaches it, the last line where it does not fall);
+    - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
+      starts below 1 a fit's model leads to it, at most an octave below the first line.
+
+    With the loop's `scatter` every number is freed of the bias that noise gives it (the largest of many noisy values
+    is too large) and has a 95 % interval: both from what draws of the error do to the same reading (a parametric
+    bootstrap; Davison and Hinkley, Bootstrap methods, 1997, chapter 5), normal on the scale of dB, degrees or ln. The
+    interval knows the FRF's noise, not what differs from day to day. Without scatter lines are taken at face value:
+    the peak of |S| comes out too high. With it L is read between lines too, along splines and the resonances that the
+    lines show, and what a spline adds to a straight line widens the interval. Margins mean room only where
+    `stable` says "stable".
+    """
+    j = _judged(loop)
+    from_hz = np.inf if high_frequency_from_hz is None else high_frequency_from_hz
+    first, *others = _readings_from_zero(loop, j)
+    found, at = _read(loop, first, first.L[None], from_hz)
+    value, low, high = _with_intervals(loop, first, found[0], from_hz)
+    for other in others:  # what the models disagree about is as unknown as what noise hides
+        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], from_hz)[0][0], from_hz)
+        low, high = np.minimum(low, lower), np.maximum(high, higher)
+    bounds = _bounds(loop, first, found[0], from_hz)
+    stability = closed_loop_stability(loop)
+    crossings, crossing_intervals = _crossings(j, unit=True)
+    phase_crossings, phase_intervals = _crossings(j, unit=False)
+    ends = _fields(low), _fields(high)
+    intervals = {n: (min(a, b), max(a, b)) for n, a, b in _paired(*ends)} if j.deviations is not None else {}
+    return Margins(
+        **_fields(value),
+        controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
+        crossings_hz=crossings,
+        phase_crossings_hz=phase_crossings,
+        at_hz=_places(at[0], float(j.f[0])),
+        stable=stability.outcome,
+        stability_reason=stability.reason,
+        stability_band_hz=getattr(stability, "band_hz", None),
+        intervals=intervals,
+        bounds=bounds,
+        last_hz=float(j.f[-1]),
+        last_gain=float(abs(j.L[-1])),
+        last_slope=slope_at_end(j.f, j.L),
+        crossing_intervals_hz=crossing_intervals,
+        phase_crossing_intervals_hz=phase_intervals,
+        detuning=None,
+    )
+
+
+def _judged(loop: Loop) -> _Judged:
+    f, L, C = judged_lines(loop) or (loop.frequency_hz, loop.L, loop.C)
+    if loop.scatter is None:
+        return _Judged(f, L, C, None, None)
+    led = f.size - loop.frequency_hz.size  # below the first line a model leads, and errs as the first line does
+    dense, own = followed(loop)
+    reference, deviations = own * dense.reference, own * dense.deviations
+    if led:
+        share = loop.scatter.reference[0] / loop.plant.siso[0], loop.scatter.deviations[:, :1] / loop.plant.siso[0]
+        reference = np.concatenate([L[:led] * share[0], reference])
+        deviations = np.concatenate([L[:led] * share[1], deviations], axis=1)
+    f = np.concatenate([f[:led], dense.frequency_hz])
+    L, C = np.concatenate([L[:led], own * dense.response]), np.concatenate([C[:led], own])
+    return _Judged(f, L, C, reference, deviations)
+
+
+def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
+    """The lines with those before them down to 0 Hz, as a model tells them, where L starts on the negative real axis.
+
+    There the axis is crossed at 0 Hz, from the mirrored side; elsewhere the lines stay as they are.
+    """
+    f = j.f[0] * _DOWN
+    C = loop.controller.response(f)
+    L = C * model.response(f)
+    if L[0].real >= 0.0:
+        return j
+    start = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0))
+    L = np.concatenate([[start], L[1:]])
+    reference = deviations = None
+    if j.deviations is not None and j.reference is not None:
+        if isinstance(model, LowModel) and loop.scatter is not None:
+            moved = C * model.deviations(f, loop.scatter.deviations)
+        else:
+            moved = L * (j.deviations[:, :1] / j.L[0])
+        moved[:, 0] = moved[:, 0].real
+        reference = np.concatenate([L, j.reference])
+        deviations = np.concatenate([moved, j.deviations], axis=1)
+    return _Judged(np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C]), reference, deviations)
+
+
+def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
+    """The lines with what lies below them, once for each model that tells it; as they are where 0 Hz says nothing.
+
+    Only a loop without integrators reaches the real axis at 0 Hz.
+    """
+    if (loop.integrators or 0) + loop.controller.integrators() or loop.integrators is None:
+        return [j]
+    return [_from_zero(loop, j, model) for model in low_models(loop)] or [j]
+
+
+def _read(loop: Loop, j: _Judged, L: ComplexArray, from_hz: float, *, bounded: bool = True) -> tuple[Array, Array]:
+    above = loop.above_hz
+    return kernel.read_margins(j.f, L, j.C, above, loop.controller.response(above), from_hz, bounded)
+
+
+def _bounds(loop: Loop, j: _Judged, found: Array, from_hz: float) -> dict[str, float]:
+    """How good the quantities may be that what lies above the last line bounds: the good end of what lines alone tell.
+
+    A bandwidth that the lines do not reach is at least their last frequency.
+    """
+    best, _ = _read(loop, j, j.L[None], from_hz, bounded=False)
+    ends = {name: float("inf") for name, k in _BANDWIDTHS.items() if found[k] == np.log(j.f[-1])}
+    bounded = found != best[0]
+    if not bounded.any():
+        return ends
+    _, low, high = _with_intervals(loop, j, best[0], from_hz, bounded=False)
+    better = np.where(best[0] > found, np.maximum(low, high), np.minimum(low, high))
+    good = _fields(np.where(bounded, better, np.nan))
+    return ends | {name: value for name, value in good.items() if not np.isnan(value)}
+
+
+def _with_intervals(
+    loop: Loop, j: _Judged, found: Array, from_hz: float, *, bounded: bool = True
+) -> tuple[Array, Array, Array]:
+    """Each column freed of its bias, with the ends of its interval."""
+    if j.deviations is None or j.reference is None:
+        return found, found, found
+    drawn, _ = _read(loop, j, j.reference + j.deviations, from_hz, bounded=bounded)
+    reference, _ = _read(loop, j, j.reference[None], from_hz, bounded=bounded)
+    if _drowned(j):
+        return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
+    ordered = np.sort(drawn, axis=0)
+    usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
+    usual &= _of_one_piece(np.where(usual, ordered, 0.0))
+    shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
+    value = found - shift.mean(axis=0)
+    reach = REACH * shift.std(axis=0)
+    k = round(0.025 * (len(drawn) - 1))  # where draws jump, or never come to the crossing, their own order tells
+    low = np.where(usual, value - reach, np.minimum(ordered[k], found))
+    return value, low, np.where(usual, value + reach, np.maximum(ordered[-1 - k], found))
+
+
+def _of_one_piece(ordered: Array) -> np.ndarray:
+    """Whether ordered draws (n, columns) scatter as about one value, and do not jump from one crossing to another.
+
+    They do not where their deviation is twice what their middle two thirds tell, or all lie within two deviations.
+    """
+    last = len(ordered) - 1
+    spread = ordered.std(axis=0)
+    core = (ordered[round(0.84 * last)] - ordered[round(0.16 * last)]) / 1.989
+    tiny = 1e-12
+    return np.asarray((spread <= 2.0 * core + tiny) & (ordered[-1] - ordered[0] >= 4.0 * spread - tiny))
+
+
+def _drowned(j: _Judged) -> bool:
+    """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
+    if j.deviations is None:
+        return False
+    large = np.abs(j.L) > 0.1
+    relative = np.std(j.deviations[:, large], axis=0) / np.abs(j.L[large])
+    return bool(relative.size and np.mean(relative > 0.7) > 0.1)
+
+
+def _fields(columns: Array) -> dict[str, float]:
+    """Fields of `Margins` from the kernel's columns."""
+    out = {name: float(columns[k]) for name, k in PLAIN.items()}
+    out |= {name: float(np.exp(columns[k])) for name, k in LOGARITHMS.items()}
+    with np.errstate(over="ignore"):
+        out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
+    for name, most in _MOST.items():  # a bias taken off may lead out of what can be
+        if np.isfinite(out[name]):
+            out[name] = min(max(out[name], 0.0), most)
+    return out
+
+
+def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, float, float]]:
+    return [(name, low[name], high[name]) for name in low]
+
+
+def _places(at: Array, first_hz: float) -> dict[str, float]:
+    """Frequencies in Hz by quantity; 0 where the crossing lies there."""
+    columns = PLAIN | LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
+    return {n: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for n, k in columns.items() if np.isfinite(at[k])}
+
+
+def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Interval, ...]]:
+    """All 0 dB crossings, or crossings of the negative real axis, with the 95 % interval of each frequency."""
+    f, _ = unit_crossings(j.f, j.L) if unit else axis_crossings(j.f, j.L)
+    if j.deviations is None:
+        return tuple(f.tolist()), ()
+    k = np.clip(np.searchsorted(j.f, f) - 1, 0, max(j.f.size - 2, 0))
+    if unit:
+        error = np.std((j.deviations[:, k] / j.L[k]).real, axis=0)
+        rise = np.abs(np.log(np.abs(j.L[k + 1] / j.L[k])) / np.log(j.f[k + 1] / j.f[k]))
+    else:
+        error = np.std(j.deviations[:, k].imag, axis=0)
+        rise = np.abs((j.L[k + 1] - j.L[k]).imag / np.log(j.f[k + 1] / j.f[k]))
+    reach = np.exp(np.minimum(REACH * error / np.maximum(rise, 1e-12), 50.0))
+    return tuple(f.tolist()), tuple(zip((f / reach).tolist(), (f * reach).tolist(), strict=True))

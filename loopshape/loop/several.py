@@ -1,0 +1,217 @@
+"""Matrix FRFs, controllers and requirements -> SeveralVerdict: each loop with the others closed, and all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop_matrix import LoopMatrix
+from loopshape.data.requirements import Limit, Line, Requirements, Verdict
+from loopshape.data.several import SEVERAL_LIMITS, SeveralMargins, SeveralRequirements, SeveralVerdict
+from loopshape.identify.equivalent_plant import equivalent_plant
+from loopshape.identify.interaction import square_part
+from loopshape.loop.determinant import count_from_held, encirclement_count
+from loopshape.loop.several_low_end import read_integrators
+from loopshape.loop.several_margins import several_margins
+from loopshape.loop.verdict import check
+
+#: lines above the judged band count as seen where their relative standard deviation is below this
+KNOWN_BEYOND = 0.3
+#: a poor witness of one loop's own integrators and unstable poles is no matter where all loops are counted together
+_OWN = ("integrator", "unstable")
+_SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
+
+
+def check_several(
+    frfs: Sequence[FRF],
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements] = (),
+    several: SeveralRequirements | None = None,
+    *,
+    loops: Sequence[str] | None = None,
+    held: Sequence[Controller] = (),
+) -> SeveralVerdict:
+    """Hold the controllers of several loops against what is wished of each and of all, at every operating point.
+
+    `frfs` are square matrix FRFs (or such that `loops` makes square), one an operating point; loops that `loops` leaves
+    out stay open. Each loop's limits are checked on the plant that it meets with all others closed; whether that is
+    stable only the count of det(I + L) says, not the single loop's own. `held` are the controllers under which the
+    recordings stood: their count tells the plant's unstable poles where the requirements do not.
+
+    Refuses loops without a controller or an output, requirements of loops that are not there, several rates, and limits
+    on singular values where the outputs have different units.
+    """
+    several = several or SeveralRequirements()
+    matrices, notes = loop_matrices(frfs, controllers, several, loops=loops, held=held)
+    names = next(iter(matrices.values())).names
+    _refuse_strays(requirements, names)
+    margins = {recording: several_margins(matrix) for recording, matrix in matrices.items()}
+    notes += [f"{recording}: {text}" for recording, m in margins.items() for text in m.notes]
+    lines = [_line(x, w, margins) for x in SEVERAL_LIMITS if (w := getattr(several, x.name)) is not None]
+    by_loop = {wished.loop: wished for wished in requirements}
+    each = tuple(_one(name, matrices, margins, by_loop.get(name)) for name in names)
+    return SeveralVerdict(names, each, tuple(lines), margins, tuple(dict.fromkeys(notes)))
+
+
+def loop_matrices(
+    frfs: Sequence[FRF],
+    controllers: Sequence[Controller],
+    several: SeveralRequirements,
+    *,
+    loops: Sequence[str] | None = None,
+    held: Sequence[Controller] = (),
+) -> tuple[dict[str, LoopMatrix], list[str]]:
+    """The loops on the lines that a check looks at, by recording, and what had to be assumed of the plant."""
+    if not frfs:
+        raise WrongUseError("there is no matrix FRF to check", "", "estimate it: loopshape frf RUN --matrix")
+    parts, names = _square(frfs, loops)
+    chosen = _controllers(names, controllers)
+    stood = held if all(len(frf.inputs) == len(names) for frf in frfs) else ()  # those left out were closed then
+    matrices, notes = {}, []
+    for recording, frf in zip(_recordings(frfs), parts, strict=True):
+        matrices[recording], note = _loop_matrix(frf, chosen, names, several, stood)
+        notes += [f"{recording}: {text}" for text in note]
+    return matrices, notes
+
+
+def _square(frfs: Sequence[FRF], loops: Sequence[str] | None) -> tuple[list[FRF], tuple[str, ...]]:
+    if loops is not None and len(loops) < 2:
+        raise WrongUseError("several loops are two at least", ", ".join(loops), "one alone: loopshape check")
+    parts = [square_part(frf, loops) for frf in frfs]
+    every = {names for _, names in parts}
+    if len(every) > 1:
+        raise WrongUseError(
+            "the matrices are of different loops", "; ".join(", ".join(n) for n in sorted(every)), "name the loops"
+        )
+    return [frf for frf, _ in parts], parts[0][1]
+
+
+def _controllers(names: Sequence[str], controllers: Sequence[Controller]) -> tuple[Controller, ...]:
+    known = {one.loop: one for one in controllers}
+    if missing := [name for name in names if name not in known]:
+        raise WrongUseError(
+            f"no controller for {', '.join(missing)}", f"controllers of {', '.join(known) or 'no loop'}",
+            "add it, or name the loops that are closed; those left out stay open",
+        )  # fmt: skip
+    return tuple(known[name] for name in names)
+
+
+def _refuse_strays(requirements: Sequence[Requirements], names: Sequence[str]) -> None:
+    if strays := [wished.loop for wished in requirements if wished.loop not in names]:
+        what = "requirements are of no loop that is closed"
+        raise WrongUseError(what, ", ".join(strays), f"loops: {', '.join(names)}")
+
+
+def _recordings(frfs: Sequence[FRF]) -> list[str]:
+    names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
+    if len(set(names)) != len(names):
+        raise WrongUseError("two matrices come from the same recordings", ", ".join(names))
+    return names
+
+
+def _loop_matrix(
+    frf: FRF,
+    controllers: tuple[Controller, ...],
+    names: tuple[str, ...],
+    several: SeveralRequirements,
+    held: Sequence[Controller],
+) -> tuple[LoopMatrix, list[str]]:
+    """The loops on the lines that a check looks at, and what had to be assumed of the plant."""
+    lines = frf.between(*several.band_hz) if several.band_hz else frf.trusted_lines()
+    known = {one.loop: one for one in held}
+    stood = tuple(known[name] for name in names) if set(names) <= set(known) else ()
+    poles = several.integrators, several.unstable_poles
+    made = LoopMatrix(lines, controllers, names, *poles, _beyond(frf, lines), stood)
+    notes: list[str] = []
+    declared = several.integrators is not None and several.unstable_poles is not None
+    if made.held and not declared and isinstance(count_from_held(made), int):
+        return replace(made, integrators=None), notes  # the recorded loops tell all, and nothing has to be assumed
+    if several.integrators is None:
+        integrators, note = read_integrators(made)
+        made, notes = replace(made, integrators=integrators), [note]
+    if several.unstable_poles is not None or made.integrators is None:
+        return made, notes
+    unstable, told = _held_poles(made)
+    return replace(made, unstable_poles=unstable), [*notes, *told]
+
+
+def _held_poles(loops: LoopMatrix) -> tuple[int | None, tuple[str, ...]]:
+    """Unstable poles of the plant by the loops that were recorded, which stood; None where they do not tell."""
+    if loops.plant.open_loop:
+        return 0, ()
+    if not loops.held:
+        return None, ()
+    count = encirclement_count(replace(loops, controllers=loops.held, held=(), unstable_poles=0))
+    if not isinstance(count, int):
+        return None, ()
+    if count > 0:
+        note = "the loops that were recorded would be unstable by this FRF: check signs, injection and integrators"
+        return None, (note,)
+    word = {0: "no unstable poles", -1: "1 unstable pole"}.get(count, f"{-count} unstable poles")
+    return -count, (f"plant taken to have {word}, because the loops that were recorded were stable",)
+
+
+def _beyond(frf: FRF, lines: FRF) -> FRF | None:
+    """Lines above the judged ones that are known to 30 %, all elements taken together."""
+    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
+    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
+    return frf.select(rows) if rows.any() else None
+
+
+def _one(
+    name: str,
+    matrices: Mapping[str, LoopMatrix],
+    margins: Mapping[str, SeveralMargins],
+    wished: Requirements | None,
+) -> Verdict:
+    """A loop's verdict with all others closed; whether it is stable is what the count of all loops says."""
+    wished = replace(wished or Requirements(name), integrators=None, unstable_poles=None)
+    controllers = {own.loop: own for m in matrices.values() for own in m.controllers}
+    met = [
+        replace(equivalent_plant(m.plant, m.names, name, controllers).closed, recording=recording, held_by=None)
+        for recording, m in matrices.items()
+    ]
+    found = check(met, controllers[name], wished, detuned=False)
+    together = {
+        recording: replace(
+            found.margins[recording],
+            stable=m.stable,
+            stability_reason="by the count of all loops at once",
+            stability_band_hz=None,
+        )
+        for recording, m in margins.items()
+    }
+    warnings = tuple(text for text in found.warnings if not any(word in text for word in _OWN))
+    return replace(found, margins=together, warnings=warnings)
+
+
+def _line(limit: Limit, wished: float, margins: Mapping[str, SeveralMargins]) -> Line:
+    lines = [_line_at(limit, wished, name, m) for name, m in margins.items()]
+    return min(lines, key=lambda line: (_SEVERITY[line.outcome], line.spare))
+
+
+def _line_at(limit: Limit, wished: float, recording: str, margins: SeveralMargins) -> Line:
+    """The line of one operating point; between what is guaranteed and what is known to be lost it is undecided."""
+    found = float(getattr(margins, limit.name))
+    if np.isnan(found):
+        raise WrongUseError(
+            f"{limit.name} is not defined where outputs have different units", f"loops {', '.join(margins.loops)}",
+            "ask for modulus_margin or disk_margin, which do not depend on units",
+        )  # fmt: skip
+    low, high = margins.intervals.get(limit.name, (found, found))
+    if limit.name == "disk_margin" and found > 0.0:
+        high *= margins.disk_margin_reached / found
+    sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
+    spare, best = sign * (bad - wished), sign * (good - wished)
+    outcome = "passed" if spare >= 0.0 else "failed" if best < 0.0 else "undecided"
+    room = sign * (found - wished)
+    reach = abs(found - (bad if room >= 0.0 else good))
+    longer = None if outcome != "undecided" else (reach / abs(room)) ** 2 if room else float("inf")
+    interval = margins.intervals.get(limit.name)
+    at_hz = margins.at_hz.get(limit.name)
+    return Line(limit.name, limit.unit, wished, found, spare, outcome, recording, at_hz, interval, longer)

@@ -1,0 +1,198 @@
+"""Several loops at once -> SeveralMargins, with intervals from the plant's covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.loop_matrix import LoopMatrix, responses, sensitivity
+from loopshape.data.several import SeveralMargins
+from loopshape.data.smoothed import Dense
+from loopshape.loop.determinant import closed_loops_stability, followed_matrix
+from loopshape.loop.structured import mu_bounds, refined, upper_at
+
+#: half width of a 95 % interval in standard deviations taken from 200 draws
+REACH = 1.972
+#: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
+#: search is needed for each (neighbours are smoothed together and say the same)
+NEAR, MOST, MOST_SEARCHED = 0.7, 40, 16
+MIXED = "outputs have different units: singular values of S and T would depend on them and are not given"
+
+#: gauges whose peaks over frequency the margins are
+GAUGES = ("disk", "input_output", "modulus", "S", "T")
+FIELDS = {
+    "disk_margin": "disk",
+    "input_output_disk_margin": "input_output",
+    "modulus_margin": "modulus",
+    "sensitivity_peak_db": "S",
+    "complementary_peak_db": "T",
+}
+
+
+class _Peak(NamedTuple):
+    """Ln of a gauge's largest value over the lines and above them, where, and the scales that read it."""
+
+    value: float
+    at: int
+    lower: float
+    phases: ComplexArray
+    scales: Array
+
+
+def several_margins(loops: LoopMatrix) -> SeveralMargins:
+    """Margins of all loops at once, on the lines of the plant's matrix.
+
+    With M = (S - T)/2 the loops stand every change of theirs by (1 + d/2)/(1 - d/2), |d| < a complex, as long as
+    a < 1/mu(M) at all frequencies; the modulus margin is 1/mu(S) likewise. With one controller a loop both are the
+    same at the plant's inputs and outputs. Above the last line L is taken to stay as small as it is there (in the
+    scales that show it smallest): a may be no more than 2 (1 - l)/(1 + l).
+
+    With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
+    and has a 95 % interval: both from draws of the error (as in `loopshape.loop.margins`). For more than three loops,
+    and for inputs and outputs at once, the margin is what is guaranteed (an upper bound of mu), and
+    `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
+    the lines show makes them.
+    """
+    scatter = followed_matrix(loops) if loops.plant.covariance.any() else None
+    P, f, c = loops.P, loops.frequency_hz, loops.c
+    if scatter is not None:
+        P, f = scatter.response, scatter.frequency_hz
+        c = responses(loops.controllers, f)
+    mixed = not _one_unit(loops)
+    wanted = [g for g in GAUGES if not (mixed and g in "ST")]
+    peaks = {g: _peak(g, P, c) for g in wanted}
+    values = {g: peaks[g].value for g in wanted}
+    reaches: Mapping[str, float] = {}
+    if scatter is not None:
+        shifts = {g: _shift(g, scatter, c, peaks[g]) for g in wanted}
+        values = {g: values[g] - shifts[g][0] for g in wanted}
+        reaches = {g: REACH * shifts[g][1] for g in wanted}
+    certificate = closed_loops_stability(loops)
+    disk = peaks["disk"]
+    found = {name: _field(name, values[g]) if g in values else float("nan") for name, g in FIELDS.items()}
+    return SeveralMargins(
+        loops=loops.names,
+        disk_margin_reached=min(found["disk_margin"] * float(np.exp(disk.value - disk.lower)), 2.0),
+        **found,
+        worst_changes=_changes(disk),
+        at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
+        stable=certificate.outcome,
+        stability_reason=certificate.reason,
+        stability_band_hz=certificate.band_hz,
+        unstable_poles=certificate.unstable_poles,
+        intervals={n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches},
+        notes=(MIXED,) if mixed else (),
+    )
+
+
+def _field(name: str, value: float) -> float:
+    """A margin or a peak in dB from ln of its gauge."""
+    if name.endswith("_db"):
+        return float(db(np.exp(value)))
+    return float(min(np.exp(-value), 1.0 if name == "modulus_margin" else 2.0))
+
+
+def _ends(name: str, value: float, reach: float) -> tuple[float, float]:
+    ends = _field(name, value - reach), _field(name, value + reach)
+    return min(ends), max(ends)
+
+
+def _one_unit(loops: LoopMatrix) -> bool:
+    units = set()
+    for output in loops.plant.outputs:
+        try:
+            units.add(Channel.from_column(sum_terms(output)[0]).unit)
+        except WrongUseError:
+            units.add("")
+    return len(units) == 1
+
+
+def gauge_matrix(name: str, P: ComplexArray, c: ComplexArray) -> ComplexArray:
+    """The matrix (..., m, m) whose size is one gauge, of plants P (..., n, n) and controllers c (nf, n)."""
+    if name == "input_output":
+        return _half_difference(broken_twice(P, c))
+    L = P * c[..., None, :]
+    if name == "disk":
+        return _half_difference(L)
+    S = sensitivity(L)
+    return S if name in ("modulus", "S") else L @ S
+
+
+def _half_difference(L: ComplexArray) -> ComplexArray:
+    """(S - T)/2 = S - I/2."""
+    return np.asarray(sensitivity(L) - 0.5 * np.eye(L.shape[-1]))
+
+
+def broken_twice(P: ComplexArray, c: ComplexArray) -> ComplexArray:
+    """Open loop (..., 2n, 2n) broken at the plant's inputs and outputs at once: [[0, C], [-P, 0]]."""
+    n = P.shape[-1]
+    L = np.zeros((*P.shape[:-2], 2 * n, 2 * n), dtype=complex)
+    L[..., n:, :n] = -P
+    L[..., np.arange(n), n + np.arange(n)] = c
+    return L
+
+
+def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
+    M = gauge_matrix(name, P, c)
+    nf, m = M.shape[:2]
+    if name in ("S", "T"):
+        size = np.linalg.norm(M, 2, axis=(1, 2))
+        lower, phases, scales = size, np.ones((nf, m), dtype=complex), np.zeros((nf, m))
+    else:
+        size, lower, scales, phases = mu_bounds(M)
+    k = int(np.argmax(size))
+    above = _above_last(name, P[-1:], c[-1:])
+    if above > size[k]:
+        return _Peak(float(np.log(above)), nf - 1, float(np.log(above)), phases[-1], scales)
+    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales)
+
+
+def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:
+    """What a gauge may reach above the last line, if L stays as small as it is there."""
+    L = broken_twice(P, c) if name == "input_output" else P * c[..., None, :]
+    last = float(np.linalg.norm(L[0], 2) if name in ("S", "T") else mu_bounds(L).upper[0])
+    room = max(1.0 - last, 1e-9)
+    return {"modulus": 1.0 / room, "S": 1.0 / room, "T": last / room}.get(name, 0.5 * (1.0 + last) / room)
+
+
+def _shift(name: str, scatter: Dense, c: ComplexArray, peak: _Peak) -> tuple[float, float]:
+    """Mean and standard deviation of what the draws do to ln of a gauge's peak, against the reference without them."""
+    near = _near(name, scatter.reference, c, peak)
+    reference = _read(name, scatter.reference[None, near], c[near], peak.scales[near])[0]
+    drawn = _read(name, scatter.reference[near] + scatter.deviations[:, near], c[near], peak.scales[near])
+    return float(np.mean(drawn) - reference), float(np.std(drawn))
+
+
+def _near(name: str, P: ComplexArray, c: ComplexArray, peak: _Peak) -> np.ndarray:
+    """Lines (indices) where a gauge may reach its peak."""
+    size = np.log(_sizes(name, gauge_matrix(name, P, c), peak.scales))
+    searched = name not in ("S", "T") and peak.scales.shape[1] > 2
+    near = np.argsort(-size)[: MOST_SEARCHED if searched else MOST]
+    return np.sort(near[size[near] > size.max() - NEAR])
+
+
+def _read(name: str, P: ComplexArray, c: ComplexArray, scales: Array) -> Array:
+    """Ln of a gauge's peak (draws,) over some lines, of plants P (draws, lines, n, n)."""
+    M = gauge_matrix(name, P, c)
+    if name not in ("S", "T") and M.shape[-1] > 2:
+        flat = M.reshape(-1, *M.shape[2:])
+        scales = refined(flat, np.tile(scales, (len(M), 1))).reshape(*M.shape[:2], -1)
+    return np.asarray(np.log(_sizes(name, M, scales)).max(axis=-1))
+
+
+def _sizes(name: str, M: ComplexArray, scales: Array) -> Array:
+    if name in ("S", "T"):
+        return np.asarray(np.linalg.norm(M, 2, axis=(-2, -1)))
+    return upper_at(M, scales)
+
+
+def _changes(peak: _Peak) -> tuple[complex, ...]:
+    """Factors, one a loop, that bring all loops to their limit at the peak's line: (1 + d/2)/(1 - d/2), |d| = 1/mu."""
+    d = 0.5 * np.exp(-peak.lower) * peak.phases
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return tuple(((1.0 + d) / (1.0 - d)).tolist())

@@ -1,0 +1,304 @@
+"""FRFs, controller and requirements -> Verdict: each requirement at its worst operating point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import db, deg, from_db
+from loopshape.data.algebra.sampling import HELD
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import Fit
+from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
+from loopshape.data.smoothed import Scatter
+from loopshape.data.verdict_words import detuning_warnings
+from loopshape.identify.smoothing import smoothed
+from loopshape.loop.detuning import with_detuning
+from loopshape.loop.low_frequency import low_frequency_models
+from loopshape.loop.margins import margins
+from loopshape.loop.obstacles import Obstacle
+from loopshape.loop.points import SEVERITY, point_outcome
+from loopshape.loop.stability import unstable_count
+
+#: a fit that misses its lines by more than this, rms, says nothing of the plant below them
+WITNESS_DB = 6.0
+#: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
+CONTRADICTED = 0.75
+#: lines above the judged band count as seen where their relative standard deviation is below this
+KNOWN_BEYOND = 0.3
+
+
+def loops_of(
+    frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()
+) -> tuple[list[Loop], tuple[str, ...]]:
+    """Loops on the lines that a check looks at, smoothed, and what it had to assume.
+
+    Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
+    and slope of the lowest lines; unstable poles from the requirements, else from the count of the loop that was
+    recorded under its own controller, else there are none where the recording was made in open loop, else from a fit
+    that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted.
+    """
+    found, notes = [], []
+    for measured in frfs:
+        band = requirements.band_hz
+        frf, left_out = _without_zeros(measured, band)
+        lines = frf.between(*band) if band else frf.trusted_lines()
+        if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
+            raise WrongUseError(
+                f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
+                f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
+            )
+        if controller.added_hold and (frf.held_by is not None or HELD in frf.method):
+            raise WrongUseError(
+                f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
+            )
+        fit = next(
+            (x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, measured)), None
+        )
+        beyond, model = _beyond(frf, lines), None if fit is None else fit.model
+        plant, scatter = smoothed(frf, band)
+        integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
+        found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
+        notes += [text for text in (left_out, note, _narrowed(frf, lines, controller)) if text]
+    return found, tuple(dict.fromkeys(notes))
+
+
+def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
+    """The lines that are not exactly zero, and a note of those left out; refuses a FRF that has no other."""
+    lines = frf.between(*band) if band else frf.trusted_lines()
+    if not lines.siso.any():
+        raise WrongUseError(
+            f"the FRF of loop {frf.loop}, recording {frf.recording}, is zero: a dead sensor?",
+            f"{lines.siso.size} lines of 0",
+            "look at its signals, then measure again",
+        )
+    zero = frf.siso == 0.0
+    if not zero.any():
+        return frf, ""
+    first_hz = frf.frequency_hz[zero][0]
+    note = f"lines of {frf.recording} that are exactly zero were left out: {zero.sum()}, the first at {first_hz:.4g} Hz"
+    return frf.select(~zero), note
+
+
+def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
+    """A note where trusted lines outside the judged band show |S| 1 dB larger than those within; else nothing."""
+    outside = frf.trusted & ~np.isin(frf.frequency_hz, lines.frequency_hz)
+    outside &= frf.frequency_hz < 0.5 * controller.rate_hz
+    if not outside.any():
+        return ""
+    near = np.abs(1.0 + controller.response(frf.frequency_hz[outside]) * frf.siso[outside])
+    within = float(np.abs(1.0 + controller.response(lines.frequency_hz) * lines.siso).min())
+    k = int(np.argmin(near))
+    if near[k] > within / from_db(1.0):
+        return ""
+    return (
+        f"{frf.recording} is judged from {lines.frequency_hz[0]:.4g} to {lines.frequency_hz[-1]:.4g} Hz only (band_hz):"
+        f" at {frf.frequency_hz[outside][k]:.4g} Hz, a trusted line, |S| reads {-float(db(near[k])):.3g} dB"
+    )
+
+
+def _beyond(frf: FRF, lines: FRF) -> FRF | None:
+    """Lines above the judged ones that are known to 30 %: a check must not overlook what they show."""
+    relative = np.sqrt(frf.variance[:, 0, 0]) / np.abs(frf.siso)
+    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
+    return frf.select(rows) if rows.any() else None
+
+
+def _witness(fit: Fit, frf: FRF) -> bool:
+    """Whether a fit may speak for the plant below the measured band.
+
+    It was made for this FRF, ended well and follows the lines; if it has unstable poles it leaves nothing but
+    noise too, because a fit that misses something likes to put it into such poles.
+    """
+    follows = fit.frf_digest in ("", frf.digest) and fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
+    return follows and (fit.sufficient or not fit.model.unstable_poles())
+
+
+def _open_loop_poles(
+    frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
+) -> tuple[int | None, int | None, str]:
+    """Integrators and unstable poles of the plant (None: not known), and a note where they were assumed."""
+    integrators, note = _integrators(frf, requirements, fit)
+    if requirements.unstable_poles is not None:
+        return integrators, requirements.unstable_poles, note
+    held = _held_poles(frf, integrators, fit, beyond, raw, scatter)
+    if held is not None and held < 0:
+        note = (
+            f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
+            " integrators"
+        )
+        return None, None, note
+    if held is not None:
+        unstable, witness = held, "because the loop that was recorded was stable"
+    elif frf.open_loop:
+        unstable, witness = 0, "because it was recorded in open loop"
+    elif fit is not None and fit.sufficient:
+        unstable, witness = fit.model.unstable_poles(), "from its fit"
+    else:
+        return integrators, None, note
+    if unstable:
+        word = "pole" if unstable == 1 else "poles"
+        note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable {word}, {witness}"
+    return integrators, unstable, note
+
+
+def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:
+    """Declared, or the fit's, or what phase and slope of the lowest lines agree on, None where they do not."""
+    declared = requirements.integrators
+    if fit is not None:
+        return fit.model.integrators() if declared is None else declared, ""
+    by_phase, by_slope = _low_frequency_order(frf)
+    if declared is not None:
+        if abs(by_slope - declared) < CONTRADICTED or low_frequency_models(frf, declared):
+            return declared, ""
+        return None, (
+            f"{declared} integrators are declared, and |P| falls as with {by_slope:.1f} over the lowest lines:"
+            " these start above the plant's corners; measure lower, or fit a model that follows them"
+        )
+    integrators = round(by_phase)
+    if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
+        return (
+            None,
+            f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
+        )
+    word = "integrator" if integrators == 1 else "integrators"
+    return integrators, (
+        f"plant taken to have {integrators} {word}, from its lowest lines: {by_phase:.1f} by phase,"
+        f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
+    )
+
+
+def _held_poles(
+    frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
+) -> int | None:
+    """Unstable poles of the plant by the count of the loop that was recorded, which stood; None where it cannot tell.
+
+    A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
+    plant's unstable poles. Negative where no plant fits the count.
+    """
+    if frf.held_by is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.held_by.rate_hz:
+        return None
+    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
+    missing = unstable_count(loop)
+    return None if isinstance(missing, Obstacle) else -missing
+
+
+def _low_frequency_order(frf: FRF) -> tuple[float, float]:
+    """-phase/90 deg and -slope/20 dB a decade over the lowest lines (a factor of 1.6 in frequency, four at least)."""
+    f = frf.frequency_hz
+    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
+    lowest = frf.siso[:count]
+    phase = float(deg(np.angle(np.mean(lowest / np.abs(lowest)))))
+    slope = np.polyfit(np.log(f[: lowest.size]), np.log(np.abs(lowest)), 1)[0] if lowest.size > 1 else 0.0
+    return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
+
+
+def check(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    detuned: bool = True,
+) -> Verdict:
+    """Hold a controller against its requirements at every operating point measured.
+
+    Every line says wished, found with its 95 % interval, spare, and where it is worst. A requirement is passed, failed,
+    or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
+
+    A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
+    required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
+    """
+    if not frfs:
+        raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
+    from_hz = requirements.control_high_frequency_from_hz
+    if from_hz is not None and from_hz >= 0.45 * controller.rate_hz:
+        raise WrongUseError(
+            f"control_high_frequency_from_hz of loop {requirements.loop!r} must lie below 0.45 of the rate",
+            f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
+        )
+    loops, notes = loops_of(frfs, controller, requirements, fits)
+    named = dict(zip(_names(frfs), loops, strict=True))
+    found = verdict_on(named, requirements, detuned=detuned)
+    return replace(found, warnings=(*notes, *detuning_warnings(found.margins, controller)))
+
+
+def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True) -> Verdict:
+    """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`."""
+    from_hz = requirements.control_high_frequency_from_hz
+    found = {name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in loops.items()}
+    if detuned or requirements.detuning_percent is not None:
+        found = {name: with_detuning(loop, found[name], requirements) for name, loop in loops.items()}
+    lines = [
+        _line(limit, wished, found) for limit in LIMITS if (wished := getattr(requirements, limit.name)) is not None
+    ]
+    return Verdict(requirements.loop, tuple(lines), found)
+
+
+def _names(frfs: Sequence[FRF]) -> list[str]:
+    names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
+    if len(set(names)) != len(names):
+        raise WrongUseError("two FRFs of one loop come from the same recording", ", ".join(names))
+    return names
+
+
+def _line(limit: Limit, wished: float, found: Mapping[str, Margins]) -> Line:
+    lines = [_line_at(limit, wished, name, margin) for name, margin in found.items()]
+    return min(lines, key=lambda line: (SEVERITY[line.outcome], line.spare))
+
+
+def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Line:
+    """The line of one operating point."""
+    value = getattr(margin, limit.name)
+    interval = margin.intervals.get(limit.name)
+    low, high = (value, value) if interval is None else interval
+    sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
+    outcome, bounded = point_outcome(margin, limit.name, wished), limit.name in margin.bounds
+    return Line(
+        quantity=limit.name,
+        unit=limit.unit,
+        wished=wished,
+        found=value,
+        spare=sign * (bad - wished),
+        outcome=outcome,
+        recording=recording,
+        at_hz=margin.at_hz.get(limit.name),
+        interval=interval,
+        longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
+        bound=margin.bounds.get(limit.name),
+        measure_to_hz=_decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
+        beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
+    )
+
+
+def _decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None:
+    """Up to where to measure until |L|, falling on as over the highest lines, is small enough for the wished limit."""
+    size = from_db(wished) if quantity.endswith("_db") else wished
+    small = {
+        "gain_margin_db": 1.0 / size,
+        "modulus_margin": 1.0 - size,
+        "sensitivity_peak_db": 1.0 - 1.0 / size,
+        "disk_margin": (2.0 - size) / (2.0 + size),
+        "complementary_peak_db": size / (1.0 + size),
+        "sensitivity_bandwidth_hz": None,
+        "complementary_bandwidth_hz": None,
+    }.get(quantity, 0.1)
+    if small is None:  # a bandwidth: up to the limit itself
+        return wished
+    if small <= 0.0 or not margin.last_slope > 0.0:
+        return None
+    return float(margin.last_hz * max((margin.last_gain / small) ** (1.0 / max(margin.last_slope, 0.5)), 1.05))
+
+
+def _longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:
+    """Factor on the measuring time after which the interval, shrunk as 1/sqrt(time), would leave out the limit."""
+    room = sign * (value - wished)
+    if not np.isfinite(value):
+        return float("inf")
+    reach = abs(value - (bad if room >= 0.0 else good))
+    return float((reach / abs(room)) ** 2) if room else float("inf")

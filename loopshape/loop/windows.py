@@ -1,0 +1,85 @@
+"""A few lines about each gap between the lines of a plant: a polynomial in ln f over them, with and without a pole.
+
+Over a window the plant is taken as (f/f_m)^c (polynomial + sum of poles), with a complex power c that takes out slope
+and delay. Columns and data are weighted by each line's own deviation, so a squared misfit counts in units of noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray
+
+#: lines on either side of a gap, and order of the polynomial that a smooth plant follows over them
+HALF, ORDER = 5, 3
+#: complex degrees of freedom that polynomial, residue and place of one pole leave
+LEFT = 2 * HALF - ORDER - 3
+#: less noise than this share of |P| the arithmetic itself does not have
+_FLOOR = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of w lines about n gaps: `around` (n, w) in Hz, `data` (n, w) and `weight` (n, w), `basis` (n, w, m).
+
+    `power` (n,) and `middle` (n,) in Hz are those of the reference (f/f_m)^c, `gap` (n,) the width in Hz of the gap,
+    `std` (n,) the larger deviation of its lines and `size` (n,) the smaller |P|.
+    """
+
+    around: Array
+    weight: Array
+    data: ComplexArray
+    basis: ComplexArray
+    power: ComplexArray
+    middle: Array
+    low: Array
+    gap: Array
+    std: Array
+    size: Array
+
+    def __getitem__(self, k: int | np.ndarray) -> Windows:
+        rows = np.atleast_1d(k)
+        return Windows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def reference(self, f: Array) -> ComplexArray:
+        """(f/f_m)^c at f (n, ...) in Hz."""
+        shape = (-1,) + (1,) * (np.ndim(f) - 1)
+        return np.asarray(np.exp(self.power.reshape(shape) * np.log(f / self.middle.reshape(shape))))
+
+    def rest(self, columns: ComplexArray) -> ComplexArray:
+        """What the polynomials leave of columns (n, w, j)."""
+        return np.asarray(columns - self.basis @ (self.basis.transpose(0, 2, 1) @ columns))
+
+    def pole(self, z: ComplexArray, power: int = 1) -> ComplexArray:
+        """What they leave of poles 1/(j (f - z))^power at z = centre + j half width (n, j), in Hz: (n, w, j)."""
+        across = 1j * (self.around[:, :, None] - z[:, None, :])
+        return self.rest(self.weight[:, :, None] / across**power)
+
+
+def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
+    """Windows about each gap of lines f (nf,); near an end the gap is no longer their middle."""
+    std = np.sqrt(variance + (_FLOOR * np.abs(P)) ** 2)
+    std = np.maximum(std, 1e-300)
+    rows = np.clip(np.arange(f.size - 1) - HALF + 1, 0, f.size - 2 * HALF)[:, None] + np.arange(2 * HALF)
+    around, ln_f = f[rows], np.log(f)
+    middle = np.exp(ln_f[rows].mean(axis=1))
+    power = _slopes(ln_f, P, std, rows)
+    reference = np.exp(power[:, None] * np.log(around / middle[:, None]))
+    weight = np.abs(reference) / std[rows]
+    x = np.log(around / around[:, :1])
+    x = 2.0 * x / x[:, -1:] - 1.0
+    basis = np.linalg.qr(np.stack([x**s for s in range(ORDER + 1)], axis=-1) * weight[:, :, None])[0]
+    ends = np.maximum(std[1:], std[:-1]), np.minimum(np.abs(P[1:]), np.abs(P[:-1]))
+    return Windows(around, weight, P[rows] / reference * weight, basis, power, middle, f[:-1], np.diff(f), *ends)
+
+
+def _slopes(ln_f: Array, P: ComplexArray, std: Array, rows: np.ndarray) -> ComplexArray:
+    """d ln P/d ln f of each window's median line (n,), zero where noise hides it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = np.log(P[1:] / P[:-1]) / np.diff(ln_f)
+        noisy = np.median((std / np.abs(P))[rows], axis=1) > 0.3
+    steps = step[rows[:, :-1]]
+    power = np.median(steps.real, axis=1) + 1j * np.median(steps.imag, axis=1)
+    return np.where(noisy | ~np.isfinite(power), 0.0, power)

@@ -1,0 +1,154 @@
+"""Work shared out to processes of this machine: started anew, ended with their parent, replaced when one dies.
+
+Each process has a pipe of its own to the parent and no other thing: no queue, lock or folder that a kill could leave.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
+from threading import Thread
+from typing import Any, Generic, TypeVar
+
+from loopshape.core.errors import RigError
+
+J = TypeVar("J")
+R = TypeVar("R")
+_AHEAD = 2  # jobs that a process has: it goes on while its answer is read
+_DEATHS = 2  # of processes over one job, from which on it is the job's fault
+
+
+def by_processes(work: Callable[[J], R], jobs: Iterable[J], processes: int) -> Generator[tuple[J, R]]:
+    """Jobs and what `work` gave, as it comes; raises what it raises.
+
+    The job of a process that dies is done again by another; a job that ends two of them raises `RigError`.
+    """
+    left, deaths = _Left(jobs), Counter[int]()
+    team: list[_Process[J]] = []
+    try:
+        while True:
+            while len(team) < processes and (first := left.take(1)):
+                team.append(_Process(work, first))
+            if not team:
+                return
+            ready = wait([one.pipe for one in team])
+            for one in [one for one in team if one.pipe in ready]:
+                job = one.given[0]
+                try:
+                    answer = one.answer()
+                except (EOFError, OSError):
+                    deaths[id(job)] += 1
+                    _refuse_deadly(deaths[id(job)])
+                    team.remove(one)
+                    one.end()
+                    left.put_back(one.given)
+                    continue
+                if not one.give(left.take(_AHEAD - len(one.given))):
+                    team.remove(one)
+                    one.end()
+                yield job, answer
+    finally:
+        for one in team:
+            one.end()
+
+
+def _refuse_deadly(deaths: int) -> None:
+    if deaths >= _DEATHS:
+        raise RigError(
+            "a worker process ended unasked", "killed, or out of memory, twice over one recording",
+            "the same command goes on; use fewer workers",
+        )  # fmt: skip
+
+
+class _Left(Generic[J]):
+    """Jobs that nobody has: those put back come first."""
+
+    def __init__(self, jobs: Iterable[J]) -> None:
+        self._again: deque[J] = deque()
+        self._jobs = iter(jobs)
+
+    def take(self, count: int) -> list[J]:
+        """As many of the next ones as there are."""
+        again = [self._again.popleft() for _ in range(min(count, len(self._again)))]
+        return again + list(islice(self._jobs, count - len(again)))
+
+    def put_back(self, jobs: Iterable[J]) -> None:
+        """Jobs of a process that died."""
+        self._again.extend(jobs)
+
+
+class _Process(Generic[J]):
+    """A process at work, with the jobs that it has not answered."""
+
+    def __init__(self, work: Callable[[J], Any], first: list[J]) -> None:
+        self.pipe, theirs = get_context("spawn").Pipe()
+        self._process = get_context("spawn").Process(target=_serve, args=(work, theirs), daemon=True)
+        with _without_interrupts():
+            self._process.start()
+        theirs.close()
+        self.given: deque[J] = deque()
+        self.give(first)
+
+    def give(self, jobs: list[J]) -> bool:
+        """Send further jobs; False where it has none then. One that died is found out when it is to answer."""
+        for job in jobs:
+            self.given.append(job)
+            try:
+                self.pipe.send(job)
+            except OSError:
+                break
+        return bool(self.given)
+
+    def answer(self) -> Any:
+        """What came of the first of its jobs; raises what that raised, `EOFError` where it died."""
+        failed, answer = self.pipe.recv()
+        self.given.popleft()
+        if failed:
+            raise answer
+        return answer
+
+    def end(self) -> None:
+        """End it, at work or not."""
+        self.pipe.close()
+        self._process.kill()
+        self._process.join()
+        self._process.close()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """What is started meanwhile hears no Ctrl-C: its parent does, and ends it."""
+    resource_tracker.ensure_running()  # which else comes with the first process and lifts the block
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(work: Callable[[Any], Any], pipe: Connection) -> None:
+    """Answer jobs until there are no more, or the parent is gone, however it went."""
+    Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer = (False, work(job))
+        except Exception as error:
+            answer = (True, error)
+        pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)

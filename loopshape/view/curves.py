@@ -1,0 +1,117 @@
+"""Curves over frequency: the valid band drawn, the rest hinted at, axes that read well."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
+
+from loopshape.core.units import Array, ComplexArray, db, deg
+from loopshape.data.frf import FRF
+
+NORMAL_95 = 1.959964
+FLOOR_DB = -400.0
+UNTRUSTED = "untrusted"  # mark of the faint dots
+
+
+def unwrapped_deg(response: ComplexArray, trusted: np.ndarray | None = None) -> Array:
+    """Phase (nf,) in degrees, continuous over the valid band, the first of them in (-270, 90].
+
+    That branch lets a plant with an integrator start at -90 and go down. Untrusted lines take the branch
+    nearest to the valid phase around them, so noise there cannot shift the rest by a turn.
+    """
+    raw = deg(np.angle(response))
+    use = np.ones(raw.size, dtype=bool) if trusted is None or not np.any(trusted) else np.asarray(trusted, dtype=bool)
+    if not raw.size:
+        return raw
+    smooth = np.unwrap(raw[use], period=360.0)
+    smooth = smooth - 360.0 * np.ceil((smooth[0] - 90.0) / 360.0)
+    return nearest_branch(raw, np.interp(np.arange(raw.size), np.flatnonzero(use), smooth))
+
+
+def nearest_branch(phase_deg: Array, near_deg: Array | float) -> Array:
+    """Phases moved by whole turns to lie within 180 degrees of `near_deg`."""
+    return phase_deg - 360.0 * np.round((phase_deg - near_deg) / 360.0)
+
+
+def magnitude_band_db(frf: FRF) -> tuple[Array, Array]:
+    """95 % band (nf,) of |G| in dB for a circular error: |G| varies with sqrt(variance/2)."""
+    size, reach = np.abs(frf.siso), NORMAL_95 * np.sqrt(frf.variance[:, 0, 0] / 2.0)
+    return np.maximum(db(np.maximum(size - reach, 0.0)), FLOOR_DB), db(size + reach)
+
+
+def draw_trusted(ax: Axes, x: Array, y: Array, trusted: np.ndarray, **look: Any) -> Line2D:
+    """Trusted points as a line, the others as faint dots that do not stretch the axes unless they are all there is."""
+    rest = np.asarray(~trusted, dtype=bool)
+    if rest.any():
+        size = 2.0 if np.any(trusted) else 4.0
+        style: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": size, "markeredgewidth": 0.0}
+        ax.add_artist(Line2D(x[rest], y[rest], color=look.get("color"), alpha=0.35, gid=UNTRUSTED, **style))
+    if rest.all():
+        seen = np.isfinite(y)
+        ax.update_datalim(np.column_stack([x[seen], y[seen]]))
+    return ax.plot(x[trusted], y[trusted], **look)[0]
+
+
+def draw_band(ax: Axes, x: Array, low: Array, high: Array, **look: Any) -> Polygon:
+    """A filled band between two curves that does not stretch the axes."""
+    outline = np.concatenate([np.column_stack([x, low]), np.column_stack([x, high])[::-1]])
+    patch = Polygon(outline, closed=True, linewidth=0.0, **look)
+    ax.add_artist(patch)
+    return patch
+
+
+def frequency_axis(ax: Axes, low_hz: float, high_hz: float, *, label: bool = True) -> None:
+    """Logarithmic Hz with plain numbers."""
+    ax.set_xscale("log")
+    ax.set_xlim(low_hz, high_hz)
+    short = high_hz / low_hz < 300.0
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda f, _: f"{f:g}"))
+    ax.xaxis.set_minor_locator(LogLocator(subs=tuple(range(1, 10))))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    if label:
+        ax.set_xlabel("frequency [Hz]")
+
+
+def hide_inner(*axes: Axes) -> None:
+    """No frequency labels on axes that share those of the ones below."""
+    for ax in axes:
+        ax.set_xlabel("")
+        ax.tick_params(labelbottom=False)
+
+
+def shown_band_hz(*frfs: FRF) -> tuple[float, float]:
+    """Band to show: all valid bands, and the frequencies within a factor 1.6 around them."""
+    low, high = frfs[0].frequency_hz[[0, -1]]
+    bands = np.array([frf.trusted_band_hz for frf in frfs])
+    positive = min(float(frf.frequency_hz[frf.frequency_hz > 0.0][0]) for frf in frfs)
+    low, high = max(low, positive), max(float(frf.frequency_hz[-1]) for frf in frfs)
+    if np.isfinite(bands).any():
+        low, high = max(low, np.nanmin(bands) / 1.6), min(high, np.nanmax(bands) * 1.6)
+    return (float(low), float(high)) if low < high else (float(low) / 1.6, float(high) * 1.6)
+
+
+def fit_decibels(ax: Axes, step: float = 10.0, span: float = 100.0, room: float = 1.0) -> None:
+    """Whole steps of dB around what is plotted, at most `span` below the top."""
+    low, high = _plotted(ax)
+    top = step * np.ceil((high + room) / step)
+    ax.set_ylim(max(step * np.floor((low - room) / step), top - span), top)
+
+
+def fit_degrees(ax: Axes) -> None:
+    """Whole steps of 45 degrees around what is plotted, at most seven ticks."""
+    low, high = _plotted(ax)
+    low, high = 45.0 * np.floor((low - 5.0) / 45.0), 45.0 * np.ceil((high + 5.0) / 45.0)
+    ax.set_ylim(low, high)
+    doublings = max(0.0, np.ceil(np.log2((high - low) / 270.0)))
+    ax.yaxis.set_major_locator(MultipleLocator(45.0 * 2.0**doublings))
+
+
+def _plotted(ax: Axes) -> tuple[float, float]:
+    low, high = float(ax.dataLim.y0), float(ax.dataLim.y1)
+    return (low, high) if np.isfinite(low) and np.isfinite(high) else (-1.0, 1.0)

@@ -1,0 +1,185 @@
+"""The page: sections in their order around style and script, all in one text that loads nothing."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Callable, Sequence
+from hashlib import sha256
+from importlib.resources import files
+
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Verdict
+from loopshape.data.run_report import CheckedLoop, RunReport
+from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
+from loopshape.view.html.markup import Content, Markup, joined, json_block, tag
+from loopshape.view.html.plots import BANDS_AT_ONCE, Plots
+from loopshape.view.html.traces import REACH_OF, Trace, embedded, loop_traces, plant_traces
+from loopshape.view.html.words import LIMIT_OF, WORDS
+
+_READ = (
+    "Point at a curve, or tap it: all plots of the loop mark the same line, and its values stand below. With the"
+    " keyboard: left and right go from line to line, up and down from one operating point to the next. The legend hides"
+    " and shows operating points."
+)
+
+
+def page(report: RunReport) -> str:
+    """The whole report as HTML; the same report gives the same text. The date is the report's own."""
+    plotted = _plotted(report)
+    sections = _sections(report, plotted)
+    links = [tag("li", tag("a", title, href=f"#{key}")) for key, title, _ in sections]
+    body = [
+        _header(report),
+        tag("nav", tag("ul", *links), aria_label="Sections"),
+        tag("main", *(_section(*one) for one in sections)),
+        tag("footer", tag("p", f"Made by loopshape {report.versions.get('loopshape', '')}, {report.date}.")),
+        json_block("report-data", {"reach_of": REACH_OF, "loops": [embedded(traces) for _, traces in plotted]}),
+        tag("script", Markup(_resource("report.js"))),
+    ]
+    html = tag("html", _head(report), tag("body", *body), lang="en")
+    return f"<!DOCTYPE html>\n{html}\n"
+
+
+def _resource(name: str) -> str:
+    """Style or script that is shipped with the package."""
+    return files("loopshape.view.html").joinpath(name).read_text(encoding="utf-8")
+
+
+def _head(report: RunReport) -> Markup:
+    """Title, style, and a policy under which the page can neither load nor run anything but its own."""
+    digest = b64encode(sha256(_resource("report.js").encode()).digest()).decode("ascii")
+    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    return tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=policy),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("meta", name="color-scheme", content="light dark"),
+        tag("title", f"{WORDS[report.outcome]} · {report.name} · loopshape report"),
+        tag("style", Markup(_resource("report.css"))),
+    )
+
+
+def _header(report: RunReport) -> Markup:
+    counts = [
+        (len(report.recordings), "recording"),
+        (len(report.frfs), "frequency response"),
+        (len(report.checked), "checked loop"),
+    ]
+    said = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
+    return tag(
+        "header", tag("h1", f"Run {report.name}"), tag("p", f"{said or 'no data'} · {report.date}", class_="quiet")
+    )
+
+
+Section = tuple[str, str, Content]
+
+
+def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> list[Section]:
+    """Sections that have something to say: identity, title, inside."""
+    r, checked = report, report.checked
+    every: list[tuple[str, str, object, Callable[[], Content]]] = [
+        ("verdict", "Verdict", True, lambda: verdict_parts.verdict(r)),
+        ("missing", "What is missing", r.missing, lambda: run_parts.missing(r.missing)),
+        ("requirements", "Requirements", checked, lambda: _each(checked, verdict_parts.requirements)),
+        ("margins", "Margins at every operating point", checked, lambda: _each(checked, verdict_parts.margins)),
+        ("stability", "Stability certificate", checked, lambda: _each(checked, verdict_parts.certificate)),
+        ("plots", "Plots", plotted, lambda: _plots(r, plotted)),
+        ("pictures", "Pictures", r.figures or r.figures_left_out, lambda: source_parts.pictures(r)),
+        ("controllers", "Controllers", r.controllers, lambda: joined(map(model_parts.controller, r.controllers))),
+        ("fits", "Fits", r.fits, lambda: model_parts.fits(r.fits)),
+        ("responses", "Frequency responses", r.frfs or r.matrices, lambda: run_parts.responses(r.frfs, r.matrices)),
+        ("recordings", "Recordings and faults", r.recordings, lambda: run_parts.recordings(r.recordings, r.notes)),
+        ("provenance", "Provenance", True, lambda: source_parts.provenance(r)),
+    ]
+    return [(key, title, inside()) for key, title, there, inside in every if there]
+
+
+def _each(checked: Sequence[CheckedLoop], part: Callable[[CheckedLoop], Markup]) -> Markup:
+    """A part of each loop, under the loop's name where there are several."""
+    several = len(checked) > 1
+    return joined(joined([tag("h3", f"Loop {one.verdict.loop}") if several else None, part(one)]) for one in checked)
+
+
+def _section(key: str, title: str, inside: Content) -> Markup:
+    return tag("section", tag("h2", title), inside, id=key)
+
+
+def _plotted(report: RunReport) -> list[tuple[CheckedLoop | None, list[Trace]]]:
+    """Curves of each checked loop, then of the plants of all other loops."""
+    found: list[tuple[CheckedLoop | None, list[Trace]]] = [
+        (one, loop_traces(one.loops, one.frfs)) for one in report.checked
+    ]
+    done = {one.verdict.loop for one in report.checked}
+    return found + [(None, plant_traces(mine)) for mine in _unchecked(report, done)]
+
+
+def _unchecked(report: RunReport, done: set[str]) -> list[list[FRF]]:
+    single = [one for one in report.frfs if one.response.shape[1:] == (1, 1) and one.loop not in done]
+    return [[one for one in single if one.loop == loop] for loop in dict.fromkeys(one.loop for one in single)]
+
+
+def _plots(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> Markup:
+    """Legend and plots of each loop."""
+    plants = [one.frfs[0] for one in report.checked]
+    plants += [mine[0] for mine in _unchecked(report, {one.verdict.loop for one in report.checked})]
+    parts: list[Content] = [tag("p", _READ, class_="scripted quiet")]
+    for k, ((one, traces), plant) in enumerate(zip(plotted, plants, strict=True)):
+        plots = Plots(k, traces, plant)
+        if one is not None:
+            plots = Plots(k, traces, plant, one.requirements, one.verdict.lines)
+        names = ("P",) if one is None else ("P", "L")
+        drawn = [plots.magnitude(name) for name in names] + [plots.phase(name) for name in names]
+        if one is not None:
+            drawn += [plots.nichols(), *(plots.magnitude(name) for name in ("S", "T", "CS", "PS"))]
+        title = f"Loop {plant.loop}" if one is not None else f"Plant of loop {plant.loop}, without a controller"
+        inside = [_legend(traces, None if one is None else one.verdict), tag("div", *drawn, class_="plot-grid")]
+        parts.append(
+            tag(
+                "div",
+                tag("h3", title),
+                *inside,
+                tag("p", _thinned(traces, one is not None), class_="quiet"),
+                class_="plots",
+            )
+        )
+    return joined(parts)
+
+
+def _legend(traces: Sequence[Trace], verdict: Verdict | None) -> Markup:
+    """Operating points with their look, and of which requirements each is the worst."""
+    worst: dict[str, list[str]] = {}
+    for line in verdict.lines if verdict is not None and len(traces) > 1 else ():
+        worst.setdefault(line.recording, []).append(LIMIT_OF[line.quantity].label.split(" (")[0])
+    items = []
+    for k, trace in enumerate(traces):
+        stroke = {"stroke": trace.colour, "stroke_dasharray": trace.dash or None}
+        swatch = tag(
+            "svg", tag("path", d="M1 6H33", **stroke), viewBox="0 0 34 12", class_="swatch", aria_hidden="true"
+        )
+        flag = tag("span", f"worst {', '.join(worst[trace.name])}", class_="flag") if trace.name in worst else None
+        name = tag("span", trace.name, class_="quiet" if trace.label else None)
+        items.append(tag("li", swatch, tag("span", joined([trace.label, " ", name]), " ", flag), data_op=k))
+    return tag("ul", *items, class_="legend")
+
+
+def _thinned(traces: Sequence[Trace], checked: bool) -> str:
+    """What was drawn of what was measured, in words."""
+    drawn, measured = sum(trace.frequency_hz.size for trace in traces), sum(trace.lines for trace in traces)
+    said = (
+        f"All {measured} lines are drawn."
+        if drawn == measured
+        else f"{drawn} of {measured} lines are drawn: those at every curve's extremes in each stretch of frequency,"
+        " none averaged or moved; tables use all lines."
+    )
+    bands = "Bands are" if len(traces) <= BANDS_AT_ONCE else "The band that shows with a marked curve is"
+    curves = (
+        "Curves are what the check reads: the lines that it judges, with what neighbours have in common taken together;"
+        " dots are the lines of P as measured. Rings mark where requirements are worst."
+        if checked
+        else "Faint dots lie outside the valid band."
+    )
+    return (
+        f"{said} {curves} {bands} the 95 % reach of each line by itself, to first order, for S and T by the error of P;"
+        " the tables' intervals are those of the check."
+    )

@@ -1,0 +1,331 @@
+"""The report's upper half: verdict, requirements, margins with their intervals, stability certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from loopshape.data.detuning import Reach
+from loopshape.data.loop import Loop
+from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Verdict
+from loopshape.data.run_report import CheckedLoop, RunReport
+from loopshape.data.verdict_words import reach_text
+from loopshape.view.html.markup import Content, Markup, joined, tag
+from loopshape.view.html.tables import Cell, figure, table, together
+from loopshape.view.html.words import (
+    DASH,
+    LIMIT_OF,
+    OUTCOME_OF,
+    WORDS,
+    badge,
+    band,
+    count,
+    found_text,
+    interval,
+    longer,
+    named,
+    number,
+    point,
+    shown_unit,
+    sign,
+    spare,
+    wished,
+    with_reach,
+)
+
+MARGINS = (
+    "bandwidth_hz", "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s",
+    "modulus_margin", "disk_margin", "detuning_percent",
+)  # fmt: skip
+PEAKS = (
+    "sensitivity_peak_db", "complementary_peak_db", "control_peak_db", "control_high_frequency_db", "process_peak_db",
+    "sensitivity_bandwidth_hz", "complementary_bandwidth_hz", "controller_bandwidth_hz",
+)  # fmt: skip
+GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
+
+
+def verdict(report: RunReport) -> Markup:
+    """The word for the whole run, and a card for each loop."""
+    heads = {
+        "passed": "Every requirement holds on the measured data.",
+        "failed": "At least one requirement is missed, or a loop is unstable.",
+        "undecided": "Nothing is surely missed, and these data do not decide all of it.",
+        "none": "No requirement was checked against these data.",
+    }
+    cards = [_card(one.verdict.loop, one.outcome, _sentences(one)) for one in report.checked]
+    cards += [
+        _card(name, "undecided", ["Asked for, and not checked: see what is missing."]) for name in report.unchecked
+    ]
+    whole = tag("p", joined([badge(report.outcome), " ", heads[report.outcome]]), class_="whole")
+    return joined([whole, tag("div", *cards, class_="cards-row") if cards else None])
+
+
+def _card(loop: str, outcome: str, sentences: Iterable[Content]) -> Markup:
+    head = tag("h3", joined([sign(outcome), f" Loop {loop}: {WORDS[outcome]}"]))
+    return tag(
+        "div", head, joined(s if isinstance(s, Markup) else tag("p", s) for s in sentences), class_=f"card {outcome}"
+    )
+
+
+def _sentences(one: CheckedLoop) -> list[Content]:
+    """What a loop's verdict comes from: first what fails, then what is open, else what holds."""
+    found, points = one.verdict, count(len(one.loops), "operating point")
+    said: list[Content] = []
+    for word in ("unstable", "undecided"):
+        names = [name for name, m in found.margins.items() if m.stable == word]
+        if names:
+            verb = "is unstable" if word == "unstable" else "is neither proven stable nor unstable"
+            said.append(f"The closed loop {verb} at {_few(names)}.")
+    for outcome, head in (("failed", "Missed"), ("undecided", "Not decided by these data")):
+        lines = [line for line in found.lines if line.outcome == outcome]
+        if lines:
+            said += [f"{head}:", tag("ul", *(tag("li", _in_words(line)) for line in lines))]
+    if one.outcome == "passed":
+        every = f"All {count(len(found.lines), 'requirement')}" if len(found.lines) > 1 else "The requirement"
+        said.append(
+            f"{every} hold{'' if len(found.lines) > 1 else 's'}, and the closed loop is stable, at {_all(points)}."
+        )
+    if one.outcome == "none":
+        said.append(f"The closed loop is stable at {_all(points)}; no requirements were given.")
+    return said
+
+
+def _all(points: str) -> str:
+    return "the one operating point measured" if points.startswith("1 ") else f"all {points} measured"
+
+
+def _few(names: Sequence[str], most: int = 6) -> str:
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _in_words(line: Line) -> str:
+    limit = LIMIT_OF[line.quantity]
+    reach, more = f" ({with_reach(line)})" if line.interval else "", longer(line)
+    at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
+    return (
+        f"{limit.label}: required {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
+        f"{f'; {more}' if more else ''}"
+    )
+
+
+def requirements(one: CheckedLoop) -> Markup:
+    """Each requirement at its worst operating point: required, found, interval, slack, where, and the word."""
+    if not one.verdict.lines:
+        return tag("p", "No requirements were given for this loop: its margins below are reported without verdict.")
+    columns = [
+        "requirement", "verdict", "required", "worst case", "95 % interval", "slack", "required and found",
+        "operating point", "frequency [Hz]",
+    ]  # fmt: skip
+    rows = [_requirement(line) for line in one.verdict.lines]
+    caption = (
+        f"Requirements of loop {one.verdict.loop}, each at its worst operating point. Slack is the room from what is"
+        " required to the bad end of the interval. In the small scale the tick is what is required, the dot what was"
+        " found, the bar its interval; the tinted side is forbidden."
+    )
+    return table(caption, columns, rows, cards=True)
+
+
+def _requirement(line: Line) -> list[Cell | Content]:
+    limit = LIMIT_OF[line.quantity]
+    more = longer(line)
+    verdict = joined([badge(line.outcome), tag("span", more, class_="more") if more else None])
+    return [
+        limit.label,
+        verdict,
+        Cell(wished(line), kind="whole-line"),
+        Cell(found_text(line), kind="whole-line"),
+        Cell(with_reach(line) or DASH, kind="whole-line"),
+        Cell(spare(line), kind="whole-line"),
+        Cell(gauge(line, limit), kind="gauge-cell"),
+        line.recording,
+        number(line.at_hz),
+    ]
+
+
+def gauge(line: Line, limit: Limit) -> Markup:
+    """A requirement as a small scale: forbidden side, limit, interval and value; a dash where the value is infinite."""
+    low, high = line.interval or (line.found, line.found)
+    if not np.isfinite([line.found, line.wished, low, high]).all():
+        return Markup(DASH)
+    ends = np.array([line.wished, line.found, low, high])
+    room = 0.18 * max(float(np.ptp(ends)), 0.15 * max(abs(line.wished), 1e-9))
+    start, stop = float(ends.min()) - room, float(ends.max()) + room
+    at = [
+        round(6 + (GAUGE_WIDTH - 12) * (value - start) / (stop - start), 1)
+        for value in (line.wished, line.found, low, high)
+    ]
+    middle, tick = GAUGE_HEIGHT // 2, at[0]
+    least = limit.sense == "at_least"
+    bad = f"M{0 if least else tick} 3H{tick if least else GAUGE_WIDTH}V{GAUGE_HEIGHT - 3}H{0 if least else tick}Z"
+    words = f"required {wished(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
+    return tag(
+        "svg",
+        tag("title", words),
+        tag("path", d=bad, class_="forbidden"),
+        tag("path", d=f"M0 {middle}H{GAUGE_WIDTH}", class_="scale"),
+        tag("path", d=f"M{tick} 2V{GAUGE_HEIGHT - 2}", class_="limit"),
+        tag("path", d=f"M{at[2]} {middle}H{at[3]}", class_=f"reach {line.outcome}") if line.interval else None,
+        tag("circle", cx=at[1], cy=middle, r=4.5, class_=f"found {line.outcome}"),
+        viewBox=f"0 0 {GAUGE_WIDTH} {GAUGE_HEIGHT}",
+        class_="gauge",
+        role="img",
+    )
+
+
+def margins(one: CheckedLoop) -> Markup:
+    """Margins, and peaks with bandwidths, of every operating point; each column's worst is marked."""
+    found = one.verdict
+    points = {f.recording or f"frf {k + 1}": point(f.operating_point, f.parameters) for k, f in enumerate(one.frfs)}
+    parts = [("Margins", MARGINS), ("Peaks and bandwidths", PEAKS)]
+    return joined([*(_margins_table(found, points, what, names) for what, names in parts), _detunings(found)])
+
+
+def _detunings(found: Verdict) -> Markup | None:
+    """How far frequencies of the plant may move, as a whole and of single resonances; none where nobody looked."""
+    rows: list[list[Cell | Content]] = []
+    for name, m in found.margins.items():
+        if m.detuning is None:
+            continue
+        whole: tuple[str, Reach, Reach] = ("all frequencies", m.detuning.up, m.detuning.down)
+        single = [
+            (f"{number(x.frequency_hz)} Hz, damping {number(x.damping, 2)}", x.up, x.down)
+            for x in m.detuning.resonances
+        ]
+        for what, *reaches in (whole, *single):
+            ends = [text for x in reaches for text in (reach_text(x), interval(x.interval_percent))]
+            rows.append([name, what, *ends])
+    if not rows:
+        return None
+    columns = ["recording", "what moves", "up [%]", "95 % interval", "down [%]", "95 % interval"]
+    caption = (
+        f"Detuning margins of loop {found.loop}: the largest relative shift of the plant's frequencies, up and down, at"
+        " which every requirement holds and the loop is stable, and what breaks there."
+    )
+    return table(caption, columns, rows, sortable=len(rows) > 1)
+
+
+def _margins_table(found: Verdict, points: Mapping[str, str], what: str, names: Sequence[str]) -> Markup:
+    limits = [limit for limit in LIMITS if limit.name in names and _told(found, limit)]
+    worst = {limit.name: _worst(found, limit) for limit in limits}
+    crossed = what == "Margins"
+    columns = ["recording", "closed loop", *map(_column, limits)] + (["0 dB crossings [Hz]"] if crossed else [])
+    rows = []
+    for name, m in found.margins.items():
+        row: list[Cell | Content] = [named(name, points.get(name, "")), badge(OUTCOME_OF[m.stable], m.stable)]
+        row += [_margin(m, limit, worst[limit.name] == name, _asked(found, limit)) for limit in limits]
+        rows.append([*row, _crossings(m)] if crossed else row)
+    endless = [limit.label for limit in LIMITS if limit.name in names and _endless(found, limit)]
+    return table(_caption(what, found, endless), columns, rows, sortable=len(rows) > 1)
+
+
+def _caption(what: str, found: Verdict, endless: Sequence[str]) -> str:
+    some = any(m.intervals for m in found.margins.values())
+    told = "below each value its 95 % interval" if some else "the uncertainty of the FRF was not carried to these"
+    many = "; each column's worst, by the bad end of its interval where something is asked, is marked"
+    ends = f" Infinite at every operating point, and left out: {', '.join(endless)}." if endless else ""
+    return f"{what} of loop {found.loop}: {told}{many if len(found.margins) > 1 else ''}.{ends}"
+
+
+def _told(found: Verdict, limit: Limit) -> bool:
+    """Whether a quantity has something to show: a number somewhere, or a requirement."""
+    values = [getattr(m, limit.name) for m in found.margins.values()]
+    return bool(np.isfinite(values).any()) or _asked(found, limit) is not None
+
+
+def _endless(found: Verdict, limit: Limit) -> bool:
+    return not _told(found, limit) and all(getattr(m, limit.name) == np.inf for m in found.margins.values())
+
+
+def _column(limit: Limit) -> str:
+    unit, _ = shown_unit(limit)
+    short = limit.label.split(" (")[0]
+    return f"{short} [{unit}]" if unit else short
+
+
+def _worst(found: Verdict, limit: Limit) -> str:
+    """The recording that the verdict names, else that of the least or greatest value; none of a single one."""
+    if len(found.margins) < 2:
+        return ""
+    named = _asked(found, limit)
+    if named is not None:
+        return named.recording
+    sense = 1.0 if limit.sense == "at_least" else -1.0
+    values = {name: sense * getattr(m, limit.name) for name, m in found.margins.items()}
+    values = {name: value for name, value in values.items() if not np.isnan(value)}
+    return min(values, key=lambda name: values[name], default="") if len(set(values.values())) > 1 else ""
+
+
+def _asked(found: Verdict, limit: Limit) -> Line | None:
+    return next((line for line in found.lines if line.quantity == limit.name), None)
+
+
+def _margin(m: Margins, limit: Limit, worst: bool, asked: Line | None) -> Cell:
+    _, factor = shown_unit(limit)
+    value, reach = factor * getattr(m, limit.name), m.intervals.get(limit.name)
+    beyond = limit.name == "detuning_percent" and m.detuning is not None and m.detuning.worst.beyond
+    shown = f"> {number(value)}" if beyond else number(value)
+    parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", shown]
+    if reach is not None and np.isfinite(reach).any():
+        parts.append(tag("span", interval(reach, factor), class_="reach"))
+    kind = None if not worst else f"worst {asked.outcome if asked is not None else ''}".strip()
+    return figure(value, joined(parts), kind)
+
+
+def _crossings(m: Margins) -> str:
+    return ", ".join(number(f, 3) for f in m.crossings_hz) or "none"
+
+
+def certificate(one: CheckedLoop) -> Markup:
+    """Stability of each operating point with its reason; alike ones in one row. And what had to be assumed."""
+    groups: dict[tuple[str, str, str], list[str]] = {}
+    for name, m in one.verdict.margins.items():
+        groups.setdefault((m.stable, m.stability_reason, band(m.stability_band_hz)), []).append(name)
+    order = {"unstable": 0, "undecided": 1, "stable": 2}
+    rows: list[list[Cell | Content]] = [
+        [Cell(badge(OUTCOME_OF[stable], stable)), reason or DASH, measure or DASH, len(names), ", ".join(names)]
+        for (stable, reason, measure), names in sorted(groups.items(), key=lambda group: order[group[0][0]])
+    ]
+    caption = (
+        f"Closed loop {one.verdict.loop}: encirclements of −1 counted on the measured FRF, with the contour closed."
+    )
+    made = table(caption, ["closed loop", "reason", "band to measure", "points", "recordings"], rows, cards=True)
+    poles = _poles(one)
+    names = sorted(one.verdict.margins, key=len, reverse=True)
+    said = [(next((name for name in names if name in note), ""), note) for note in one.verdict.warnings]
+    notes, head = together(said, named=False), "Assumed, and to be noted:"
+    return joined(
+        [
+            made,
+            tag("p", poles),
+            tag("p", head) if notes else None,
+            tag("ul", *notes) if notes else None,
+        ]
+    )
+
+
+def _poles(one: CheckedLoop) -> str:
+    """The open-loop poles that the count was made with, and what they rest on."""
+    pairs: dict[tuple[int | None, int | None, str], list[str]] = {}
+    for loop in one.loops:
+        key = (loop.integrators, loop.unstable_poles, _rests_on(one, loop))
+        pairs.setdefault(key, []).append(loop.plant.recording)
+    parts = []
+    for (integrators, unstable, basis), names in pairs.items():
+        known = "an unknown number of integrators" if integrators is None else count(integrators, "integrator")
+        growing = "an unknown number of unstable poles" if unstable is None else count(unstable, "unstable pole")
+        where = f" at {_few(names)}" if len(pairs) > 1 else ""
+        parts.append(f"plant with {known} ({basis}) and {growing}{where}")
+    return f"Counted for: {'; '.join(parts)}; controller with {count(one.controller.integrators(), 'integrator')}."
+
+
+def _rests_on(one: CheckedLoop, loop: Loop) -> str:
+    """What the number of a plant's integrators rests on."""
+    if loop.integrators is None:
+        return "neither declared nor told by the lowest lines"
+    if one.requirements is not None and one.requirements.integrators is not None:
+        return "declared in the requirements"
+    if loop.model is not None:
+        return "by its fit"
+    return f"by phase and slope of its lowest lines, from {loop.frequency_hz[0]:.3g} Hz"

@@ -1,0 +1,127 @@
+"""Numbers, names and outcomes as the report writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite, isinf, isnan
+
+from loopshape.data.requirements import LIMITS, Limit, Line
+from loopshape.data.verdict_words import WORDS as OUTCOME_WORDS
+from loopshape.view.html.markup import Markup, joined, tag
+from loopshape.view.labels import split_unit
+
+DASH = "\N{EN DASH}"
+LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
+#: outcome -> its word
+WORDS = {**OUTCOME_WORDS, "none": "no verdict"}
+#: closed loop -> the outcome whose sign and colour it takes
+OUTCOME_OF = {"stable": "passed", "unstable": "failed", "undecided": "undecided"}
+_SIGNS = {
+    "passed": "M4.5 10.5l3.6 3.8 7.4-8.4",
+    "failed": "M5.5 5.5l9 9m0-9l-9 9",
+    "undecided": "M7 7.6c0-4 6-4 6-.4 0 2.4-3 2.4-3 4.8m0 2.6v.6",
+    "none": "M5 10h10",
+}
+
+
+def number(value: float | None, figures: int = 4) -> str:
+    """Four figures with a true minus sign, a dash for what is not there."""
+    if value is None or isnan(value):
+        return DASH
+    if isinf(value):
+        return "∞" if value > 0 else "\N{MINUS SIGN}∞"
+    shown = "0" if abs(value) < 1e-9 else f"{value:.{figures}g}"
+    return shown.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e").replace("-", "\N{MINUS SIGN}")
+
+
+def interval(found: tuple[float, float] | None, factor: float = 1.0) -> str:
+    """A 95 % interval, a dash without one."""
+    return DASH if found is None else f"{number(factor * found[0])} … {number(factor * found[1])}"
+
+
+def shown_unit(limit: Limit) -> tuple[str, float]:
+    """Unit that a quantity is shown in, and the factor to it: delays in ms, plain numbers without a unit."""
+    return ("ms", 1e3) if limit.unit == "s" else ("" if limit.unit == "1" else limit.unit, 1.0)
+
+
+def with_unit(value: float | None, limit: Limit) -> str:
+    """A quantity with its unit."""
+    unit, factor = shown_unit(limit)
+    return f"{number(None if value is None else factor * value)} {unit}".rstrip()
+
+
+def with_reach(line: Line) -> str:
+    """A line's 95 % interval with its unit, empty without one."""
+    unit, factor = shown_unit(LIMIT_OF[line.quantity])
+    return "" if line.interval is None else f"{interval(line.interval, factor)} {unit}".rstrip()
+
+
+def found_text(line: Line) -> str:
+    """The number found, with its sign where it is a bound."""
+    sign = "> " if line.beyond else "" if line.bound is None else "≥ " if line.bound > line.found else "≤ "
+    return sign + with_unit(line.found, LIMIT_OF[line.quantity])
+
+
+def spare(line: Line) -> str:
+    """Room left, `≈ 0` where it is within rounding of what is required."""
+    if abs(line.spare) < 1e-4 * abs(line.wished):
+        return "≈ 0"
+    return with_unit(line.spare, LIMIT_OF[line.quantity])
+
+
+def wished(line: Line) -> str:
+    """What a line asks for: at least, or at most."""
+    limit = LIMIT_OF[line.quantity]
+    return f"{'≥' if limit.sense == 'at_least' else '≤'} {with_unit(line.wished, limit)}"
+
+
+def longer(line: Line) -> str:
+    """How much more measuring would decide a line, empty for one that is decided."""
+    if line.outcome != "undecided":
+        return ""
+    if line.bound is not None:
+        to_hz = "higher" if line.measure_to_hz is None else f"up to {number(line.measure_to_hz, 3)} Hz"
+        return f"bounded by what lies above the last frequency: measure {to_hz}"
+    if line.longer is None or not isfinite(line.longer) or line.longer >= 100.0:
+        return "on the limit: more data would not decide it"
+    return f"{line.longer:.2g} times the data would decide it, if the estimate stays"
+
+
+def point(operating_point: Mapping[str, float], parameters: Mapping[str, float] | None = None) -> str:
+    """An operating point and the rig's settings in words; empty where there are none."""
+    parts = []
+    for key, value in {**operating_point, **(parameters or {})}.items():
+        name, unit = split_unit(key)
+        parts.append(f"{name} {number(value)} {'' if unit == '1' else unit}".rstrip())
+    return ", ".join(parts)
+
+
+def band(found: tuple[float, float] | None) -> str:
+    """A band to measure in words, empty without one; it may be open at one end."""
+    if found is None:
+        return ""
+    low, high = found
+    if low > 0.0 and isfinite(high):
+        return f"{number(low, 3)} to {number(high, 3)} Hz"
+    return f"below {number(high, 3)} Hz" if isfinite(high) else f"above {number(low, 3)} Hz"
+
+
+def named(name: str, where: str) -> Markup:
+    """A recording's name, and below it its operating point."""
+    return joined([name, tag("span", where, class_="reach") if where else None])
+
+
+def count(n: int, what: str) -> str:
+    """`1 recording`, `2 recordings`."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def sign(outcome: str) -> Markup:
+    """An outcome's sign: tick, cross, question mark or dash, told apart without colour."""
+    shape = tag("path", d=_SIGNS[outcome])
+    return tag("svg", shape, class_="sign", viewBox="0 0 20 20", aria_hidden="true", focusable="false")
+
+
+def badge(outcome: str, word: str | None = None) -> Markup:
+    """An outcome as sign and word."""
+    return tag("span", joined([sign(outcome), tag("span", word or WORDS[outcome])]), class_=f"badge {outcome}")

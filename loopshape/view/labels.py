@@ -1,0 +1,117 @@
+"""How names, units and operating points are written on paper."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import SUFFIXES
+from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.frf import FRF
+
+_GREEK = ("theta", "kappa", "zeta", "omega", "phi", "psi", "alpha", "beta", "gamma", "delta", "tau")
+_USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz"}
+
+
+def split_unit(column: str) -> tuple[str, str]:
+    """Name and unit as written: `theta2_deg` is ("theta2", "deg"); no unit is ""."""
+    for suffix, unit in _USER_SUFFIXES.items():
+        if column.endswith(suffix):
+            return column[: -len(suffix)], unit
+    try:
+        channel = Channel.from_column(column)
+    except WrongUseError:
+        return column, ""
+    return channel.name, SUFFIXES[channel.unit]
+
+
+def symbol(name: str) -> str:
+    """`theta2` as a Greek letter with its index, `p_ab` as p with index AB; other words stay."""
+    if match := re.fullmatch(rf"(?:(\w)_)?({'|'.join(_GREEK)})_?(\d*)", name):
+        lead, letter, index = match.groups()
+        inner = rf"\{letter}" + (f"_{{{index}}}" if index else "")
+        return f"${lead}_{{{inner}}}$" if lead else f"${inner}$"
+    if match := re.fullmatch(r"(\w)_([a-z]{1,2})|([a-z])(\d)", name):
+        base, index = (match[1], match[2].upper()) if match[1] else (match[3], match[4])
+        return f"${base}_{{{index}}}$"
+    if match := re.fullmatch(r"(\w)_(\w)_([a-z]{1,2})", name):
+        return f"${match[1]}_{{{match[2]},{match[3].upper()}}}$"
+    return name.replace("_", " ")
+
+
+def bracket(unit: str) -> str:
+    """A unit in brackets, "" for none."""
+    return f" [{unit}]" if unit and unit != "1" else ""
+
+
+def quantity(column: str) -> str:
+    """Symbol and unit of a column or operating-point key, as an axis shows them."""
+    name, unit = split_unit(column)
+    return symbol(name) + bracket(unit)
+
+
+def expression(terms: str) -> str:
+    """Symbols of a column or a sum of columns, without the unit."""
+    return " + ".join(symbol(split_unit(term)[0]) for term in sum_terms(terms))
+
+
+def unit_of(terms: str) -> str:
+    """Unit of a column or a sum of columns, "1" where the name carries none."""
+    try:
+        return split_unit(sum_terms(terms)[0])[1] or "1"
+    except WrongUseError:
+        return "1"
+
+
+def ratio(numerator: str, denominator: str) -> str:
+    """Unit of a quotient: "rad/V", "1/V", "rad", "" for a plain number."""
+    if numerator == denominator:
+        return ""
+    return numerator if denominator == "1" else f"{numerator}/{_wrapped(denominator)}"
+
+
+def _wrapped(unit: str) -> str:
+    return f"({unit})" if "/" in unit or " " in unit else unit
+
+
+def product(first: str, second: str) -> str:
+    """Unit of a product: "V rad", "V²"."""
+    if first == second:
+        return "1" if first == "1" else f"{_wrapped(first)}²"
+    return " ".join(_wrapped(unit) for unit in (first, second) if unit != "1")
+
+
+def units_of(frf: FRF) -> tuple[str, str]:
+    """Units of a 1 x 1 FRF's input and output."""
+    return unit_of(frf.inputs[0]), unit_of(frf.outputs[0])
+
+
+def decibel(what: str, unit: str) -> str:
+    """Axis label of a magnitude in dB; the reference is one of `unit`."""
+    return f"{what} [dB re {unit}]" if unit else f"{what} [dB]"
+
+
+def point(operating_point: Mapping[str, float]) -> str:
+    """An operating point in words: "θ2 = -30 deg, p_AB = 0.8 bar"; "" where there is none."""
+    parts = []
+    for key, value in operating_point.items():
+        name, unit = split_unit(key)
+        parts.append(f"{symbol(name)} = {number(value)} {'' if unit == '1' else unit}".rstrip())
+    return ", ".join(parts)
+
+
+def superscripts(unit: str) -> str:
+    """`rad/(V s3)` with raised exponents."""
+    return re.sub(r"(?<=[A-Za-z])\^?([23])", lambda m: {"2": "²", "3": "³"}[m[1]], unit)
+
+
+def number(value: float) -> str:
+    """A number with a true minus sign."""
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
+
+
+def numbers(values: Sequence[float]) -> list[str]:
+    """Numbers with as many decimals as the longest of them needs (at most 3): 0.8, 1.0, 1.2."""
+    decimals = max((len(f"{v:.3f}".rstrip("0").split(".")[1]) for v in values), default=0)
+    return [f"{v + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for v in values]
