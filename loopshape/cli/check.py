@@ -16,7 +16,6 @@ from loopshape.cli.verdicts import (
     report_comparisons,
     report_margins,
     report_verdicts,
-    verdict_json,
 )
 from loopshape.data.verdict_words import WORDS, outcome_of
 
@@ -100,7 +99,7 @@ def check_run(
         {
             "passed": passed,
             "outcome": outcome,
-            "loops": [verdict_json(v) for v in verdicts],
+            "loops": [v.to_dict() for v in verdicts],
             "baseline": _compared_json(compared),
             "figures": drawn,
         }
@@ -121,7 +120,7 @@ def _margins(run: Path, controller: Path, output: Output, reports: Reports, figu
     drawn = _draw(figures_of(run), loops) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.say("no requirement given; reported without verdict")
-    made = [verdict_json(v) | {"passed": None, "outcome": None} for v in verdicts]
+    made = [v.to_dict() | {"passed": None, "outcome": None} for v in verdicts]
     output.json({"passed": None, "outcome": None, "loops": made, "baseline": None, "figures": drawn})
     return True, drawn
 

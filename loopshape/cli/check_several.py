@@ -47,7 +47,7 @@ def check_several(
     Each loop is held against its limits with all others closed, then all together: stability by det(I + L), and what
     the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
     """
-    from loopshape.cli.verdicts import report_verdicts, verdict_json
+    from loopshape.cli.verdicts import report_verdicts
     from loopshape.data.verdict_words import WORDS
     from loopshape.io.controllers import read_controllers
     from loopshape.io.junit import write_junit
@@ -72,8 +72,8 @@ def check_several(
             "passed": verdict.passed,
             "outcome": verdict.outcome,
             "loops": list(verdict.loops),
-            "each": [verdict_json(one) for one in verdict.each],
-            "together": verdict_json(verdict.together)
+            "each": [one.to_dict() for one in verdict.each],
+            "together": verdict.together.to_dict()
             | {"margins": {name: _json(m) for name, m in verdict.margins.items()}},
             "figures": drawn,
         }

@@ -69,7 +69,7 @@ class Output:
     def json(self, payload: Mapping[str, Any]) -> None:
         """The JSON object of this command, where it was asked for; what is not known is null, never nan."""
         if self.as_json:
-            from loopshape.io.files import json_ready
+            from loopshape.core.json_ready import json_ready
 
             print(json.dumps(json_ready(payload, unknown=None), allow_nan=False))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.verdicts import fits_of, report_verdicts, verdict_json
+from loopshape.cli.verdicts import fits_of, report_verdicts
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -173,5 +173,5 @@ def tuning_json(tuning: Tuning) -> dict[str, Any]:
         "bounds_reached": list(tuning.bounds_reached),
         "moved": list(tuning.moved),
         "shortfall": None if why is None else asdict(why) | {"certified": why.certified},
-        "verdict": verdict_json(tuning.verdict),
+        "verdict": tuning.verdict.to_dict(),
     }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output
 from loopshape.cli.tune import controllers_to_start, report_tuning, tuning_json
-from loopshape.cli.verdicts import report_verdicts, verdict_json
+from loopshape.cli.verdicts import report_verdicts
 
 if TYPE_CHECKING:
     from loopshape.design.several import SeveralTuning, Turn
@@ -66,7 +66,7 @@ def _json(found: SeveralTuning, out: Path) -> dict[str, Any]:
             for t in found.turns
         ],
         "loops": [tuning_json(t) for t in found.tunings.values()],
-        "each": [verdict_json(v) for v in found.verdict.each],
-        "together": {k: v for k, v in verdict_json(found.verdict.together).items() if k != "margins"},
+        "each": [v.to_dict() for v in found.verdict.each],
+        "together": {k: v for k, v in found.verdict.together.to_dict().items() if k != "margins"},
         "notes": list(found.notes),
     }

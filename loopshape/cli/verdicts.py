@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output
+from loopshape.data.requirements import plain
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
@@ -159,19 +159,6 @@ def _moved(change: Any, points: int) -> list[Any]:
     ]  # fmt: skip
 
 
-def verdict_json(verdict: Verdict) -> dict[str, Any]:
-    """A verdict as JSON; what was not found is null."""
-    return {
-        "loop": verdict.loop,
-        "passed": verdict.passed,
-        "outcome": verdict.outcome,
-        "lines": [_table(line) | {"passed": line.passed} for line in verdict.lines],
-        "margins": {name: _table(m) for name, m in verdict.margins.items()},
-        "unstable": list(verdict.unstable),
-        "warnings": list(verdict.warnings),
-    }
-
-
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """A comparison as JSON."""
     return {
@@ -180,21 +167,15 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             {
                 "loop": x.loop,
                 "quantity": x.quantity,
-                "before": None if x.before is None else _table(x.before),
-                "now": None if x.now is None else _table(x.now),
+                "before": None if x.before is None else plain(x.before),
+                "now": None if x.now is None else plain(x.now),
                 "worse": x.worse,
             }
             for x in comparison.lines
         ],
-        "stabilities": [_table(s) | {"worse": s.worse} for s in comparison.stabilities],
-        "margins": [_table(change) | {"change": change.change} for change in comparison.margins],
+        "stabilities": [plain(s) | {"worse": s.worse} for s in comparison.stabilities],
+        "margins": [plain(change) | {"change": change.change} for change in comparison.margins],
         "gone": list(comparison.gone),
         "new": list(comparison.new),
         "notes": list(comparison.notes),
     }
-
-
-def _table(noun: Any) -> dict[str, Any]:
-    """Fields of a flat dataclass, NaN as null."""
-    values = {f.name: getattr(noun, f.name) for f in fields(noun)}
-    return {name: None if value != value else value for name, value in values.items()}

@@ -1,4 +1,4 @@
-"""A controller: blocks in series (`loopshape.data.block`), discretised at the controller's rate, in the target's numbers.
+"""A controller: blocks in series (`loopshape.data.block`), discretised at its rate, in the target's numbers.
 
 Tustin maps s to k (z-1)/(z+1); on the unit circle that is j k tan(pi f T). k = 2/T, or, prewarped at f_p,
 k = w_p / tan(w_p T/2), which makes the discrete response at f_p that of the blocks (Franklin, Powell and Workman,
@@ -39,8 +39,8 @@ def hold_and_delay(frequency_hz: ArrayLike, rate_hz: float, delay_s: float = 0.0
 class Controller:
     """Blocks in series for one loop, as they will run: at `rate_hz` after Tustin's rule, in the target's numbers.
 
-    `precision` is that of the coefficients (`loopshape.data.precision`); the sections of `biquads` are rounded to it, and
-    `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
+    `precision` is that of the coefficients (`loopshape.data.precision`); the sections of `biquads` are rounded to it,
+    and `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
 
     `computation_delay_s` is from sampling to when the output takes effect, and `added_hold` adds the zero-order hold:
     each only as far as the measured plant does not contain it. A FRF from the logged z to the sampled y contains the
@@ -75,6 +75,11 @@ class Controller:
         _check_timing(self)
         if self.precision != "double":
             self.check_sections()
+
+    def __repr__(self) -> str:
+        """One line: its loop, its blocks and its rate."""
+        kinds = ", ".join(block.kind for block in self.blocks)
+        return f"Controller{f' {self.loop}' if self.loop else ''}: {kinds} at {self.rate_hz:g} Hz"
 
     @property
     def number_format(self) -> Precision:

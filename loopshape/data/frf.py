@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Controller
+from loopshape.data.frf_arrays import stated_arrays
 
 _ARRAYS = (
     "frequency_hz",
@@ -130,6 +133,67 @@ class FRF:
             raise WrongUseError("the rate of a FRF is finite and not negative", f"{self.rate_hz!r} Hz")
         if wrong := [f"{k} = {v!r}" for k, v in self.operating_point.items() if not np.isfinite(v)]:
             raise WrongUseError("the operating point of a FRF has finite values", ", ".join(wrong))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        frequency_hz: ArrayLike,
+        response: ArrayLike,
+        *,
+        std: ArrayLike | None = None,
+        relative_std: float | None = None,
+        covariance: ArrayLike | None = None,
+        coherence: ArrayLike | None = None,
+        averages: float | None = None,
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
+        method: str = "from arrays",
+        **words: Any,
+    ) -> FRF:
+        """A FRF from frequencies (nf,) in Hz and a response (nf,) or (nf, ny, nu), whose error is stated once.
+
+        `std` is sqrt(E|d|²) of each value, `relative_std` the same share of |response| everywhere (0: exact, as a
+        model's), `covariance` (nf, ny nu, ny nu) as in `FRF`; `coherence` (nf,) needs `averages`. The valid band
+        follows from it. `words` are other fields of `FRF`: rate_hz (a controller is tuned at it), loop, recording,
+        operating_point, open_loop. A first frequency of 0 Hz is left out.
+
+        Raises WrongUseError for shapes that do not fit and an error stated twice or not at all, BadSignalError for NaN.
+        Misleads where the error that is stated is not that of the data: intervals and verdicts are as good as it.
+
+        Examples
+        --------
+        >>> import numpy as np, loopshape as ls
+        >>> f_hz = np.geomspace(0.5, 200.0, 100)
+        >>> ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
+        FRF: 100 frequencies, 0.5 to 200 Hz, 1 output x 1 input, rate 1000 Hz
+        """
+        arrays = stated_arrays(
+            frequency_hz, response, std=std, relative_std=relative_std, covariance=covariance, coherence=coherence,
+            averages=averages,
+        )  # fmt: skip
+        ny, nu = arrays["response"].shape[1:]
+        names: dict[str, Any] = {
+            "inputs": tuple(inputs) or tuple(f"u{k + 1}_1" for k in range(nu)),
+            "outputs": tuple(outputs) or tuple(f"y{k + 1}_1" for k in range(ny)),
+        }
+        return cls(**arrays, **names, method=method, **words)
+
+    @classmethod
+    def from_control(cls, system: Any, frequency_hz: ArrayLike | None = None, **stated: Any) -> FRF:
+        """The FRF of a python-control system: see `loopshape.from_control`, which this is."""
+        from loopshape.data.control_frd import from_control
+
+        return from_control(system, frequency_hz, **stated)
+
+    def __repr__(self) -> str:
+        """One line: what it is of, its frequencies, its valid band and its size."""
+        of = " ".join(word for word in (self.loop, self.recording) if word)
+        f, (low, high) = self.frequency_hz, self.trusted_band_hz
+        valid = "" if self.trusted.all() else f" (valid band {low:.4g} to {high:.4g} Hz)"
+        ny, nu = self.response.shape[1:]
+        size = f"{ny} output{'s' * (ny > 1)} x {nu} input{'s' * (nu > 1)}"
+        rate = f", rate {self.rate_hz:g} Hz" if self.rate_hz else ""
+        return f"FRF{f' {of}' if of else ''}: {f.size} frequencies, {f[0]:.4g} to {f[-1]:.4g} Hz{valid}, {size}{rate}"
 
     @property
     def digest(self) -> str:

@@ -99,6 +99,12 @@ class Fit:
     rig_parameters: Mapping[str, float] = field(default_factory=dict)
     frf_digest: str = ""
 
+    def __repr__(self) -> str:
+        """One line: structure, parameters, misfit and whether it leaves nothing but noise."""
+        numbers = ", ".join(f"{p.name} {p.value:.4g}" for p in self.parameters)
+        left = "leaves nothing but noise" if self.sufficient else "leaves more than noise"
+        return f"Fit {self.structure}: {numbers}; misfit {self.misfit_db:.2g} dB, {left}"
+
     @property
     def sufficient(self) -> bool:
         """Whether the residual test accepts the model at 1 %."""

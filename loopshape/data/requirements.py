@@ -7,14 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from enum import StrEnum
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import json_ready
 from loopshape.data.block import refuse_too_large
 from loopshape.data.controller import BLOCK_KINDS, Block, block_kind
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Outcome(StrEnum):
+    """What data say of a controller under requirements: each is also its word."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    UNDECIDED = "undecided"
+
+
+def plain(noun: Any) -> dict[str, Any]:
+    """Fields of a flat dataclass, NaN as None."""
+    values = {f.name: getattr(noun, f.name) for f in fields(noun)}
+    return {name: None if value != value else value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -208,7 +228,7 @@ class Requirements:
     Refuses values that make no sense.
     """
 
-    loop: str
+    loop: str = ""
     gain_margin_db: float | None = None
     gain_reduction_margin_db: float | None = None
     phase_margin_deg: float | None = None
@@ -231,6 +251,12 @@ class Requirements:
     integrators: int | None = None
     unstable_poles: int | None = None
     objective: Objective = Objective()
+
+    def __repr__(self) -> str:
+        """One line: its loop and each limit that is given."""
+        asked = [(limit, getattr(self, limit.name)) for limit in LIMITS if getattr(self, limit.name) is not None]
+        words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
+        return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
 
     def __post_init__(self) -> None:
         self._check_values()
@@ -365,13 +391,58 @@ class Verdict:
         return tuple(name for name, m in self.margins.items() if m.stable != "stable")
 
     @property
-    def outcome(self) -> str:
-        """What these data say of the controller: "passed", "failed" or "undecided"."""
+    def outcome(self) -> Outcome:
+        """What these data say of the controller."""
         stable = {m.stable for m in self.margins.values()}
         lines = {line.outcome for line in self.lines}
         if "unstable" in stable or "failed" in lines:
-            return "failed"
-        return "undecided" if "undecided" in stable | lines else "passed"
+            return Outcome.FAILED
+        return Outcome.UNDECIDED if "undecided" in stable | lines else Outcome.PASSED
+
+    def __repr__(self) -> str:
+        """One line: the outcome, and each requirement that does not hold."""
+        missed = [f"{line.quantity} {line.outcome}" for line in self.lines if not line.passed]
+        missed += [f"{self.margins[name].stable} at {name}" for name in self.unstable]
+        of, why = f" {self.loop}" if self.loop else "", f" ({', '.join(missed)})" if missed else ""
+        return f"Verdict{of}: {self.outcome}{why}"
+
+    def table(self) -> pd.DataFrame:
+        """A row a requirement at its worst operating point: limit, worst case, 95 % interval, slack, where, outcome."""
+        import pandas as pd
+
+        rows = [
+            {
+                "requirement": line.quantity,
+                "unit": line.unit,
+                "required": line.wished,
+                "worst case": line.found,
+                "low": line.interval[0] if line.interval else None,
+                "high": line.interval[1] if line.interval else None,
+                "slack": line.spare,
+                "at [Hz]": line.at_hz,
+                "operating point": line.recording,
+                "outcome": line.outcome,
+            }
+            for line in self.lines
+        ]
+        return pd.DataFrame(rows)
+
+    def _repr_html_(self) -> str:
+        """The table in a notebook, under the outcome."""
+        return f"<p>{escape(repr(self))}</p>{self.table().to_html(index=False, float_format='{:.4g}'.format)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict as plain values for JSON; what was not found is None."""
+        found = {
+            "loop": self.loop,
+            "passed": self.passed,
+            "outcome": self.outcome.value,
+            "lines": [plain(line) | {"passed": line.passed} for line in self.lines],
+            "margins": {name: plain(m) for name, m in self.margins.items()},
+            "unstable": self.unstable,
+            "warnings": self.warnings,
+        }
+        return {name: json_ready(value) for name, value in found.items()}
 
     @property
     def passed(self) -> bool:

@@ -63,6 +63,10 @@ class Tuning:
     shortfall: Shortfall | None = None
     moved: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        """One line: the controller, its lowest bandwidth and what the check says of it."""
+        return f"Tuning: {self.outcome}, lowest bandwidth {self.bandwidth_hz:.4g} Hz, {self.controller!r}"
+
     @property
     def outcome(self) -> str:
         """ "passed", "undecided" or "failed", as `check` judges the controller."""

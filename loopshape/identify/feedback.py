@@ -17,8 +17,9 @@ from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.controller import Controller
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording
+from loopshape.data.valid_band import KNOWN
 from loopshape.identify.answers import Answers
-from loopshape.identify.averages import KNOWN, against_instrument
+from loopshape.identify.averages import against_instrument
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import LoopSignals, has_instrument, read_signals
 from loopshape.identify.transforms import transform

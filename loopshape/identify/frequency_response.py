@@ -13,8 +13,8 @@ from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF, joined
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
-from loopshape.identify.averages import trusted_lines
 from loopshape.identify.feedback import controller_lines, controller_note, direct_signals
 from loopshape.identify.periods import by_periods
 from loopshape.identify.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes

@@ -21,8 +21,8 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF, joined
 from loopshape.data.recording import Recording
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.answers import Answers
-from loopshape.identify.averages import trusted_lines
 from loopshape.identify.quality import stayed_bounded
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import LoopSignals, loop_signals

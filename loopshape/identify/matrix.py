@@ -17,8 +17,8 @@ from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF, joined
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.answers import Answers, PlantEstimate, plant_of
-from loopshape.identify.averages import trusted_lines
 from loopshape.identify.coherence import coherences
 from loopshape.identify.frequency_response import band_note, drowned_note
 from loopshape.identify.periods import by_periods

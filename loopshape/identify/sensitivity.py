@@ -8,8 +8,8 @@ from loopshape.core.errors import BadSignalError
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.recording import Recording
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.answers import ordinary_coherence
-from loopshape.identify.averages import trusted_lines
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import loop_signals, wiring_notes

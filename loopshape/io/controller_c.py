@@ -1,7 +1,7 @@
 """A controller as a C99 header that is C++ too: coefficients, a state, a reset and a step function.
 
-The step function does what `loopshape.data.controller.step` does, operation for operation, where the compiler evaluates in
-the type of the operands (FLT_EVAL_METHOD 0) and does not contract a product and a sum (-ffp-contract=off).
+The step function does what `loopshape.data.controller.step` does, operation for operation, where the compiler
+evaluates in the type of the operands (FLT_EVAL_METHOD 0) and does not contract a product and a sum (-ffp-contract=off).
 """
 
 from __future__ import annotations

@@ -11,12 +11,8 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields, is_dataclass
-from math import isfinite, isnan
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.io.seen import look, own, refuse_changed
@@ -200,20 +196,3 @@ def write_json(path: Path, data: Any) -> None:
     "nan", "inf" and "-inf", which `float` reads back.
     """
     write_text_whole(path, json.dumps(json_ready(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n")
-
-
-def json_ready(value: Any, unknown: str | None = "nan") -> Any:
-    """The value in words that JSON knows, nan as `unknown`; refuses what has none (complex numbers, functions)."""
-    if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return value if isfinite(value) else unknown if isnan(value) else str(value)
-    if isinstance(value, Mapping):
-        return {str(k): json_ready(v, unknown) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(v, unknown) for v in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: json_ready(getattr(value, f.name), unknown) for f in fields(value)}
-    raise WrongUseError("a value has no form in JSON", short(repr(value)), "turn it into numbers, words or lists")

@@ -17,12 +17,10 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.frf import FRF
-from loopshape.identify.averages import trusted_lines
+from loopshape.data.frf_arrays import independent, valid_frequencies, variance_by_coherence
 from loopshape.io.files import plain_name, short
 from loopshape.io.frf_words import PERHAPS, frf_words
 from loopshape.io.words import said_in
-
-_LEAST_COHERENCE = 1e-12  # below it a variance would not be finite
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
         words |= {"variance_freedom": freedom} if "covariance" not in found.arrays and freedom is not None else {}
         trusted = found.arrays.get("trusted")
         if trusted is None:
-            trusted = _trusted(found, covariance)
+            trusted = valid_frequencies(found.frequency_hz, found.response, covariance)
         return FRF(
             frequency_hz=found.frequency_hz, response=found.response, covariance=covariance, trusted=trusted,
             **arrays, **words,
@@ -157,18 +155,18 @@ def _covariance(found: ForeignFRF, stated: Stated, averages: float) -> tuple[Com
                 "it holds its own error, and a relative standard deviation was stated", f"{stated.relative_std:g}",
                 "leave the statement out",
             )  # fmt: skip
-        return _diagonal((stated.relative_std * np.abs(found.response)) ** 2), None
+        return independent((stated.relative_std * np.abs(found.response)) ** 2), None
     if own is not None:
         own = np.asarray(own, dtype=complex)
         if own.ndim != 3 or own.shape[1] != own.shape[2] or not _hermitian(own):
             raise UnreadableInputError("its covariance is none", "a matrix that is not Hermitian", "write it again")
         return own, None
     if found.std is not None:
-        return _diagonal(np.asarray(found.std, dtype=float) ** 2), None
+        return independent(np.asarray(found.std, dtype=float) ** 2), None
     coherence, single = found.element_coherence, found.response.shape[2] == 1
     if coherence is not None and single and averages > 1.0:
-        g2 = np.clip(_coherence(coherence), _LEAST_COHERENCE, 1.0)
-        return _diagonal(np.abs(found.response) ** 2 * (1.0 - g2) / (g2 * (averages - 1.0))), 2.0 * (averages - 1.0)
+        variance = variance_by_coherence(found.response, _coherence(coherence), averages)
+        return independent(variance), 2.0 * (averages - 1.0)
     reasons = {
         coherence is None: "neither covariance nor coherence",
         coherence is not None and single: "a coherence without the number of averages behind it",
@@ -196,16 +194,3 @@ def _coherences(found: ForeignFRF) -> dict[str, Array]:
         return {}
     values = _coherence(values)
     return {"coherence": values[:, 0, 0]} if ny == 1 else {"multiple_coherence": values[:, :, 0]}
-
-
-def _diagonal(variance: Array) -> ComplexArray:
-    """Covariance (nf, n, n) of independent elements from their variances (nf, ny, nu)."""
-    flat = variance.transpose(0, 2, 1).reshape(len(variance), -1)
-    return (flat[:, :, None] * np.eye(flat.shape[1])).astype(complex)
-
-
-def _trusted(found: ForeignFRF, covariance: ComplexArray) -> np.ndarray:
-    """The project's own rule, by the largest error beside the largest singular value."""
-    std = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 0.0)).max(axis=1)
-    size = np.maximum(np.linalg.norm(found.response, 2, axis=(1, 2)), 1e-300)
-    return trusted_lines(found.frequency_hz, std / size, np.ones(std.size, dtype=bool))

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError
+from loopshape.core.json_ready import json_ready
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.io.files import json_ready, short
+from loopshape.io.files import short
 from loopshape.io.run_tables import controller_table, read_controller
 from loopshape.io.words import Words
 

@@ -13,7 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from loopshape.io.files import json_ready, reading, write_all, writing
+from loopshape.core.json_ready import json_ready
+from loopshape.io.files import reading, write_all, writing
 from loopshape.io.seen import own
 
 FILE = "journal.jsonl"

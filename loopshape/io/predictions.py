@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.json_ready import json_ready
 from loopshape.data.frf import FRF
 from loopshape.data.prediction import INDICATORS, Indicators, Prediction, Step
-from loopshape.io.files import json_ready, make_folder, reading, write_whole
+from loopshape.io.files import make_folder, reading, write_whole
 from loopshape.io.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
 
 FORMAT = "loopshape-predictions/1"

@@ -15,10 +15,11 @@ from typing import IO, Any
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.json_ready import json_ready
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
-from loopshape.io.files import json_ready, reading, short, write_whole
+from loopshape.io.files import reading, short, write_whole
 from loopshape.io.growth import check_growth
 from loopshape.io.provenance import file_hash
 from loopshape.io.seen import State, refuse, state_of

@@ -194,9 +194,7 @@ def test_quiet_prints_nothing_and_json_is_one_object_without_nan(bench: Path) ->
 def test_what_was_not_found_is_null_in_json() -> None:
     from verdict_cases import checked, margins
 
-    from loopshape.cli.verdicts import verdict_json
-
-    found = verdict_json(checked({"r1": margins({"disk_margin": float("nan")})}).verdict)["margins"]["r1"]
+    found = checked({"r1": margins({"disk_margin": float("nan")})}).verdict.to_dict()["margins"]["r1"]
     assert found["disk_margin"] is None
     assert found["bandwidth_hz"] == margins().bandwidth_hz
 

@@ -1,0 +1,152 @@
+"""What a script does: read or make a run, estimate its FRFs, fit, tune, check. Each verb takes nouns and gives one.
+
+A plant is a FRF, or several where one controller serves several operating points; python-control's systems with data
+(`control.frd`) are taken where their error is stated first: `ls.FRF.from_control`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import BlockTemplate, Requirements, Verdict
+from loopshape.data.run import Run
+from loopshape.data.shorthand import bounded
+from loopshape.design.tune import Tuning
+from loopshape.identify.settings import Settings
+
+Plants = FRF | Sequence[FRF]
+
+
+def read(folder: str | Path) -> Run:
+    """The run in a folder, as `loopshape measure` and `import` write it; columns load when asked for.
+
+    Raises UnreadableInputError for a folder that holds no run or a damaged one.
+    """
+    from loopshape.io.run_folder import read_run
+
+    return read_run(Path(folder))
+
+
+def frfs(run: Run | str | Path, loop: str | None = None, **settings: Any) -> tuple[FRF, ...]:
+    """FRFs of all recordings of a run that excite one loop (or `loop`), in order, with variance and valid band.
+
+    `settings` are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1", "h2", "hv"), method,
+    resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop without recording, and
+    BadSignalError for a record without excitation.
+    """
+    from loopshape.identify.frequency_response import estimate_frf, excited_recordings
+
+    whole = run if isinstance(run, Run) else read(run)
+    chosen = Settings(**settings)
+    names = None if loop is None else whole.loop(loop).name
+    mine = [r for r in excited_recordings(whole) if r.info.alone and names in (None, r.info.excites)]
+    return tuple(estimate_frf(r, whole.loop(str(r.info.excites)), chosen) for r in mine)
+
+
+def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None = None, **settings: Any) -> FRF:
+    """The FRF of the one recording that excites `loop`, or of the recording that is named.
+
+    From what enters the plant to the loop's output, by the estimator that is right under feedback (the ratio of both
+    responses to the excitation); `settings` as in `frfs`. Raises WrongUseError where several recordings do.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> u = np.random.default_rng(1).standard_normal(60_000)
+    >>> y = 0.5 * u
+    >>> print(ls.frf(ls.Run.from_arrays(u=u, y=y, rate_hz=1000.0)).siso.real.mean().round(6))
+    0.5
+    """
+    whole = run if isinstance(run, Run) else read(run)
+    if recording is not None:
+        one = whole.recording(recording)
+        whole = replace(whole, recordings=(one,))
+    found = frfs(whole, loop, **settings)
+    if len(found) != 1:
+        raise WrongUseError(
+            "one FRF was asked of a run with several recordings" if found else "no recording excites this loop alone",
+            ", ".join(one.recording for one in found) or f"loop {loop!r}",
+            "name the recording, or take all with ls.frfs",
+        )
+    return found[0]
+
+
+def fit(P: FRF, structure: str = "auto", *, weighting: str = "variance", **orders: Any) -> Fit:
+    """A low-order model of a FRF, with intervals and a test of what it leaves.
+
+    `structure` is "auto", "third_order", "integrator" (each with "_delay" too) or "rational" with `numerator`,
+    `denominator`, `integrators` and `delay`. Misleads where the structure is wrong: see `sufficient` and `misfit_db`.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> f_hz = np.geomspace(0.5, 200.0, 100)
+    >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01)
+    >>> bool(ls.fit(P, "rational", numerator=0, denominator=1).sufficient)
+    True
+    """
+    from loopshape.identify.fit.fit import fit as fit_structure
+    from loopshape.identify.fit.fit import fit_automatically, structure_by_name
+
+    if structure == "auto":
+        return fit_automatically(P, weighting=weighting)
+    return fit_structure(P, structure_by_name(structure, **orders), weighting=weighting)
+
+
+def tune(
+    P: Plants,
+    R: Requirements,
+    structure: Sequence[BlockTemplate] | None = None,
+    *,
+    fits: Sequence[Fit] = (),
+    start: Controller | Tuning | None = None,
+    seed: int = 0,
+    starts: int = 16,
+) -> Tuning:
+    """One controller of a structure for all plants: the highest lowest bandwidth within all requirements.
+
+    `structure` (default: that of `R`) is a sequence of blocks, `[ls.gain(), ls.lead_lag(), ls.notch()]`; what they
+    leave open is tuned. `ls.check` and `ls.plot` take the result as the controller, `.controller` is it. Where the
+    requirements cannot be met together `feasible` is False and `shortfall` says what to relax. Same input and seed,
+    same controller; local searches, so a better optimum elsewhere is possible. Raises WrongUseError where the number
+    of the plant's unstable poles is not known.
+    """
+    from loopshape.design.tune import tune as tune_loop
+
+    plants = _plants(P)
+    asked = R if structure is None else replace(R, structure=tuple(structure))
+    asked = replace(asked, structure=bounded(asked.structure, plants))
+    began = start.controller if isinstance(start, Tuning) else start
+    return tune_loop(plants, asked, tuple(fits), start=began, seed=seed, starts=starts)
+
+
+def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, fits: Sequence[Fit] = ()) -> Verdict:
+    """Stability and margins with 95 % intervals at every operating point, and whether the requirements hold.
+
+    The verdict's `outcome` is passed, failed, or undecided by these data; without `R` nothing is required. An unstable
+    plant is told by `R.unstable_poles`, or counted from the loop that was recorded; where nothing tells, the verdict is
+    undecided. Raises WrongUseError for a controller at another rate than the FRF.
+    """
+    from loopshape.loop.verdict import check as check_loop
+
+    plants, controller = _plants(P), C.controller if isinstance(C, Tuning) else C
+    return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+
+
+def _plants(P: Plants) -> tuple[FRF, ...]:
+    """FRFs of one loop; several without a name are numbered."""
+    plants = (P,) if isinstance(P, FRF) else tuple(P)
+    if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
+        raise WrongUseError(
+            "a plant is a FRF, or a sequence of them",
+            ", ".join(wrong),
+            "make one with ls.FRF.from_arrays or from_control",
+        )
+    return plants
