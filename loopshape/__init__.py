@@ -34,10 +34,13 @@ if TYPE_CHECKING:
     from loopshape.data.shorthand import notch as notch
     from loopshape.data.shorthand import pi as pi
     from loopshape.design.tune import Tuning as Tuning
+    from loopshape.verbs import bound as bound
     from loopshape.verbs import check as check
     from loopshape.verbs import fit as fit
     from loopshape.verbs import frf as frf
     from loopshape.verbs import frfs as frfs
+    from loopshape.verbs import gap as gap
+    from loopshape.verbs import predict as predict
     from loopshape.verbs import read as read
     from loopshape.verbs import tune as tune
     from loopshape.view import plot as plot
@@ -56,18 +59,21 @@ _HOME = {
     "Run": "data.run",
     "Tuning": "design.tune",
     "Verdict": "data.requirements",
+    "bound": "verbs",
     "check": "verbs",
     "controller": "data.shorthand",
     "fit": "verbs",
     "frf": "verbs",
     "frfs": "verbs",
     "from_control": "data.control_frd",
+    "gap": "verbs",
     "gain": "data.shorthand",
     "lead_lag": "data.shorthand",
     "low_pass": "data.shorthand",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "plot": "view",
+    "predict": "verbs",
     "read": "verbs",
     "to_control": "data.control_frd",
     "tune": "verbs",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
@@ -20,6 +20,11 @@ from loopshape.data.run import Run
 from loopshape.data.shorthand import bounded
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import Settings
+
+if TYPE_CHECKING:
+    from loopshape.data.gap_report import GapReport
+    from loopshape.data.prediction import Prediction
+    from loopshape.design.bound import Bound
 
 Plants = FRF | Sequence[FRF]
 
@@ -138,6 +143,42 @@ def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, f
 
     plants, controller = _plants(P), C.controller if isinstance(C, Tuning) else C
     return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+
+
+def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[Fit] = ()) -> Bound:
+    """How far a controller is from the bandwidth that no controller of any order exceeds under the requirements.
+
+    Raises WrongUseError where the number of the plant's unstable poles is not known.
+    """
+    from loopshape.design.bound import bound as bound_loop
+
+    return bound_loop(_plants(P), C.controller if isinstance(C, Tuning) else C, R, tuple(fits))
+
+
+def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0) -> tuple[Prediction, ...]:
+    """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
+
+    With intervals from the FRF's error; steps need fits. Same seed, same draws.
+    """
+    from loopshape.loop.prediction import predict as predict_loop
+
+    return tuple(predict_loop(_plants(P), C.controller if isinstance(C, Tuning) else C, tuple(fits), seed=seed))
+
+
+def gap(run: Run | str | Path, *, table: bool = True) -> GapReport:
+    """Where a simulation leaves the machine, which effect causes it, and how far the gap shrinks with it added.
+
+    The run names its plant's model (`plant` in run.toml: an arm, or the servo axis); "none" and "unknown" are
+    answers. `table` false leaves out the table of closed loops, which takes the longest. Raises WrongUseError for a
+    run without a plant.
+    """
+    from loopshape.diagnose.diagnose import diagnose
+    from loopshape.model.registry import diagnosable
+
+    whole = run if isinstance(run, Run) else read(run)
+    if whole.plant is None:
+        raise WrongUseError("the run names no plant, so there is no model to compare with", "no key plant", "name one")
+    return diagnose(diagnosable(whole.plant), whole, "run" if isinstance(run, Run) else Path(run).name, table=table)
 
 
 def _plants(P: Plants) -> tuple[FRF, ...]:

@@ -146,6 +146,23 @@ def test_pictures_take_nouns_and_an_axes() -> None:
     plt.close("all")
 
 
+def test_predicted_and_bounded_from_the_same_nouns() -> None:
+    """The prediction's |S| is that of the known loop; the controller does not exceed the bound."""
+    P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.01, rate_hz=RATE_HZ)
+    C = ls.controller(ls.gain(0.5), ls.pi(1.0), rate_hz=RATE_HZ)
+    R = ls.Requirements(phase_margin_deg=45.0, sensitivity_peak_db=6.0, unstable_poles=0, integrators=0)
+    S = ls.predict(P, C)[0].sensitivity
+    truth = 1.0 / (1.0 + C.response(S.frequency_hz) * exact(PLANT, S.frequency_hz))
+    assert np.allclose(S.siso, truth, rtol=0.05)
+    found = ls.bound(P, C, R)
+    assert found.found[P.recording or "frf 1"] < found.together.bound_hz
+
+
+def test_the_gap_needs_a_run_that_names_its_plant() -> None:
+    with pytest.raises(WrongUseError, match="names no plant"):
+        ls.gap(ls.Run.from_arrays(u=np.arange(9.0), y=np.arange(9.0), rate_hz=1.0))
+
+
 def test_reprs_are_one_line(arrays: dict[str, np.ndarray]) -> None:
     P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.01, rate_hz=RATE_HZ)
     run = ls.Run.from_arrays(**arrays, rate_hz=RATE_HZ)
