@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output
-from loopshape.data.requirements import plain
+from loopshape.core.json_ready import json_ready
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
@@ -167,14 +167,14 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             {
                 "loop": x.loop,
                 "quantity": x.quantity,
-                "before": None if x.before is None else plain(x.before),
-                "now": None if x.now is None else plain(x.now),
+                "before": None if x.before is None else json_ready(x.before, None),
+                "now": None if x.now is None else json_ready(x.now, None),
                 "worse": x.worse,
             }
             for x in comparison.lines
         ],
-        "stabilities": [plain(s) | {"worse": s.worse} for s in comparison.stabilities],
-        "margins": [plain(change) | {"change": change.change} for change in comparison.margins],
+        "stabilities": [json_ready(s, None) | {"worse": s.worse} for s in comparison.stabilities],
+        "margins": [json_ready(change, None) | {"change": change.change} for change in comparison.margins],
         "gone": list(comparison.gone),
         "new": list(comparison.new),
         "notes": list(comparison.notes),

@@ -31,12 +31,6 @@ class Outcome(StrEnum):
     UNDECIDED = "undecided"
 
 
-def plain(noun: Any) -> dict[str, Any]:
-    """Fields of a flat dataclass, NaN as None."""
-    values = {f.name: getattr(noun, f.name) for f in fields(noun)}
-    return {name: None if value != value else value for name, value in values.items()}
-
-
 @dataclass(frozen=True)
 class Limit:
     """How a quantity is compared: `at_least` or `at_most`, its unit, and its name for people."""
@@ -437,8 +431,8 @@ class Verdict:
             "loop": self.loop,
             "passed": self.passed,
             "outcome": self.outcome.value,
-            "lines": [plain(line) | {"passed": line.passed} for line in self.lines],
-            "margins": {name: plain(m) for name, m in self.margins.items()},
+            "lines": [json_ready(line, None) | {"passed": line.passed} for line in self.lines],
+            "margins": {name: json_ready(m, None) for name, m in self.margins.items()},
             "unstable": self.unstable,
             "warnings": self.warnings,
         }

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.json_ready import json_ready
 from loopshape.io.seen import look, own, refuse_changed
 from loopshape.io.toml_text import toml_text
 
