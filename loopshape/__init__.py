@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from loopshape.data.shorthand import notch as notch
     from loopshape.data.shorthand import pi as pi
     from loopshape.design.tune import Tuning as Tuning
-    from loopshape.verbs import bound as bound
-    from loopshape.verbs import check as check
-    from loopshape.verbs import fit as fit
-    from loopshape.verbs import frf as frf
-    from loopshape.verbs import frfs as frfs
-    from loopshape.verbs import gap as gap
-    from loopshape.verbs import predict as predict
-    from loopshape.verbs import read as read
-    from loopshape.verbs import tune as tune
+    from loopshape.verbs.chain import bound as bound
+    from loopshape.verbs.chain import check as check
+    from loopshape.verbs.chain import fit as fit
+    from loopshape.verbs.chain import frf as frf
+    from loopshape.verbs.chain import frfs as frfs
+    from loopshape.verbs.chain import gap as gap
+    from loopshape.verbs.chain import predict as predict
+    from loopshape.verbs.chain import read as read
+    from loopshape.verbs.chain import tune as tune
     from loopshape.view import plot as plot
 
 __version__ = "0.1.0"
@@ -59,24 +59,24 @@ _HOME = {
     "Run": "data.run",
     "Tuning": "design.tune",
     "Verdict": "data.requirements",
-    "bound": "verbs",
-    "check": "verbs",
+    "bound": "verbs.chain",
+    "check": "verbs.chain",
     "controller": "data.shorthand",
-    "fit": "verbs",
-    "frf": "verbs",
-    "frfs": "verbs",
+    "fit": "verbs.chain",
+    "frf": "verbs.chain",
+    "frfs": "verbs.chain",
     "from_control": "data.control_frd",
-    "gap": "verbs",
+    "gap": "verbs.chain",
     "gain": "data.shorthand",
     "lead_lag": "data.shorthand",
     "low_pass": "data.shorthand",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "plot": "view",
-    "predict": "verbs",
-    "read": "verbs",
+    "predict": "verbs.chain",
+    "read": "verbs.chain",
     "to_control": "data.control_frd",
-    "tune": "verbs",
+    "tune": "verbs.chain",
 }
 __all__ = ["__version__", *_HOME]
 

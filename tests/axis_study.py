@@ -7,7 +7,6 @@ import numpy as np
 from python_target import Board, Target
 from python_target_machine import Axes
 
-from loopshape.cli.measure import record
 from loopshape.cli.output import Output
 from loopshape.core.kernels.noise import start_state
 from loopshape.io.run_folder import read_run
@@ -15,6 +14,7 @@ from loopshape.io.study import read_study
 from loopshape.rig.described import DescribedRig
 from loopshape.rig.simulated import experiment as experiment_of
 from loopshape.rig.simulated import plan
+from loopshape.verbs.machine import ended_early, measure
 
 RATE_HZ = 1000.0
 LOOP = """
@@ -102,7 +102,7 @@ def target(count: int = 1, coupling: float = 0.1, **board: object) -> Target:
 
 def measured(study: Path, out: Path, port: str, *, arm: bool = True) -> list[str]:
     """`loopshape measure` without its FRFs: what ended early."""
-    return record(study, out, Output(quiet=True), port=port, arm=arm)
+    return ended_early(measure(study, out, port=port, arm=arm, watch=Output(quiet=True)))
 
 
 def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> dict[str, np.ndarray]:

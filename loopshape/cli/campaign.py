@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.interrupts import interrupts
 from loopshape.cli.output import AsJson, Output, Quiet
+from loopshape.rig.interrupts import interrupts
 
 if TYPE_CHECKING:
     from loopshape.data.campaign import Campaign, Machine, Part

@@ -73,8 +73,7 @@ def check_several(
             "outcome": verdict.outcome,
             "loops": list(verdict.loops),
             "each": [one.to_dict() for one in verdict.each],
-            "together": verdict.together.to_dict()
-            | {"margins": {name: _json(m) for name, m in verdict.margins.items()}},
+            "together": verdict.together.to_dict(),
             "figures": drawn,
         }
     )
@@ -117,30 +116,7 @@ def _row(recording: str, m: SeveralMargins) -> list[Any]:
 
 def _changes_text(m: SeveralMargins) -> str:
     """The changes that bring all loops to their limit: "theta1 +1.2 dB -8 deg, theta2 -0.9 dB +3 deg"."""
-    changes = zip(m.loops, _changes(m), strict=True)
-    return ", ".join(f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in changes)
-
-
-def _changes(m: SeveralMargins) -> list[dict[str, float]]:
-    import numpy as np
-
-    from loopshape.core.units import db, deg
-
-    return [{"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for x in m.worst_changes]
-
-
-def _json(m: SeveralMargins) -> dict[str, Any]:
-    """Margins as JSON; what is not defined is null."""
-    from dataclasses import fields
-
-    values = {f.name: getattr(m, f.name) for f in fields(m)}
-    made = {name: None if value != value else value for name, value in values.items()}
-    worst = dict(zip(m.loops, _changes(m), strict=True))
-    return made | {
-        "worst_changes": worst,
-        "gain_margin_db": m.gain_margin_db,
-        "phase_margin_deg": m.phase_margin_deg,
-    }
+    return ", ".join(f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items())
 
 
 def _draw(

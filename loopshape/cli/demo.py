@@ -46,9 +46,10 @@ def _arm(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     from loopshape.cli.fit import fit_run
     from loopshape.cli.frf import estimate_and_report
     from loopshape.cli.measure import record
+    from loopshape.verbs.machine import ended_early
 
     tables = Output(quiet=output.as_json or output.quiet)
-    early = record(examples / "identify.toml", run, output)
+    early = ended_early(record(examples / "identify.toml", run, output))
     estimate_and_report(run, tables, figures=False, extra={"ended_early": early})
     tables.say("")
     fit_run(run, tables, structure="third_order", loop="theta2")

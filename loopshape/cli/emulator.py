@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from loopshape.cli.interrupts import interrupts
+from loopshape.rig.interrupts import interrupts
 
 
 def emulator(

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from loopshape.cli.interrupts import interrupts
-from loopshape.cli.output import AsJson, Output, Quiet
+from loopshape.cli.output import AsJson, Output, Quiet, point
 
 if TYPE_CHECKING:
-    from loopshape.data.controller import Block
+    from loopshape.data.experiment import LoopSetup
+    from loopshape.data.run import Run
+    from loopshape.verbs.watch import Motion
+
+WORD = "ARM"
 
 StudyFile = Annotated[Path, typer.Argument(help="A study (TOML).", show_default=False)]
 ControllersFile = Annotated[
@@ -40,15 +43,17 @@ def measure(
     Exit code 1 where a target passed a limit, 2 where a simulation ended early.
     """
     from loopshape.cli.frf import estimate_and_report
-    from loopshape.cli.measure_target import StoppedAtLimitError
     from loopshape.core.errors import LoopshapeError
+    from loopshape.io.run_folder import read_run
+    from loopshape.verbs.machine import ended_early
+    from loopshape.verbs.on_target import StoppedAtLimitError
 
     output = Output(as_json, quiet)
     try:
-        ended = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again)
+        made = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again)
     except StoppedAtLimitError as stopped:
         print(f"loopshape: {stopped}", file=sys.stderr)
-        early = [*ended_early(out), *([str(stopped)] if as_json else [])]
+        early = [*ended_early(read_run(out)), *([str(stopped)] if as_json else [])]
         try:
             estimate_and_report(out, output, extra={"ended_early": early})
         except LoopshapeError as error:
@@ -56,7 +61,10 @@ def measure(
         except typer.Exit:
             pass
         raise typer.Exit(1) from None
-    if _excited(out):
+    if show and _is_target(study):
+        return
+    ended = ended_early(made)
+    if any(r.info.excites is not None for r in made.recordings):
         try:
             estimate_and_report(out, output, extra={"ended_early": ended})
         except typer.Exit as early:
@@ -79,15 +87,8 @@ def _is_target(study_file: Path) -> bool:
     return read_study(study_file).target is not None
 
 
-def _excited(run: Path) -> bool:
-    """Whether a recording of a run excites a loop."""
-    from loopshape.io.run_folder import read_run
-
-    return any(r.info.excites is not None for r in read_run(run).recordings)
-
-
 def record(
-    study_file: Path,
+    study: Path,
     out: Path,
     output: Output,
     *,
@@ -98,79 +99,59 @@ def record(
     arm: bool = False,
     show: bool = False,
     again: bool = False,
-) -> list[str]:
-    """Record what is missing of a study into a run folder; gives what ended early, a sentence each.
-
-    `effects`, words NAME or NAME=MAGNITUDE, and the loops of a `controllers` file stand in for the study's own where
-    they name the same.
-    """
-    from dataclasses import replace
-
-    from loopshape.cli.measure_target import record_on_target
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.provenance import KEY, file_sha256, versions
-    from loopshape.io.run_folder import add_recording, alone, finished, start_run, whole
-    from loopshape.io.study import read_study
-    from loopshape.model import registry
-    from loopshape.rig.described import DescribedRig
-    from loopshape.rig.effects import asked, merged
-    from loopshape.rig.simulated import header, measure, plan
-
-    study = read_study(study_file)
-    if study.rig not in ("simulated", "target"):
-        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
-    plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
-    study = replace(study, effects=merged(study.effects, asked(plant, effects)))
-    if controllers is not None:
-        study = replace(study, controllers={**study.controllers, **blocks_of(controllers, study.rate_hz)})
-    extra: dict[str, object] = {
-        "study_sha256": file_sha256(study_file),
-        KEY: {**versions(), "study": study_file.name, "seed": study.seed},
-    }
-    if study.rig == "target":
-        record_on_target(study, plant, out, output, port=port, armed=arm, show=show, again=again, extra=extra)
-        return ended_early(out)
-    todo = plan(study, plant)
-    start_run(out, header(study, plant, extra))
-    done = frozenset((whole if again else finished)(out))
-    with alone(out), interrupts(), output.progress("measure", len(todo) - len(done)) as step:
-        try:
-            for recording in measure(study, plant, done=done, states=states):
-                add_recording(out, recording, again=again)
-                step(recording.info.name)
-        except KeyboardInterrupt:
-            output.warn([f"interrupted; what {out / 'run.toml'} lists is kept, the same command goes on"])
-            raise typer.Exit(130) from None
-    return ended_early(out)
-
-
-def ended_early(run: Path) -> list[str]:
-    """What of a run ended early, a sentence each."""
-    from loopshape.io.run_folder import read_run
-
-    return [f"{r.info.name}: {r.info.ended_early}" for r in read_run(run).recordings if r.info.ended_early]
-
-
-def blocks_of(controllers: Path, rate_hz: float) -> dict[str, tuple[Block, ...]]:
-    """Blocks by loop of a controller file; refuses another rate, and what the simulated rig does not run otherwise."""
-    from dataclasses import MISSING, fields
-
-    from loopshape.core.errors import WrongUseError
+) -> Run:
+    """`verbs.machine.measure` with a terminal: what a target would do is shown first, Ctrl-C ends with code 130."""
     from loopshape.io.controllers import read_controllers
+    from loopshape.verbs.machine import measure as measure_study
 
-    found = read_controllers(controllers)
-    for one in found:
-        settings = [f for f in fields(one) if f.default is not MISSING]
-        if other := [f.name for f in settings if getattr(one, f.name) != f.default]:
-            raise WrongUseError(
-                f"the simulated rig runs plain Tustin in double precision, and loop {one.loop!r} asks for more",
-                ", ".join(f"{name} = {getattr(one, name)!r}" for name in other),
-                "leave that out of the file that it is simulated with",
-            )
-    if found[0].rate_hz != rate_hz:
-        raise WrongUseError(
-            f"the controllers of {controllers.name} run at another rate than the study",
-            f"{found[0].rate_hz:g} and {rate_hz:g} Hz",
-            "tune them on FRFs recorded at the study's rate",
-        )
-    return {one.loop: one.blocks for one in found}
+    found = () if controllers is None else read_controllers(controllers)
+    try:
+        return measure_study(
+            study, out, controllers=found, effects=effects, port=port, again=again, states=states,
+            confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
+        )  # fmt: skip
+    except KeyboardInterrupt as stopped:
+        output.warn([str(stopped)])
+        raise typer.Exit(130) from None
+
+
+def _confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:
+    """Show what is about to happen; nothing moves before a person confirms: --arm, or the word typed at a terminal."""
+    from loopshape.core.errors import WrongUseError
+
+    _show(motion, output)
+    if show:
+        output.say("nothing was moved; --arm lets it move")
+        raise typer.Exit(0)
+    shown = not (output.as_json or output.quiet)
+    if armed or (shown and sys.stdin.isatty() and input(f"Type {WORD} to let it move: ").strip() == WORD):
+        return True
+    raise WrongUseError("nothing was moved", "no word to arm", "look at what is about to happen, then add --arm")
+
+
+def _show(motion: Motion, output: Output) -> None:
+    """Machine, limits, and each recording with the amplitude of what is injected."""
+    from loopshape.data.channel import Channel
+    from loopshape.data.target_settings import spoken
+
+    identity, settings = motion.identity, motion.settings
+    kind = "emulated, nothing real moves" if identity.emulated else "a real machine"
+    output.say(f"target: {identity.board} {identity.version} at {motion.port} ({kind}), {identity.rate_hz:g} Hz\n")
+    columns = (*identity.sensors, *identity.commands)
+    output.table(
+        f"Limits; on one of them the machine {'vents' if settings.on_limit == 'vent' else 'holds, while this runs'}:",
+        ("column", "limits"),
+        [(c, str(settings.limits[c])) for c in columns],
+    )
+    rows = []
+    for e in motion.experiments():
+        largest = {loop.name: float(abs(e.injected[:, k]).max()) for k, loop in enumerate(e.loops)}
+        units = {loop.name: Channel.from_column(_entered(loop, e.injection)).unit for loop in e.loops}
+        moved = ", ".join(f"{n} {spoken(v, units[n])}" for n, v in largest.items() if v > 0.0) or "references only"
+        rows.append((e.name, point(e.operating_point), e.injection, moved, e.duration_s))
+    output.table("To be recorded:", ("recording", "operating point", "injection", "largest", "s"), rows)
+    output.say("largest: of what is injected; what the machine makes of it depends on the loop\n")
+
+
+def _entered(loop: LoopSetup, injection: str) -> str:
+    return loop.control if injection == "control" else str(loop.injected)

@@ -29,13 +29,13 @@ def simulate(
 ) -> None:
     """Simulate steps, profiles or open-loop experiments of a study; writes a run and a figure of each."""
     from loopshape.cli.pictures import save
-    from loopshape.io.run_folder import read_run
+    from loopshape.verbs.machine import ended_early
     from loopshape.view.time import responses
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")
-    ended = record(study, folder, output, states=True, effects=effect or (), controllers=controllers)
-    run = read_run(folder)
+    run = record(study, folder, output, states=True, effects=effect or (), controllers=controllers)
+    ended = ended_early(run)
     rows, figures = [], []
     for recording in run.recordings:
         figures.append(str(save(responses(recording, run.loops), figures_of(folder) / f"{recording.info.name}.png")))

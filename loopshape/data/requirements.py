@@ -110,6 +110,11 @@ class Margins:
     detuning_percent: float = float("nan")
     detuning: Detuning | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what was not found is None."""
+        made: dict[str, Any] = json_ready(self, None)
+        return made
+
 
 @dataclass(frozen=True)
 class Free:
@@ -432,7 +437,7 @@ class Verdict:
             "passed": self.passed,
             "outcome": self.outcome.value,
             "lines": [json_ready(line, None) | {"passed": line.passed} for line in self.lines],
-            "margins": {name: json_ready(m, None) for name, m in self.margins.items()},
+            "margins": {name: m.to_dict() for name, m in self.margins.items()},
             "unstable": self.unstable,
             "warnings": self.warnings,
         }

@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import json_ready
 from loopshape.core.units import db, deg
 from loopshape.data.requirements import Limit, Line, Margins, Verdict
 
@@ -78,6 +79,18 @@ class SeveralMargins:
     def phase_margin_deg(self) -> float:
         """Phase that every loop may vary by, either way, all at once: 2 atan(a/2)."""
         return float(2.0 * deg(np.arctan(0.5 * self.disk_margin)))
+
+    @property
+    def changes(self) -> dict[str, dict[str, float]]:
+        """`worst_changes` by loop, in gain and phase."""
+        found = zip(self.loops, self.worst_changes, strict=True)
+        return {name: {"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for name, x in found}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what is not defined is None."""
+        made = {f.name: getattr(self, f.name) for f in fields(self)} | {"worst_changes": self.changes}
+        made |= {"gain_margin_db": self.gain_margin_db, "phase_margin_deg": self.phase_margin_deg}
+        return {name: json_ready(value, None) for name, value in made.items()}
 
 
 @dataclass(frozen=True)

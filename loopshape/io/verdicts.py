@@ -79,7 +79,7 @@ def _read(table: Mapping[str, Any], where: str) -> Checked:
             raise ValueError(f"{word!r} is no outcome")
     verdict = Verdict(str(table["loop"]), lines, margins, tuple(map(str, table["warnings"])))
     if verdict.outcome != table["outcome"]:
-        raise ValueError(f"outcome {table['outcome']!r}, and its lines say {verdict.outcome!r}")
+        raise ValueError(f"outcome {table['outcome']!r}, and its lines say {str(verdict.outcome)!r}")
     words = Words(table["controller"], where)
     controller = read_controller(words, words.positive("rate_hz"))
     data = {str(name): str(mark) for name, mark in table["data"].items()}

@@ -103,7 +103,7 @@ def test_an_edited_callee_gives_new_physics(package):
     """A force in a file beneath the kernel's is multiplied by 0; what was compiled before is used no more, and gone."""
     coast(package)
     before = kept(package)
-    file = package / "plants/servo_axis/motion.py"
+    file = package / "model/servo_axis/motion.py"
     edit(file, "    viscous = c[k.VISCOUS]", "    viscous = 0.0 * c[k.VISCOUS]")
     assert coast(package) == [FREE, 1]
     assert len(kept(package)) == 1

@@ -1,6 +1,7 @@
 """Hostile frames by the thousand, and by the million under `make test-long`: the target in C and both decoders."""
 
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from loopshape.rig.frames import Frame, Receiver, opened
 def fuzzed(tmp_path_factory):
     """The fuzzing program, with sanitizers where the compiler has them."""
     out = tmp_path_factory.mktemp("fuzzed") / "fuzzed_target"
-    units = [str(TARGET.parents[1] / "tests/faults/fuzzed_target.c"), *(str(TARGET / name) for name in CORE)]
+    units = [str(Path(__file__).with_name("fuzzed_target.c")), *(str(TARGET / name) for name in CORE)]
     command = [
         *compiler(),
         *WARNINGS,

@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from loopshape.cli.measure import record
-from loopshape.cli.output import Output
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
 from loopshape.io.run_folder import finished, read_run
 from loopshape.io.verify import verify
+from loopshape.verbs.machine import measure
 
 RECORDINGS = 24
 STUDY = f"""
@@ -28,7 +27,6 @@ excites = "theta2"
 realisations = {RECORDINGS}
 excitation = {{ kind = "multisine", f_low_hz = 2.0, f_high_hz = 9.0, period_s = 1.0, ramp_s = 0.1, amplitude_deg = 1 }}
 """
-QUIET = Output(quiet=True)
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 
 
@@ -36,7 +34,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("kills") / "study.toml"
     path.write_text(STUDY)
-    record(path, path.parent / "whole", QUIET)  # compiled before any child is made
+    measure(path, path.parent / "whole")  # compiled before any child is made
     return path
 
 
@@ -77,7 +75,7 @@ def test_kills_at_random_times(study, many):
     rng, have, kills, turn = random.Random(many), set(), 0, 0
     run = study.parent / f"kills-{many}-0"
     while kills < many:
-        pid = child(partial(record, study, run, QUIET))
+        pid = child(partial(measure, study, run))
         time.sleep(rng.uniform(0.0, 0.06))
         os.kill(pid, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
@@ -89,7 +87,7 @@ def test_kills_at_random_times(study, many):
             is_the_whole(run, study)
             turn, have = turn + 1, set()
             run = study.parent / f"kills-{many}-{turn}"
-    record(study, run, QUIET)
+    measure(study, run)
     is_sound(run)
     is_the_whole(run, study)
 
@@ -123,12 +121,12 @@ def test_a_kill_before_each_single_step_of_writing(study):
         before = is_sound(run)
         if len(before) == RECORDINGS:
             before, run = set(), study.parent / f"steps-{number}"
-        pid = child(partial(killed_at, number, partial(record, study, run, QUIET)))
+        pid = child(partial(killed_at, number, partial(measure, study, run)))
         _, status = os.waitpid(pid, 0)
         died += os.WIFSIGNALED(status)
         assert before <= is_sound(run)
     assert died >= 40
-    record(study, run, QUIET)
+    measure(study, run)
     is_the_whole(run, study)
     assert [p.name for p in run.iterdir() if p.name.endswith(".part")] == []
 
@@ -137,25 +135,25 @@ def test_a_kill_before_each_single_step_of_writing(study):
 def test_a_full_disk_ends_in_a_sentence_and_the_work_goes_on_later(study, room_bytes, tmp_path):
     def on_a_full_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, resource.RLIM_INFINITY))
-        record(study, tmp_path / "run", QUIET)
+        measure(study, tmp_path / "run")
 
     _, status = os.waitpid(child(on_a_full_disk), 0)
     assert os.WIFEXITED(status)
     assert os.WEXITSTATUS(status) == 2
     is_sound(tmp_path / "run")
-    record(study, tmp_path / "run", QUIET)
+    measure(study, tmp_path / "run")
     is_the_whole(tmp_path / "run", study)
 
 
 def test_run_toml_cut_short_is_said_and_not_written_over(study, tmp_path):
     run = tmp_path / "run"
-    record(study, run, QUIET)
+    measure(study, run)
     content = (run / "run.toml").read_bytes()
     tables = {path: path.read_bytes() for path in run.glob("*.parquet")}
     for size in range(0, len(content), 397):
         (run / "run.toml").write_bytes(content[:size])
         with pytest.raises(LoopshapeError):
-            record(study, run, QUIET)
+            measure(study, run)
         assert (run / "run.toml").read_bytes() == content[:size]
     assert {path: path.read_bytes() for path in run.glob("*.parquet")} == tables
     (run / "run.toml").write_bytes(content)
@@ -164,7 +162,7 @@ def test_run_toml_cut_short_is_said_and_not_written_over(study, tmp_path):
 
 def test_a_table_cut_short_is_not_read(study, tmp_path):
     run = tmp_path / "run"
-    record(study, run, QUIET)
+    measure(study, run)
     path = run / "angle-r1.parquet"
     content = path.read_bytes()
     for size in range(0, len(content), 1 + len(content) // 40):

@@ -16,6 +16,7 @@ from loopshape.io.arriving import ARRIVING, EARLIER, arriving, keep_arrived, rea
 from loopshape.io.journal import read_journal
 from loopshape.io.run_folder import finished, read_run
 from loopshape.io.verify import verify
+from loopshape.verbs.machine import ended_early, measure
 
 NAMES = ["x_rad", "u_v"]
 
@@ -136,8 +137,6 @@ def test_what_a_limit_ended_is_made_again_on_request_alone(tmp_path):
     """The machine is put right in between: its disturbance is gone; the earlier table is kept."""
     text = study_text(experiment("small"), experiment("large", amplitude=0.2), angle="low_rad = -3.0, high_rad = 0.16")
     study, run = write_study(tmp_path, text), tmp_path / "run"
-    from loopshape.cli.measure import record
-    from loopshape.cli.output import Output
 
     with Running(target) as running:
         assert len(measured(study, run, running.port)) == 1
@@ -147,7 +146,7 @@ def test_what_a_limit_ended_is_made_again_on_request_alone(tmp_path):
     lame = lambda: target(ignores_limits=False)  # noqa: E731
     with Running(lame) as running:
         running.target.machine.gain = 0.0  # it does not move, and passes no limit
-        assert record(study, run, Output(quiet=True), port=running.port, arm=True, again=True) == []
+        assert ended_early(measure(study, run, port=running.port, arm=True, again=True)) == []
     assert finished(run) == before
     assert read_run(run).recording("large").info.file == "large.again-1.parquet"
     assert table(run, "large")["s1"].size > first["s1"].size

@@ -14,12 +14,12 @@ from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE
 from python_target_line import Running
 from typer.testing import CliRunner
 
-from loopshape.cli.interrupts import interrupts
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.data.target_settings import spoken
 from loopshape.io import measuring
 from loopshape.io.run_folder import finished, read_run
+from loopshape.rig.interrupts import interrupts
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),

@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import pytest
 
 from loopshape.cli.effects import draw_effects
-from loopshape.cli.measure import record
-from loopshape.cli.output import Output
 from loopshape.core.errors import WrongUseError
 from loopshape.data.study import ExperimentTemplate, Study
 from loopshape.model.servo_axis.axis import ServoAxis
 from loopshape.rig.effects import asked, catalogue, chosen, moves
 from loopshape.rig.simulated import plan
+from loopshape.verbs.machine import measure
 
 POINT = {"theta2_deg": 0.0, "p_ab_bar": 1.0}
 
@@ -121,7 +120,7 @@ def test_effects_in_a_study_are_numbers(tmp_path):
     text += 'p_ab_bar = 1.0 }]\n[effects]\npayload = "heavy"\n[[experiment]]\nname = "hold"\nduration_s = 0.5\n'
     (tmp_path / "study.toml").write_text(text)
     with pytest.raises(WrongUseError, match=r"study.toml, effects: payload must be a finite number; received 'heavy'"):
-        record(tmp_path / "study.toml", tmp_path / "run", Output(quiet=True))
+        measure(tmp_path / "study.toml", tmp_path / "run")
 
 
 def test_a_run_is_not_gone_on_with_another_effect(tmp_path):
@@ -130,6 +129,6 @@ def test_a_run_is_not_gone_on_with_another_effect(tmp_path):
     )
     text += 'p_ab_bar = 1.0 }]\n[[experiment]]\nname = "hold"\nduration_s = 0.5\n'
     (tmp_path / "study.toml").write_text(text)
-    record(tmp_path / "study.toml", tmp_path / "run", Output(quiet=True), effects=["payload=20"])
+    measure(tmp_path / "study.toml", tmp_path / "run", effects=["payload=20"])
     with pytest.raises(WrongUseError, match="already holds another run; received different effects"):
-        record(tmp_path / "study.toml", tmp_path / "run", Output(quiet=True), effects=["payload=30"])
+        measure(tmp_path / "study.toml", tmp_path / "run", effects=["payload=30"])

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.cli.measure import blocks_of
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import LoopSetup
@@ -15,9 +14,11 @@ from loopshape.data.prediction import INDICATORS, Indicators, Prediction, Step
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.run import Run
 from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.io.controllers import read_controllers
 from loopshape.io.predictions import read_predictions, write_predictions
 from loopshape.loop.prediction import compare, plant_behind, predict, sensitivity_of
 from loopshape.loop.remeasured import remeasure
+from loopshape.verbs.machine import blocks_of
 
 GAIN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 
@@ -126,4 +127,4 @@ def test_controllers_that_the_simulated_rig_does_not_run_are_refused(tmp_path: P
         'controller = [{ kind = "gain", gain = 1.0 }]\n'
     )
     with pytest.raises(WrongUseError, match=word):
-        blocks_of(path, 1000.0)
+        blocks_of(read_controllers(path), 1000.0)

@@ -112,9 +112,15 @@ def _imported(file: Path) -> tuple[Path, ...]:
         parts = (origin or plain).split(".")
         base = PACKAGE.parent if parts[0] == PACKAGE.name else file.parent
         module = base.joinpath(*parts)
-        paths = [module, *(module / name for name in re.findall(r"\w+", names))]
+        paths = [module, *(module / name for name in re.findall(r"\w+", names)), *_above(module, base)]
         out += [f for path in paths for f in (path.with_suffix(".py"), path / "__init__.py") if f.is_file()]
     return tuple(out)
+
+
+def _above(module: Path, base: Path) -> Iterator[Path]:
+    """The packages that a module lies in: Python runs them first."""
+    while (module := module.parent) != base and module.is_relative_to(base):
+        yield module
 
 
 @lru_cache

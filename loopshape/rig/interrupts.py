@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import current_thread, main_thread
 
 
 @contextmanager
@@ -12,8 +13,11 @@ def interrupts() -> Iterator[None]:
     """Ctrl-C, a request to terminate and a closed terminal raise `KeyboardInterrupt`, once: no second disturbs the end.
 
     Also where a shell that started this in the background lets it ignore Ctrl-C's signal. A closed terminal is ignored
-    where it was to be (`nohup`).
+    where it was to be (`nohup`). Signals reach the main thread alone: in another nothing changes.
     """
+    if current_thread() is not main_thread():
+        yield
+        return
     told = False
 
     def interrupt(number: int, frame: object) -> None:

@@ -1,0 +1,108 @@
+"""Measurement: the rig of a study is driven, and what it did is written as a run, recording by recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import MISSING, fields, replace
+from pathlib import Path
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Block, Controller
+from loopshape.data.run import Run
+from loopshape.data.study import Study
+from loopshape.io.provenance import KEY, file_sha256, versions
+from loopshape.io.run_folder import add_recording, alone, finished, read_run, start_run, whole
+from loopshape.io.study import read_study
+from loopshape.model import registry
+from loopshape.rig.described import DescribedRig
+from loopshape.rig.effects import asked, merged
+from loopshape.rig.interrupts import interrupts
+from loopshape.rig.simulated import Rig, header, plan
+from loopshape.rig.simulated import measure as recordings
+from loopshape.verbs.on_target import record_on_target
+from loopshape.verbs.watch import Confirm, Unwatched, Watch
+
+
+def measure(
+    study: str | Path,
+    out: str | Path,
+    *,
+    controllers: Iterable[Controller] = (),
+    effects: Sequence[str] = (),
+    port: str | None = None,
+    arm: bool = False,
+    again: bool = False,
+    states: bool = False,
+    confirm: Confirm | None = None,
+    watch: Watch | None = None,
+) -> Run:
+    """Record what is missing of a study (a TOML file) into the run folder `out`, and give the run.
+
+    The rig is the one that the study names: a simulation, or a target over a wire, which moves only with `arm`, or
+    where `confirm` answers True to what it is about to do. A target vents whatever ends this early. Every finished
+    recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
+
+    `controllers` replace those of the study by loop; `effects`, words NAME or NAME=MAGNITUDE, are added to a
+    simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told of progress.
+
+    Raises WrongUseError for a study that the rig cannot do and for a target that was not armed, RigError for a lost
+    line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
+    """
+    file, folder, told = Path(study), Path(out), watch or Unwatched()
+    wanted, plant = _asked(file, controllers, effects)
+    extra: dict[str, object] = {
+        "study_sha256": file_sha256(file),
+        KEY: {**versions(), "study": file.name, "seed": wanted.seed},
+    }
+    if wanted.rig == "target":
+        may = confirm or (lambda motion: arm)
+        record_on_target(wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra)
+        return read_run(folder)
+    todo = plan(wanted, plant)
+    start_run(folder, header(wanted, plant, extra))
+    done = frozenset((whole if again else finished)(folder))
+    with alone(folder), interrupts(), told.progress("measure", len(todo) - len(done)) as step:
+        try:
+            for recording in recordings(wanted, plant, done=done, states=states):
+                add_recording(folder, recording, again=again)
+                step(recording.info.name)
+        except KeyboardInterrupt:
+            kept = f"interrupted; what {folder / 'run.toml'} lists is kept, the same command goes on"
+            raise KeyboardInterrupt(kept) from None
+    return read_run(folder)
+
+
+def _asked(file: Path, controllers: Iterable[Controller], effects: Sequence[str]) -> tuple[Study, Rig]:
+    """A study with what replaces its own, and its plant."""
+    study = read_study(file)
+    if study.rig not in ("simulated", "target"):
+        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
+    plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
+    study = replace(study, effects=merged(study.effects, asked(plant, effects)))
+    blocks = blocks_of(controllers, study.rate_hz)
+    return replace(study, controllers={**study.controllers, **blocks}), plant
+
+
+def ended_early(run: Run) -> list[str]:
+    """What of a run ended early, a sentence each."""
+    return [f"{r.info.name}: {r.info.ended_early}" for r in run.recordings if r.info.ended_early]
+
+
+def blocks_of(controllers: Iterable[Controller], rate_hz: float) -> dict[str, tuple[Block, ...]]:
+    """Blocks by loop; refuses another rate, and what the simulated rig does not run otherwise."""
+    found = tuple(controllers)
+    for one in found:
+        settings = [f for f in fields(one) if f.default is not MISSING]
+        if other := [f.name for f in settings if getattr(one, f.name) != f.default]:
+            raise WrongUseError(
+                f"the simulated rig runs plain Tustin in double precision, and loop {one.loop!r} asks for more",
+                ", ".join(f"{name} = {getattr(one, name)!r}" for name in other),
+                "leave that out of the file that it is simulated with",
+            )
+        if one.rate_hz != rate_hz:
+            raise WrongUseError(
+                f"the controller of loop {one.loop!r} runs at another rate than the study",
+                f"{one.rate_hz:g} and {rate_hz:g} Hz",
+                "tune it on FRFs recorded at the study's rate",
+            )
+    return {one.loop: one.blocks for one in found}
