@@ -114,6 +114,13 @@ def drawn_errors(rng: np.random.Generator, v: Array, overlap: float, draws: int 
     return np.asarray(error * np.sqrt(0.5 * v / float(taps @ taps)))
 
 
+def correlation(overlap: float) -> Array:
+    """Correlation of a line's error with its own (1) and those 1, 2, ... lines on, as far as it is not 0."""
+    taps = _taps(overlap)
+    own = np.correlate(taps, taps, "full")[taps.size - 1 :]
+    return np.asarray(own / own[0])
+
+
 def _taps(overlap: float) -> Array:
     """Ones and a last tap b in [0, 1], whose moving sum has (sum of taps)²/(sum of squares) = overlap."""
     whole = max(int(np.ceil(overlap - 1e-9)) - 1, 1)

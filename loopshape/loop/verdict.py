@@ -17,6 +17,7 @@ from loopshape.data.model import Fit
 from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
 from loopshape.data.smoothed import Scatter
 from loopshape.data.verdict_words import detuning_warnings
+from loopshape.identify.merging import merged
 from loopshape.identify.smoothing import smoothed
 from loopshape.loop.detuning import with_detuning
 from loopshape.loop.low_frequency import low_frequency_models
@@ -47,6 +48,7 @@ def loops_of(
     for measured in frfs:
         band = requirements.band_hz
         frf, left_out = _without_zeros(measured, band)
+        frf = merged(frf)
         lines = frf.between(*band) if band else frf.trusted_lines()
         if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
             raise WrongUseError(

@@ -90,6 +90,27 @@ def accepted_halves(
 
 
 @compiled
+def excesses(
+    x: Array, y: ComplexArray, v: Array, width: int, degree: int, overlap: float
+) -> Array:
+    """What a polynomial of a degree leaves over noise in windows of `width` lines, half of that apart, (windows,).
+
+    The weighted squared residual of y (nf,) with variance v (nf,), in shares of what noise alone leaves of it.
+    Windows start at lines 0, width/2, width, ...; the last ends with the last line.
+    """
+    step = width // 2
+    count = max((x.size - width + step - 1) // step, 0) + 1
+    found = np.empty(count)
+    q = np.empty((degree + 1, width))
+    for k in range(count):
+        low = min(k * step, x.size - width)
+        high = low + width
+        rest = _left_over(x[low:high] - 0.5 * (x[low] + x[high - 1]), y[low:high], 1.0 / v[low:high], degree, q)
+        found[k] = rest / max(width - (degree + 1) * overlap, 1.0)
+    return found
+
+
+@compiled
 def within_span(x: Array, halves: np.ndarray, span: float) -> np.ndarray:
     """The half widths, narrowed until each window spans `span` in x at most."""
     out = halves.copy()
