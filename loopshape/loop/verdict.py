@@ -48,7 +48,7 @@ def loops_of(
     for measured in frfs:
         band = requirements.band_hz
         frf, left_out = _without_zeros(measured, band)
-        frf = merged(frf)
+        frf, fewer = _merged(frf)
         lines = frf.between(*band) if band else frf.trusted_lines()
         if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
             raise WrongUseError(
@@ -66,7 +66,7 @@ def loops_of(
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
-        notes += [text for text in (left_out, note, _narrowed(frf, lines, controller)) if text]
+        notes += [text for text in (left_out, fewer, note, _narrowed(frf, lines, controller)) if text]
     return found, tuple(dict.fromkeys(notes))
 
 
@@ -85,6 +85,15 @@ def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str
     first_hz = frf.frequency_hz[zero][0]
     note = f"lines of {frf.recording} that are exactly zero were left out: {zero.sum()}, the first at {first_hz:.4g} Hz"
     return frf.select(~zero), note
+
+
+def _merged(frf: FRF) -> tuple[FRF, str]:
+    """The FRF on the frequencies that a check reads, and a note where these are fewer than were measured."""
+    fewer = merged(frf)
+    if fewer is frf:
+        return frf, ""
+    many, few = frf.frequency_hz.size, fewer.frequency_hz.size
+    return fewer, f"{many} frequencies of {frf.recording} were averaged to {few}, where they differ by noise alone"
 
 
 def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:

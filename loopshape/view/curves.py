@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from loopshape.data.frf import FRF
 
 NORMAL_95 = 1.959964
 FLOOR_DB = -400.0
+#: points of a curve that a print needs: some for each of its columns of dots
+MOST = 20_000
 UNTRUSTED = "untrusted"  # mark of the faint dots
 
 
@@ -44,21 +47,57 @@ def magnitude_band_db(frf: FRF) -> tuple[Array, Array]:
     return np.maximum(db(np.maximum(size - reach, 0.0)), FLOOR_DB), db(size + reach)
 
 
+def thinned(f: Array, curves: Sequence[Array], most: int) -> np.ndarray:
+    """Rows of the lines to draw: all where there are at most `most`, else every curve's extremes in each stretch.
+
+    Stretches are equally long in log f, as many as keep the rows within `most`. A peak that stands on one line is
+    kept: nothing is averaged or moved.
+    """
+    if f.size <= most:
+        return np.arange(f.size)
+    count = max(2, most)
+    while True:
+        rows = _extremes(f, curves, count)
+        if rows.size <= most or count == 2:
+            return rows
+        count = max(2, int(0.8 * count))
+
+
+def shown(x: Array, *curves: Array) -> tuple[Array, ...]:
+    """Frequencies x (nf,) and curves over them as a print draws them: thinned where they are more than `MOST`."""
+    if x.size <= MOST:
+        return (x, *curves)
+    rows = thinned(x, curves, MOST)
+    return (x[rows], *(curve[rows] for curve in curves))
+
+
+def _extremes(f: Array, curves: Sequence[Array], count: int) -> np.ndarray:
+    """Rows of the first and last line, and of every curve's least and greatest value in each of `count` stretches."""
+    edges = np.geomspace(f[0], f[-1], count + 1)[1:-1]
+    starts = np.unique(np.concatenate([[0], np.searchsorted(f, edges)]))
+    rows = {0, int(f.size) - 1}
+    for low, high in zip(starts, [*starts[1:], f.size], strict=True):
+        for curve in curves:
+            rows |= {int(low + np.argmin(curve[low:high])), int(low + np.argmax(curve[low:high]))}
+    return np.array(sorted(row for row in rows if row < f.size))
+
+
 def draw_trusted(ax: Axes, x: Array, y: Array, trusted: np.ndarray, **look: Any) -> Line2D:
     """Trusted points as a line, the others as faint dots that do not stretch the axes unless they are all there is."""
     rest = np.asarray(~trusted, dtype=bool)
     if rest.any():
         size = 2.0 if np.any(trusted) else 4.0
         style: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": size, "markeredgewidth": 0.0}
-        ax.add_artist(Line2D(x[rest], y[rest], color=look.get("color"), alpha=0.35, gid=UNTRUSTED, **style))
+        ax.add_artist(Line2D(*shown(x[rest], y[rest]), color=look.get("color"), alpha=0.35, gid=UNTRUSTED, **style))
     if rest.all():
         seen = np.isfinite(y)
         ax.update_datalim(np.column_stack([x[seen], y[seen]]))
-    return ax.plot(x[trusted], y[trusted], **look)[0]
+    return ax.plot(*shown(x[trusted], y[trusted]), **look)[0]
 
 
 def draw_band(ax: Axes, x: Array, low: Array, high: Array, **look: Any) -> Polygon:
     """A filled band between two curves that does not stretch the axes."""
+    x, low, high = shown(x, low, high)
     outline = np.concatenate([np.column_stack([x, low]), np.column_stack([x, high])[::-1]])
     patch = Polygon(outline, closed=True, linewidth=0.0, **look)
     ax.add_artist(patch)

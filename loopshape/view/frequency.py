@@ -22,6 +22,7 @@ from loopshape.view.curves import (
     hide_inner,
     magnitude_band_db,
     nearest_branch,
+    shown,
     shown_band_hz,
     unwrapped_deg,
 )
@@ -70,9 +71,8 @@ def deviations(frf: FRF, *, ax: Axes) -> Axes:
     noise = np.real(frf.noise_covariance[:, 0, 0])
     for variance, dash, text in ((frf.variance[:, 0, 0], "--", "std, all"), (noise, ":", "std, noise alone")):
         use = frf.trusted if frf.trusted.any() else slice(None)
-        ax.plot(
-            frf.frequency_hz[use], db(np.sqrt(variance))[use], color="0.35", linestyle=dash, linewidth=0.9, label=text
-        )
+        points = shown(frf.frequency_hz[use], db(np.sqrt(variance))[use])
+        ax.plot(*points, color="0.35", linestyle=dash, linewidth=0.9, label=text)
     fit_decibels(ax)
     return ax
 
@@ -122,7 +122,8 @@ def spectra(frf: FRF, *, ax: Axes | None = None) -> Axes:
     )
     for k, (power, text, dash) in enumerate(powers):
         if power is not None:
-            ax.plot(frf.frequency_hz, np.abs(power), color=COLOURS[k], linestyle=dash, linewidth=0.9, label=text)
+            points = shown(frf.frequency_hz, np.abs(power))
+            ax.plot(*points, color=COLOURS[k], linestyle=dash, linewidth=0.9, label=text)
     frequency_axis(ax, *shown_band_hz(frf))
     ax.set_ylabel(f"power spectra, per {frf.power_per}")
     if ax.lines:
@@ -137,8 +138,8 @@ def _power_axis(ax: Axes, frf: FRF) -> None:
     """Decades around what is seen, with room above for the legend."""
     low, high = shown_band_hz(frf)
     ax.set_yscale("log")
-    seen = (frf.frequency_hz >= low) & (frf.frequency_hz <= high)
-    values = np.concatenate([np.asarray(line.get_ydata())[seen] for line in ax.lines])
+    points = np.concatenate([line.get_xydata() for line in ax.lines])
+    values = points[(points[:, 0] >= low) & (points[:, 0] <= high), 1]
     values = values[values > 0.0]
     if values.size:
         ax.set_ylim(values.min() / 2.0, values.max() * 30.0)

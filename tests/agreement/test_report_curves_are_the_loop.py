@@ -12,7 +12,8 @@ from loopshape.data.requirements import Requirements
 from loopshape.loop.verdict import loops_of
 from loopshape.view.curves import magnitude_band_db
 from loopshape.view.html.axes import Scale, frequency_frame, linear_ticks, log_ticks
-from loopshape.view.html.traces import embedded, loop_traces, plant_traces, thinned
+from loopshape.view.curves import thinned
+from loopshape.view.html.traces import embedded, loop_traces, plant_traces
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "flow"))
 import report_run

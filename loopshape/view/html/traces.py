@@ -12,7 +12,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
-from loopshape.view.curves import FLOOR_DB, NORMAL_95, unwrapped_deg
+from loopshape.view.curves import FLOOR_DB, NORMAL_95, thinned, unwrapped_deg
 from loopshape.view.html.words import point
 from loopshape.view.key import key_of
 from loopshape.view.style import MARKERS
@@ -132,33 +132,6 @@ def _dots(frf: FRF, lines: FRF, *, everything: bool) -> tuple[Array, Array, Arra
     f, size, phase = frf.frequency_hz[shown], db(frf.siso)[shown], phase[shown]
     keep = thinned(f, [size, phase], MOST_LINES)
     return f[keep], size[keep], phase[keep]
-
-
-def thinned(f: Array, curves: Sequence[Array], most: int) -> np.ndarray:
-    """Rows of the lines to draw: all where there are at most `most`, else every curve's extremes in each stretch.
-
-    Stretches are equally long in log f, as many as keep the rows within `most`. A peak that stands on one line is
-    kept: nothing is averaged or moved.
-    """
-    if f.size <= most:
-        return np.arange(f.size)
-    count = max(2, most)
-    while True:
-        rows = _extremes(f, curves, count)
-        if rows.size <= most or count == 2:
-            return rows
-        count = max(2, int(0.8 * count))
-
-
-def _extremes(f: Array, curves: Sequence[Array], count: int) -> np.ndarray:
-    """Rows of the first and last line, and of every curve's least and greatest value in each of `count` stretches."""
-    edges = np.geomspace(f[0], f[-1], count + 1)[1:-1]
-    starts = np.unique(np.concatenate([[0], np.searchsorted(f, edges)]))
-    rows = {0, int(f.size) - 1}
-    for low, high in zip(starts, [*starts[1:], f.size], strict=True):
-        for curve in curves:
-            rows |= {int(low + np.argmin(curve[low:high])), int(low + np.argmax(curve[low:high]))}
-    return np.array(sorted(row for row in rows if row < f.size))
 
 
 def embedded(traces: Sequence[Trace]) -> list[dict[str, Any]]:
