@@ -41,10 +41,28 @@ class Answers:
     notes: tuple[str, ...] = ()
     unresolved: np.ndarray | None = None
 
-    def select(self, lines: np.ndarray) -> Answers:
-        """The same on a mask or index of lines."""
+    def select(self, lines: np.ndarray | slice) -> Answers:
+        """The same on a mask, index or slice of lines; no copy of a slice, nor of a mask that is one."""
+        lines = lines if isinstance(lines, slice) else _as_slice(lines)
         names = ("frequency_hz", "response", "covariance", "power", "excited", "noise", "unresolved")
         return replace(self, **{n: getattr(self, n)[lines] for n in names if getattr(self, n) is not None})
+
+
+def _as_slice(lines: np.ndarray) -> np.ndarray | slice:
+    """A mask of neighbouring lines as a slice; anything else as it is."""
+    if lines.dtype != bool or not lines.any():
+        return lines
+    first, last = int(np.argmax(lines)), lines.size - int(np.argmax(lines[::-1]))
+    return slice(first, last) if lines[first:last].all() else lines
+
+
+#: lines that are worked on at a time
+BLOCK = 1 << 16
+
+
+def blocks(lines: int) -> list[slice]:
+    """Slices of so many lines each, so that what is worked on between does not grow with their number."""
+    return [slice(low, min(low + BLOCK, lines)) for low in range(0, lines, BLOCK)]
 
 
 #: relative deviation of a plant input's answer from which on its quotient is not believed: its bias is the square
@@ -76,6 +94,21 @@ def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
     The first `outputs` signals are the plant's outputs, the rest its inputs; without inputs among them the
     instruments were the inputs themselves. Errors of different parts are independent: dP = [I, -P] dH H_u^-1.
     """
+    every = blocks(parts[0].frequency_hz.size)
+    found = [_plant_of([part.select(rows) for part in parts], outputs) for rows in every]
+    if len(found) == 1:
+        return found[0]
+    noise = [one.noise for one in found if one.noise is not None]
+    return PlantEstimate(
+        np.concatenate([one.response for one in found]),
+        np.concatenate([one.covariance for one in found]),
+        np.concatenate(noise) if noise else None,
+        np.concatenate([one.drowned for one in found]),
+    )
+
+
+def _plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
+    """`plant_of` a block of lines."""
     H = np.concatenate([part.response for part in parts], axis=2)
     if H.shape[1] == outputs:
         return PlantEstimate(H, parts[0].covariance, parts[0].noise, np.zeros(H.shape[0]))

@@ -13,7 +13,7 @@ from loopshape.core.kernels.spectra import cross_spectra, independent_share, lin
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.recording import Recording
-from loopshape.identify.answers import Answers
+from loopshape.identify.answers import Answers, blocks
 from loopshape.identify.averages import line_covariance, smoothed
 from loopshape.identify.input_power import powered
 from loopshape.identify.settings import Settings
@@ -40,13 +40,19 @@ def by_welch(
         return found
     if settings.resolution_hz is not None or settings.segment_samples is not None:
         return replace(found, notes=_unresolved_note(found, "taken as they are"), unresolved=None)
-    while (
-        found.averages >= 2.0 * LEAST_AVERAGES
-        and _unresolved(found.response, found.covariance, found.excited, WORTH_LONGER).any()
-    ):
-        length = round(2.0 * recording.rate_hz / float(found.frequency_hz[1]))
+    while length := _worth_longer(found, recording.rate_hz):
+        del found  # the next is twice as large
         found = _by_segments(recording, signals, instruments, replace(settings, segment_samples=length))
     return replace(found, notes=_unresolved_note(found, "outside the valid band"))
+
+
+def _worth_longer(found: Answers, rate_hz: float) -> int:
+    """Samples of segments twice as long, where lines are not resolved and averages are left; else 0."""
+    if found.averages < 2.0 * LEAST_AVERAGES:
+        return 0
+    if not _unresolved(found.response, found.covariance, found.excited, WORTH_LONGER).any():
+        return 0
+    return round(2.0 * rate_hz / float(found.frequency_hz[1]))
 
 
 def _by_segments(
@@ -73,13 +79,14 @@ def _by_segments(
         [*signals, *instruments], length, step, m if passing else None, None if plain else window, settings.detrend
     )
     total = _hermitian(sums)
+    del sums
     power = np.real(np.einsum("fii->fi", total))[:, m:].T / segments
     excited = powered(total[:, m:, m:])
     excited[:2] = excited[-1] = False  # the window smears the mean into the first line
     excited = np.asarray(binary_opening(excited, np.ones(3, dtype=bool)))  # fewer leak
     excited = np.logical_and.reduce([clear_of_edges(excited, p) for p in power])
-    response, spread = _response(total, m)
     if passing:
+        response, _ = _response(total, m)
         averages = share * power[0] ** 2 * segments**2 / squares
         scatter = smoothed(_residual(_hermitian(weighted), response), 2)
         covariance, freedom, pooled = line_covariance(
@@ -87,19 +94,19 @@ def _by_segments(
         )
     else:
         k = segments * share
-        noise = _residual(total, response) / segments * (k / (k - nr))
-        covariance = np.einsum("fab,fij->faibj", spread.conj() * segments / k, noise)
-        covariance = covariance.reshape(-1, nr * m, nr * m)
+        parts = [_with_covariance(total[rows], m, segments, k) for rows in blocks(len(total))]
+        response, covariance = (np.concatenate(every) for every in zip(*parts, strict=True))
+        del parts
         freedom, pooled = 2.0 * (k - nr), 1
     known = settings.window == "hann" and not passing
     unresolved = _unresolved(response, covariance, excited) if known else None
-    density = 2.0 / (rate * float(window @ window))
+    total *= 2.0 / (rate * float(window @ window)) / segments
     text = f"Welch, {_words(settings)}, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
     return Answers(
         frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
         response=response,
         covariance=covariance,
-        power=total * (density / segments),
+        power=total,
         excited=excited,
         averages=segments * share,
         power_per="Hz",
@@ -173,12 +180,19 @@ def _words(settings: Settings) -> str:
 
 
 def _hermitian(sums: ComplexArray) -> ComplexArray:
-    """(nf, s, s) from the upper triangle (s, s, nf)."""
-    upper = np.moveaxis(sums, -1, 0)
-    rows, columns = np.tril_indices(upper.shape[1], -1)
-    out = np.ascontiguousarray(upper)
-    out[:, rows, columns] = out[:, columns, rows].conj()
-    return out
+    """(nf, s, s) from the upper triangle (s, s, nf), whose lower one is filled."""
+    for row, column in zip(*np.tril_indices(len(sums), -1), strict=True):
+        np.conj(sums[column, row], out=sums[row, column])
+    return np.moveaxis(sums, -1, 0)
+
+
+def _with_covariance(total: ComplexArray, m: int, segments: int, averages: float) -> tuple[ComplexArray, ComplexArray]:
+    """Responses (nf, m, nr) of lines that all segments excite alike, and their covariance (nf, nr m, nr m)."""
+    response, spread = _response(total, m)
+    nr = spread.shape[1]
+    noise = _residual(total, response) / segments * (averages / (averages - nr))
+    covariance = np.einsum("fab,fij->faibj", spread.conj() * segments / averages, noise)
+    return response, covariance.reshape(-1, nr * m, nr * m)
 
 
 def _response(total: ComplexArray, m: int) -> tuple[ComplexArray, ComplexArray]:

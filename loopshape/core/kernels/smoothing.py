@@ -90,9 +90,7 @@ def accepted_halves(
 
 
 @compiled
-def excesses(
-    x: Array, y: ComplexArray, v: Array, width: int, degree: int, overlap: float
-) -> Array:
+def excesses(x: Array, y: ComplexArray, v: Array, width: int, degree: int, overlap: float) -> Array:
     """What a polynomial of a degree leaves over noise in windows of `width` lines, half of that apart, (windows,).
 
     The weighted squared residual of y (nf,) with variance v (nf,), in shares of what noise alone leaves of it.
