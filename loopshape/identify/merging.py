@@ -39,10 +39,10 @@ _DONE: WeakKeyDictionary[FRF, FRF] = WeakKeyDictionary()
 def merged(frf: FRF) -> FRF:
     """A 1 x 1 FRF with more than 20,000 frequencies on fewer, a smaller one as it is; same FRF, same answer.
 
-    A group's value is the plain mean of its frequencies' values, at the mean of its frequencies: off by 1e-4 of |P| or a
-    small share of its own deviation at most. Weights would prefer values that are small by chance where a variance was
-    stated as a share of |P|. A group's variance counts that neighbours are correlated (`line_overlap`); groups are taken
-    to be correlated as frequencies are, which makes intervals too long where that is much. A group spans 0.5 % in
+    A group's value is the plain mean of its frequencies' values, at the mean of its frequencies: off by 1e-4 of |P| or
+    a small share of its own deviation at most. Weights would prefer values that are small by chance where a variance
+    was stated as a share of |P|. A group's variance counts that neighbours are correlated (`line_overlap`); groups are
+    taken to be correlated as frequencies are, which makes intervals too long where that is much. A group spans 0.5 % in
     frequency at most, and no frequency joins one whose variance is four times its own.
 
     Misleads where the stated variance is larger than the true one: then a narrow resonance can pass as noise. Where it

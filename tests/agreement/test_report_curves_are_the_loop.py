@@ -10,9 +10,8 @@ from loopshape.core.units import db
 from loopshape.data.algebra import feedback
 from loopshape.data.requirements import Requirements
 from loopshape.loop.verdict import loops_of
-from loopshape.view.curves import magnitude_band_db
+from loopshape.view.curves import magnitude_band_db, thinned
 from loopshape.view.html.axes import Scale, frequency_frame, linear_ticks, log_ticks
-from loopshape.view.curves import thinned
 from loopshape.view.html.traces import embedded, loop_traces, plant_traces
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "flow"))
