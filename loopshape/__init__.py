@@ -16,11 +16,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from loopshape.core.errors import LoopshapeError as LoopshapeError
     from loopshape.data.control_frd import from_control as from_control
     from loopshape.data.control_frd import to_control as to_control
     from loopshape.data.controller import Controller as Controller
     from loopshape.data.frf import FRF as FRF
+    from loopshape.data.gap_report import GapReport as GapReport
+    from loopshape.data.interaction import Interaction as Interaction
     from loopshape.data.model import Fit as Fit
+    from loopshape.data.prediction import Comparison as Comparison
+    from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
     from loopshape.data.requirements import Margins as Margins
     from loopshape.data.requirements import Outcome as Outcome
@@ -33,50 +38,87 @@ if TYPE_CHECKING:
     from loopshape.data.shorthand import low_pass as low_pass
     from loopshape.data.shorthand import notch as notch
     from loopshape.data.shorthand import pi as pi
+    from loopshape.data.study import Study as Study
+    from loopshape.design.bound import Bound as Bound
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
+    from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
-    from loopshape.verbs.chain import read as read
     from loopshape.verbs.chain import tune as tune
+    from loopshape.verbs.files import export as export
+    from loopshape.verbs.files import read as read
+    from loopshape.verbs.files import read_controllers as read_controllers
+    from loopshape.verbs.files import read_frf as read_frf
+    from loopshape.verbs.files import read_requirements as read_requirements
+    from loopshape.verbs.files import read_table as read_table
+    from loopshape.verbs.files import report as report
+    from loopshape.verbs.files import write as write
+    from loopshape.verbs.machine import emulator as emulator
+    from loopshape.verbs.machine import measure as measure
+    from loopshape.verbs.several import check_several as check_several
+    from loopshape.verbs.several import frf_matrices as frf_matrices
+    from loopshape.verbs.several import interaction as interaction
+    from loopshape.verbs.stop import stop as stop
     from loopshape.view import plot as plot
 
 __version__ = "0.1.0"
 
 #: public name -> the module that holds it
 _HOME = {
+    "Bound": "design.bound",
+    "Comparison": "data.prediction",
     "Controller": "data.controller",
     "FRF": "data.frf",
     "Fit": "data.model",
+    "GapReport": "data.gap_report",
+    "Interaction": "data.interaction",
+    "LoopshapeError": "core.errors",
     "Margins": "data.requirements",
     "Outcome": "data.requirements",
+    "Prediction": "data.prediction",
     "Recording": "data.recording",
     "Requirements": "data.requirements",
     "Run": "data.run",
+    "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.requirements",
     "bound": "verbs.chain",
     "check": "verbs.chain",
+    "check_several": "verbs.several",
+    "compare": "verbs.chain",
     "controller": "data.shorthand",
+    "emulator": "verbs.machine",
+    "export": "verbs.files",
     "fit": "verbs.chain",
     "frf": "verbs.chain",
+    "frf_matrices": "verbs.several",
     "frfs": "verbs.chain",
     "from_control": "data.control_frd",
-    "gap": "verbs.chain",
     "gain": "data.shorthand",
+    "gap": "verbs.chain",
+    "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
     "low_pass": "data.shorthand",
+    "measure": "verbs.machine",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "plot": "view",
     "predict": "verbs.chain",
-    "read": "verbs.chain",
+    "read": "verbs.files",
+    "read_controllers": "verbs.files",
+    "read_frf": "verbs.files",
+    "read_requirements": "verbs.files",
+    "read_table": "verbs.files",
+    "report": "verbs.files",
+    "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tune": "verbs.chain",
+    "write": "verbs.files",
 }
 __all__ = ["__version__", *_HOME]
 

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from loopshape.cli.report import gather, write_report
+import loopshape as ls
 
 ROOT = Path(__file__).parents[2]
 BENCH, FIGURES = ROOT / "examples" / "motor_bench", ROOT / "figures" / "report"
@@ -76,7 +76,7 @@ def _report(folder: Path) -> Path:
         if done.returncode not in (0, 1):
             raise SystemExit(f"{words[0]} ended with {done.returncode}")
     path = folder / "report.html"
-    write_report(path, gather(run, controller, require, DATE))
+    ls.report(run, path, controllers=controller, requirements=require, date=DATE)
     return path
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.matrices import draw_matrices, estimate_matrices, matrix_table
+from loopshape.cli.matrices import draw_matrices, matrix_table
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.pictures import figures_of
 
@@ -84,6 +84,7 @@ def estimate_and_report(
     from loopshape.io.frfs import frf_csv, write_frfs, write_matrices
     from loopshape.io.held import held
     from loopshape.io.run_folder import check_recordings, read_run
+    from loopshape.verbs.several import matrices_of
 
     run = read_run(folder)
     warnings = check_recordings(run)
@@ -94,7 +95,7 @@ def estimate_and_report(
     alone = [r for r in recordings if r.info.alone]
     found = _estimate(run, alone, chosen, realisations, output, warnings)
     wanted = matrix or len(alone) < len(recordings)
-    matrices = estimate_matrices(run, recordings, chosen, output) if wanted else []
+    matrices = matrices_of(run, recordings, chosen, output) if wanted else []
     if not found and not matrices:
         raise BadSignalError(f"no recording of {folder} gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
     with held(folder):

@@ -11,9 +11,6 @@ from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.frf import FRF
-    from loopshape.data.recording import Recording
-    from loopshape.data.run import Run
-    from loopshape.identify.settings import Settings
 
 _KEYS = (
     "recordings",
@@ -25,27 +22,6 @@ _KEYS = (
     "lines",
     "std_percent",
 )
-
-
-def estimate_matrices(run: Run, recordings: Sequence[Recording], settings: Settings, output: Output) -> list[FRF]:
-    """The plant's matrix at each operating point whose recordings excite two loops or more; refuses a run without."""
-    from loopshape.core.errors import BadSignalError
-    from loopshape.identify.groups import matrices
-    from loopshape.identify.matrix import estimate_matrix
-
-    groups = matrices([r for r in recordings if r.info.ended_early is None])
-    if not groups:
-        raise BadSignalError(
-            "no operating point of the run has recordings that excite two loops",
-            ", ".join(f"{r.info.name}: {'+'.join(r.info.excited)}" for r in recordings),
-            "excite each loop in a recording of its own, or several at once (excitations in a study)",
-        )
-    found = []
-    with output.progress("matrices", len(groups)) as step:
-        for group in groups:
-            found.append(estimate_matrix(run, group, settings))
-            step(found[-1].loop)
-    return found
 
 
 def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:

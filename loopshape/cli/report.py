@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.verdicts import WORDS, fits_of
 
-if TYPE_CHECKING:
-    from loopshape.data.controller import Controller
-    from loopshape.data.frf import FRF
-    from loopshape.data.model import Fit
-    from loopshape.data.recording import Recording
-    from loopshape.data.requirements import Requirements
-    from loopshape.data.run import Run
-    from loopshape.data.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
-
-#: pictures that a report carries, together
-FIGURES_MB = 0.7
 #: no page is to carry more
 MOST_MB = 1e6
 
@@ -34,39 +21,33 @@ def report(
     require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is held against.")] = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
     date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
-    figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = FIGURES_MB,
+    figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = 0.7,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Write a run's report as one HTML file that opens offline; exit code 0 whatever the verdict (check judges)."""
+    from loopshape.data.verdict_words import WORDS
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.verbs.files import report_page
+
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made = gather(run, controller, require, date or _now(), _bytes(figures_mb))
-    size = write_report(path, made)
+    made, data = report_page(run, controller, require, date, _bytes(figures_mb))
+    write_bytes_whole(path, data)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())
     word = WORDS.get(made.outcome, "not judged")
     output.say(f"verdict: {word}")
-    output.say(f"report: {path} ({size / 1e6:.1f} MB)")
+    output.say(f"report: {path} ({len(data) / 1e6:.1f} MB)")
     output.json(
         {
             "report": str(path),
-            "bytes": size,
+            "bytes": len(data),
             "outcome": made.outcome,
             "missing": [{"what": one.what, "command": one.command} for one in made.missing],
             "figures_left_out": dict(made.figures_left_out),
         }
     )
-
-
-def write_report(path: Path, made: RunReport) -> int:
-    """Write the page whole; gives its size in bytes."""
-    from loopshape.io.files import write_bytes_whole
-    from loopshape.view.html.page import page
-
-    data = page(made).encode("utf-8")
-    write_bytes_whole(path, data)
-    return len(data)
 
 
 def _bytes(megabytes: float) -> int:
@@ -79,196 +60,3 @@ def _bytes(megabytes: float) -> int:
             "give --figures-mb such a number",
         )
     return int(1e6 * megabytes)
-
-
-def _now() -> str:
-    from datetime import datetime
-
-    return datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-
-
-def gather(
-    folder: Path, controller: Path | None, require: Path | None, date: str, figures_bytes: int = int(1e6 * FIGURES_MB)
-) -> RunReport:
-    """All that is known of a run and of a controller held against its FRFs. Refuses a folder that holds neither
-    recordings nor FRFs, FRFs that are not those of the recordings, and damaged files."""
-    from loopshape.data.run_report import RunReport
-    from loopshape.io.controllers import read_controllers
-    from loopshape.io.requirements import read_requirements
-    from loopshape.io.run_inputs import given_text, input_files, stored_figures
-
-    run, frfs, matrices = _measured(folder)
-    fits = fits_of(folder)
-    controllers = read_controllers(controller) if controller is not None else ()
-    wishes = read_requirements(require) if require is not None else ()
-    checked = _checked(frfs, controllers, wishes, fits)
-    done = {one.verdict.loop for one in checked}
-    sheets = _sheets(run) if run is not None else ()
-    pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
-    figures, left = stored_figures(folder, figures_bytes, lambda name: name.rsplit(".", 1)[0] in pages)
-    given = [("controller", controller), ("requirements", require)]
-    given += [("run", folder / "run.toml")] if run is not None else []
-    return RunReport(
-        name=folder.resolve().name,
-        date=date,
-        versions=_versions(),
-        run=run,
-        recordings=sheets,
-        notes=tuple(str(note) for note in run.extra.get("notes", ())) if run is not None else (),
-        frfs=frfs,
-        matrices=matrices,
-        fits=_with_modes(fits),
-        checked=checked,
-        unchecked=tuple(wish.loop for wish in wishes if wish.loop not in done),
-        controllers=controllers,
-        missing=_missing(run, frfs, matrices, fits, controllers, wishes),
-        figures=figures,
-        figures_left_out=left,
-        files=input_files(folder, [path for path in (controller, require) if path is not None]),
-        texts=tuple(given_text(what, path) for what, path in given if path is not None),
-    )
-
-
-def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:
-    """Run, FRFs and matrices, as far as they are there."""
-    from loopshape.core.errors import UnreadableInputError
-    from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
-    from loopshape.io.run_folder import RUN_TOML, read_run
-
-    frfs = read_frfs(folder) if has_any(folder, FOLDER) else ()
-    matrices = read_matrices(folder) if has_any(folder, MATRICES) else ()
-    if not (folder / RUN_TOML).exists() and not (frfs or matrices):
-        raise UnreadableInputError(
-            "a report needs recordings or frequency responses",
-            f"{folder}, which holds neither",
-            "name a run's folder: measure, import or import-frf make one",
-        )
-    return (read_run(folder) if (folder / RUN_TOML).exists() else None), frfs, matrices
-
-
-def _checked(
-    frfs: Sequence[FRF], controllers: Sequence[Controller], wishes: Sequence[Requirements], fits: Sequence[Fit]
-) -> tuple[CheckedLoop, ...]:
-    """Each controller whose loop was measured, held against its requirements (against none where none are given)."""
-    from loopshape.data.requirements import Requirements
-    from loopshape.data.run_report import CheckedLoop
-    from loopshape.loop.verdict import check, loops_of
-
-    found = []
-    for own in controllers:
-        mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
-        if not mine:
-            continue
-        wish = next((w for w in wishes if w.loop == own.loop), None)
-        asked = wish or Requirements(own.loop)
-        loops, _ = loops_of(mine, own, asked, fits)
-        found.append(CheckedLoop(mine, tuple(loops), own, wish, check(mine, own, asked, fits)))
-    return tuple(found)
-
-
-def _with_modes(fits: Sequence[Fit]) -> tuple[FittedModel, ...]:
-    from loopshape.data.run_report import FittedModel
-    from loopshape.identify.fit.fit import modes
-
-    return tuple(FittedModel(one, modes(one) if one.structure.startswith("rational") else ()) for one in fits)
-
-
-def _sheets(run: Run) -> tuple[RecordingSheet, ...]:
-    """Each recording with its faults; a signal that cannot be read is a fault and not an error."""
-    from dataclasses import replace
-
-    from loopshape.core.errors import LoopshapeError
-    from loopshape.data.run_report import RecordingSheet
-    from loopshape.io.run_folder import check_recordings
-
-    sheets = []
-    for one in run.recordings:
-        try:
-            faults = tuple(check_recordings(replace(run, recordings=(one,))))
-        except LoopshapeError as error:
-            faults = (str(error),)
-        sheets.append(RecordingSheet(one.info, one.rate_hz, _samples(one), _envelopes(run, one), faults))
-    return tuple(sheets)
-
-
-def _samples(recording: Recording) -> int:
-    from loopshape.core.errors import LoopshapeError
-
-    try:
-        return recording.stored(next(iter(recording.columns))).size if recording.columns else 0
-    except LoopshapeError:
-        return 0
-
-
-def _envelopes(run: Run, recording: Recording) -> tuple[Envelope, ...]:
-    """Shapes of what was injected, commanded and measured in the excited loops, in all loops where none was."""
-    from loopshape.core.errors import LoopshapeError
-    from loopshape.data.run_report import Envelope
-
-    info = recording.info
-    loops = [run.loop(name) for name in info.excited] or list(run.loops)
-    names = [
-        name
-        for loop in loops
-        for name in (loop.reference if info.injection == "reference" else loop.injected, loop.control, loop.output)
-        if name is not None
-    ]
-    found = []
-    for name in dict.fromkeys(names):
-        try:
-            values = recording.signal(name)
-        except LoopshapeError:
-            continue
-        found += [Envelope.of(name, values)] if values.size else []
-    return tuple(found)
-
-
-def _missing(
-    run: Run | None,
-    frfs: Sequence[FRF],
-    matrices: Sequence[FRF],
-    fits: Sequence[Fit],
-    controllers: Sequence[Controller],
-    wishes: Sequence[Requirements],
-) -> tuple[Missing, ...]:
-    """What would be there after the whole chain and is not, each with its command."""
-    from loopshape.data.run_report import Missing
-
-    judged = "loopshape report RUN --controller controller.toml --require requirements.toml"
-    found = []
-    if run is None:
-        found.append(Missing("The recordings: these frequency responses came from elsewhere."))
-    if not frfs:
-        more = "No frequency response of a single loop:" if matrices else "No frequency responses yet:"
-        found.append(Missing(more, "loopshape frf RUN"))
-    if frfs and not fits:
-        found.append(Missing("No fitted models:", "loopshape fit RUN"))
-    if frfs and not controllers:
-        tune = "loopshape tune RUN --require requirements.toml --out controller.toml"
-        found.append(Missing("No controller was given, so there are no loops, margins and verdict; make one:", tune))
-        found.append(Missing("and name it:", judged))
-    if controllers and not wishes:
-        found.append(Missing("No requirements were given, so margins are shown and judged by nobody:", judged))
-    measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
-    found += [
-        Missing(f"Loop {c.loop} of the controller file has no frequency response.")
-        for c in controllers
-        if c.loop not in measured
-    ]
-    for wish in wishes if controllers else ():
-        if wish.loop not in measured:
-            found.append(Missing(f"Requirements name loop {wish.loop}, which has no frequency response."))
-        elif wish.loop not in governed:
-            found.append(Missing(f"Requirements name loop {wish.loop}, for which the controller file has none."))
-    return tuple(found)
-
-
-def _versions() -> dict[str, str]:
-    """Versions of what computed."""
-    import platform
-    from importlib.metadata import version
-
-    from loopshape import __version__
-
-    names = ("numpy", "scipy", "control", "matplotlib", "numba")
-    return {"loopshape": __version__, "Python": platform.python_version()} | {name: version(name) for name in names}

@@ -28,6 +28,8 @@ def read_controllers(path: Path) -> tuple[Controller, ...]:
     controllers = tuple(_read(table, rate_hz) for table in words.tables("loop"))
     if not controllers:
         raise WrongUseError(f"{path.name} holds no controller", "an empty list", "write a [[loop]]")
+    if not all(controller.loop for controller in controllers):
+        raise WrongUseError("a controller in a file has the name of its loop", "''", 'give it: loop = "..."')
     refuse_doubles((controller.loop for controller in controllers), path.name, "controllers")
     return controllers
 
@@ -50,6 +52,8 @@ def write_controllers(path: Path, controllers: Sequence[Controller], notes: Mapp
             ", ".join(f"{rate:g} Hz" for rate in rates) or "no controller",
             "write those of one rate",
         )
+    if not all(controller.loop for controller in controllers):
+        raise WrongUseError("a controller in a file has the name of its loop", "''", 'give it: loop = "..."')
     refuse_doubles((controller.loop for controller in controllers), path.name, "controllers")
     loops = [{"name": controller.loop, **controller_table(controller)} for controller in controllers]
     write_toml(

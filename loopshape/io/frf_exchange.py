@@ -81,6 +81,23 @@ def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ..
     return tuple(paths), tuple(dict.fromkeys(notes))
 
 
+def write_frf_file(path: Path, frf: FRF) -> tuple[str, ...]:
+    """Write one FRF whole, in the format of the file's ending; gives what that format cannot hold."""
+    kind = _ENDINGS.get(path.suffix.lower())
+    if kind is None:
+        raise WrongUseError("a FRF is not written to a file of this kind", str(path), f"use {', '.join(_ENDINGS)}")
+    make_folder(path.parent)
+    part = path.with_name(f".{path.stem}{PART}{path.suffix}")
+    try:
+        notes = FORMATS[kind].write(part, frf)
+        os.replace(part, path)
+    except OSError as error:
+        raise UnreadableInputError(f"{path} cannot be written", error.strerror or short(error), "check it") from None
+    finally:
+        part.unlink(missing_ok=True)
+    return notes
+
+
 def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
     """The FRF of a file, its kind told by its ending; refuses one whose error neither file nor user states.
 

@@ -20,23 +20,15 @@ from loopshape.data.run import Run
 from loopshape.data.shorthand import bounded
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import Settings
+from loopshape.verbs.files import read
 
 if TYPE_CHECKING:
     from loopshape.data.gap_report import GapReport
     from loopshape.data.prediction import Prediction
     from loopshape.design.bound import Bound
+    from loopshape.loop.remeasured import Remeasured
 
 Plants = FRF | Sequence[FRF]
-
-
-def read(folder: str | Path) -> Run:
-    """The run in a folder, as `loopshape measure` and `import` write it; columns load when asked for.
-
-    Raises UnreadableInputError for a folder that holds no run or a damaged one.
-    """
-    from loopshape.io.run_folder import read_run
-
-    return read_run(Path(folder))
 
 
 def frfs(run: Run | str | Path, loop: str | None = None, **settings: Any) -> tuple[FRF, ...]:
@@ -163,6 +155,17 @@ def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed
     from loopshape.loop.prediction import predict as predict_loop
 
     return tuple(predict_loop(_plants(P), C.controller if isinstance(C, Tuning) else C, tuple(fits), seed=seed))
+
+
+def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0) -> list[Remeasured]:
+    """Predictions against a run that was recorded under the predicted controllers: S, steps and profiles.
+
+    Each has `comparisons` with an outcome; all together contradict true predictions 5 % of the time. Deviations of |S|
+    of the rms size `tolerance_db` count as none. Raises WrongUseError where no recording belongs to a prediction.
+    """
+    from loopshape.loop.remeasured import remeasure
+
+    return remeasure(run if isinstance(run, Run) else read(run), tuple(predictions), tolerance_db=tolerance_db)
 
 
 def gap(run: Run | str | Path, *, table: bool = True) -> GapReport:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 
@@ -70,6 +71,21 @@ def measure(
             kept = f"interrupted; what {folder / 'run.toml'} lists is kept, the same command goes on"
             raise KeyboardInterrupt(kept) from None
     return read_run(folder)
+
+
+@contextmanager
+def emulator(
+    changes: Mapping[str, float] | None = None, at: Mapping[str, float] | None = None, *, rate_hz: float = 1000.0
+) -> Iterator[str]:
+    """The 1-DoF arm behind the target's protocol, for trying out a measurement; gives the port, ends with the block.
+
+    `changes` are parameters of the arm, `at` is where it stands (theta2_deg, p_ab_bar). Needs a C compiler, once.
+    """
+    from loopshape.model.arm.emulated import plant_file
+    from loopshape.rig.emulator import Emulator, emulated
+
+    with emulated(Emulator(plant_file(changes, at, rate_hz), tcp=0)) as port:
+        yield port
 
 
 def _asked(file: Path, controllers: Iterable[Controller], effects: Sequence[str]) -> tuple[Study, Rig]:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.cli.report import gather
 from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import LoopSetup
@@ -15,6 +14,7 @@ from loopshape.data.run import Run
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.io.fits import write_fits
 from loopshape.io.frfs import write_frfs
+from loopshape.io.gathered import gather
 from loopshape.io.run_folder import write_run
 from loopshape.view.frequency import frf_page
 from loopshape.view.html.page import page

@@ -2,8 +2,10 @@
 
 import doctest
 import json
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -19,6 +21,46 @@ RATE_HZ = 1000.0
 W = 2.0 * np.pi * 8.0
 PLANT = control.c2d(control.tf([W**2], [1.0, 0.8 * W, W**2]), 1.0 / RATE_HZ)
 F_HZ = np.geomspace(0.2, 400.0, 300)
+
+STUDY = """
+format = "loopshape-study/1"
+rig = "simulated"
+plant = "arm-1dof"
+rate_hz = 1000.0
+seed = 1
+operating_points = [{ theta2_deg = 0.0, p_ab_bar = 1.0 }]
+[[loop]]
+name = "theta2"
+controller = [{ kind = "gain", gain = 0.5 }]
+[[experiment]]
+name = "noise"
+excites = "theta2"
+[experiment.excitation]
+kind = "multisine"
+f_low_hz = 1.0
+f_high_hz = 20.0
+period_s = 2.0
+periods = 5
+amplitude_deg = 4.0
+seed = 1
+"""
+TARGET_STUDY = STUDY.replace("simulated", "target").replace(
+    "[[loop]]",
+    """[target]
+watchdog_ms = 250
+soft_start_s = 0.5
+settle_s = 0.5
+[target.commands]
+u_a_v = { theta2 = 1.0, p_ab = 1.0 }
+u_b_v = { theta2 = -1.0, p_ab = 1.0 }
+[limits]
+theta2 = { low_deg = -40.0, high_deg = 40.0, rate_deg_s = 900.0 }
+p_a = { low_bar = 0.15, high_bar = 1.15, rate_bar_s = 30.0 }
+p_b = { low_bar = 0.15, high_bar = 1.15, rate_bar_s = 30.0 }
+u_a = { low_v = -4.0, high_v = 4.0 }
+u_b = { low_v = -4.0, high_v = 4.0 }
+[[loop]]""",
+)
 
 
 def exact(system: control.TransferFunction, f_hz: np.ndarray) -> np.ndarray:
@@ -202,3 +244,50 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         ls.from_control(3.0)
     with pytest.raises(WrongUseError, match="give frequency_hz"):
         ls.from_control(control.tf([1.0], [1.0, 1.0]))
+
+
+def test_files_go_out_and_come_back(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """A run, a FRF and a controller, written and read: the same numbers; other things are refused."""
+    run = ls.Run.from_arrays(**{name: x[:20_000] for name, x in arrays.items()}, rate_hz=RATE_HZ)
+    back = ls.read(ls.write(run, tmp_path / "run")).recordings[0].column("y_1")
+    np.testing.assert_array_equal(back, arrays["y"][:20_000])
+    P = ls.FRF.from_control(PLANT, F_HZ, rate_hz=RATE_HZ, relative_std=0.01)
+    for ending in ("csv", "mat", "uff"):
+        stated = {"relative_std": 0.01, "rate_hz": RATE_HZ} if ending == "uff" else {}
+        found = ls.read_frf(ls.write(P, tmp_path / f"P.{ending}"), **stated)
+        np.testing.assert_allclose(found.siso, P.siso, rtol=1e-6)
+    C = ls.controller(ls.gain(0.5), ls.pi(1.0), rate_hz=RATE_HZ, loop="x")
+    with pytest.raises(ls.LoopshapeError, match="the name of its loop"):
+        ls.write(replace(C, loop=""), tmp_path / "c.toml")
+    (read,) = ls.read_controllers(ls.write(C, tmp_path / "c.toml"))
+    np.testing.assert_array_equal(read.response(F_HZ), C.response(F_HZ))
+    (header,) = ls.export(C, tmp_path / "c", "c")
+    assert header.suffix == ".h"
+    with pytest.raises(ls.LoopshapeError, match="no file for this; received int"):
+        ls.write(3, tmp_path / "x")  # type: ignore[arg-type]
+    assert ls.report(tmp_path / "run", date="today").stat().st_size > 10_000
+
+
+def test_a_study_is_measured_and_told_from_python(tmp_path: Path) -> None:
+    """A simulated arm, a few periods; that its FRF is its linearisation is tested elsewhere."""
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY)
+    run = ls.measure(study, tmp_path / "run")
+    again = ls.measure(study, tmp_path / "run")
+    assert [r.info.name for r in again.recordings] == [r.info.name for r in run.recordings] == ["noise"]
+    assert np.isfinite(ls.frf(run).siso).all()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
+    """The emulated arm: refused without arm, shown what is about to happen, recorded with it, stopped."""
+    study, seen = tmp_path / "study.toml", []
+    study.write_text(TARGET_STUDY)
+    with ls.emulator() as port:
+        with pytest.raises(ls.LoopshapeError, match="nothing was moved"):
+            ls.measure(study, tmp_path / "run", port=port, confirm=lambda motion: bool(seen.append(motion)))
+        assert seen[0].identity.emulated
+        assert not (tmp_path / "run").exists()
+        run = ls.measure(study, tmp_path / "run", port=port, arm=True)
+        assert len(run.recordings) == 1
+        assert ls.stop(port).startswith("vented")

@@ -18,8 +18,9 @@ import report_run
 import typer
 from typer.testing import CliRunner
 
-from loopshape.cli.report import gather, report
+from loopshape.cli.report import report
 from loopshape.core.errors import LoopshapeError
+from loopshape.io.gathered import gather
 from loopshape.view.html.markup import VOID, Markup, json_block, tag
 from loopshape.view.html.page import page
 

@@ -1,0 +1,157 @@
+"""Nouns out of files and into them: tables of other programs, FRFs, controllers, requirements, a run's report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from functools import singledispatch
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.data.run import Run
+from loopshape.design.tune import Tuning
+
+if TYPE_CHECKING:
+    from loopshape.data.run_report import RunReport
+
+FIGURES_MB = 0.7  # pictures that a report carries, together
+
+
+def read(folder: str | Path) -> Run:
+    """The run in a folder, as `loopshape measure` and `import` write it; columns load when asked for.
+
+    Raises UnreadableInputError for a folder that holds no run or a damaged one.
+    """
+    from loopshape.io.run_folder import read_run
+
+    return read_run(Path(folder))
+
+
+def read_table(file: str | Path, map_file: str | Path) -> Run:
+    """The run in a table of another program (CSV, Parquet, MAT, MDF), whose columns a map names (TOML).
+
+    The map says rate, units, loops and what was injected where; `docs/files.md` has its keys. Raises
+    UnreadableInputError for a damaged file, WrongUseError for a map that does not fit it.
+    """
+    from loopshape.io.import_file import import_file
+
+    return import_file(Path(file), Path(map_file))
+
+
+def read_frf(file: str | Path, **stated: Any) -> FRF:
+    """The FRF in a file of another program (CSV, MAT, UFF), told by its ending.
+
+    `stated` replaces what the file says or leaves out: relative_std (0: exact), averages, inputs, outputs, recording,
+    loop, rate_hz. Raises WrongUseError where neither the file nor `stated` tells the error.
+    """
+    from loopshape.io.frf_exchange import read_frf_file
+    from loopshape.io.frf_foreign import Stated
+
+    return read_frf_file(Path(file), Stated(**stated))
+
+
+def read_controllers(file: str | Path) -> tuple[Controller, ...]:
+    """The controllers in a controller file (TOML), one a loop. Raises UnreadableInputError for another file."""
+    from loopshape.io.controllers import read_controllers as read_file
+
+    return read_file(Path(file))
+
+
+def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
+    """The requirements in a file (TOML), one a loop. Raises UnreadableInputError for another file."""
+    from loopshape.io.requirements import read_requirements as read_file
+
+    return read_file(Path(file))
+
+
+def write(what: Run | Controller | Tuning | FRF, path: str | Path) -> Path:
+    """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
+
+    A run becomes a folder, a controller (or what `tune` found) a controller file, a FRF a file of the kind that the
+    ending names (.csv, .mat, .uff). Raises WrongUseError for another ending and for other things.
+    """
+    target = Path(path)
+    _write(what, target)
+    return target
+
+
+@singledispatch
+def _write(what: Any, path: Path) -> None:
+    known = "a Run, a Controller, a Tuning or a FRF"
+    raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
+
+
+@_write.register
+def _(what: Run, path: Path) -> None:
+    from loopshape.io.run_folder import write_run
+
+    write_run(path, what)
+
+
+@_write.register
+def _(what: Controller, path: Path) -> None:
+    from loopshape.io.controllers import write_controllers
+
+    write_controllers(path, (what,))
+
+
+@_write.register
+def _(what: Tuning, path: Path) -> None:
+    _write(what.controller, path)
+
+
+@_write.register
+def _(what: FRF, path: Path) -> None:
+    from loopshape.io.frf_exchange import write_frf_file
+
+    write_frf_file(path, what)
+
+
+def export(controllers: Controller | Tuning | Sequence[Controller], folder: str | Path, to: str) -> tuple[Path, ...]:
+    """Write controllers as the target runs them, in sections: "json", "matlab", or "c" (a C99 header); gives the files.
+
+    Raises WrongUseError for another format and for sections that are unstable as they will run.
+    """
+    from loopshape.io.controller_export import export_controllers
+
+    one = controllers.controller if isinstance(controllers, Tuning) else controllers
+    return export_controllers(Path(folder), (one,) if isinstance(one, Controller) else tuple(one), to)
+
+
+def report(
+    run_folder: str | Path,
+    out: str | Path | None = None,
+    *,
+    controllers: str | Path | None = None,
+    requirements: str | Path | None = None,
+    date: str | None = None,
+    figures_mb: float = FIGURES_MB,
+) -> Path:
+    """Write all that is known of a run folder as one HTML page that opens offline (default: report.html in it).
+
+    With the files of `controllers` and `requirements` the page holds loops, margins and verdict. Raises
+    UnreadableInputError for a folder with neither recordings nor FRFs.
+    """
+    from loopshape.io.files import write_bytes_whole
+
+    folder = Path(run_folder)
+    given = [None if x is None else Path(x) for x in (controllers, requirements)]
+    path = Path(out or folder / "report.html")
+    write_bytes_whole(path, report_page(folder, given[0], given[1], date, int(1e6 * figures_mb))[1])
+    return path
+
+
+def report_page(
+    folder: Path, controllers: Path | None, requirements: Path | None, date: str | None, figures_bytes: int
+) -> tuple[RunReport, bytes]:
+    """What a report holds, and its page; the date is now where none is given."""
+    from loopshape.io.gathered import gather
+    from loopshape.view.html.page import page
+
+    day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
+    made = gather(folder, controllers, requirements, day, figures_bytes)
+    return made, page(made).encode("utf-8")

@@ -1,0 +1,84 @@
+"""Several loops of one plant: its matrix FRF, how much the loops interact, and the verdict on all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopshape.core.errors import BadSignalError
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.data.run import Run
+from loopshape.identify.settings import Settings
+from loopshape.verbs.files import read
+from loopshape.verbs.watch import Unwatched, Watch
+
+if TYPE_CHECKING:
+    from loopshape.data.interaction import Interaction
+    from loopshape.data.recording import Recording
+    from loopshape.data.several import SeveralRequirements, SeveralVerdict
+
+
+def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
+    """The plant's matrix FRF (nf, ny, nu) at each operating point whose recordings excite two loops or more.
+
+    `settings` as in `frfs`. Raises BadSignalError for a run without such an operating point.
+    """
+    from loopshape.identify.frequency_response import excited_recordings
+
+    whole = run if isinstance(run, Run) else read(run)
+    return tuple(matrices_of(whole, excited_recordings(whole), Settings(**settings), Unwatched()))
+
+
+def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, watch: Watch) -> list[FRF]:
+    """The plant's matrix from these recordings of a run, at each operating point."""
+    from loopshape.identify.groups import matrices
+    from loopshape.identify.matrix import estimate_matrix
+
+    groups = matrices([r for r in recordings if r.info.ended_early is None])
+    if not groups:
+        raise BadSignalError(
+            "no operating point of the run has recordings that excite two loops",
+            ", ".join(f"{r.info.name}: {'+'.join(r.info.excited)}" for r in recordings),
+            "excite each loop in a recording of its own, or several at once (excitations in a study)",
+        )
+    found = []
+    with watch.progress("matrices", len(groups)) as step:
+        for group in groups:
+            found.append(estimate_matrix(run, group, settings))
+            step(found[-1].loop)
+    return found
+
+
+def interaction(P: FRF, loops: Sequence[str] | None = None) -> Interaction:
+    """How much the loops of a matrix FRF meet in each other, frequency by frequency, with 95 % bounds.
+
+    Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
+    loop meets with the others closed. Raises WrongUseError for a FRF of a single loop.
+    """
+    from loopshape.identify.interaction import interaction as interaction_of
+
+    return interaction_of(P, loops)
+
+
+def check_several(
+    P: FRF | Sequence[FRF],
+    controllers: Sequence[Controller],
+    R: Sequence[Requirements] = (),
+    together: SeveralRequirements | None = None,
+    *,
+    loops: Sequence[str] | None = None,
+    recorded_under: Sequence[Controller] = (),
+) -> SeveralVerdict:
+    """Stability by det(I + L) and margins of several loops closed at once, each alone (`R`) and all (`together`).
+
+    `P` is a square matrix FRF, or several where the controllers serve several operating points. `recorded_under` are
+    the controllers of the loops that were recorded: their count tells the plant's unstable poles where the requirements
+    do not. Raises WrongUseError for a loop without a controller.
+    """
+    from loopshape.loop.several import check_several as check_loops
+
+    plants = (P,) if isinstance(P, FRF) else tuple(P)
+    return check_loops(plants, tuple(controllers), tuple(R), together, loops=loops, held=tuple(recorded_under))
