@@ -108,6 +108,7 @@ def closed_plants(count, n, seed):
         count -= 1
 
 
+@pytest.mark.long
 def test_the_change_that_it_names_destabilises_and_a_smaller_one_does_not():
     for plant, controllers, f, integrators in closed_plants(4, 2, 0):
         G = response_of(f, *plant)

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "speed"))
 from tune_workload import frfs, requirements
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_tune_reaches_97_percent_of_a_global_search(seed: int) -> None:
     plants, limits = [f for k, f in enumerate(frfs(120)) if k % 4 == 0], requirements()

@@ -48,6 +48,7 @@ def stopped(port):
     return result.stdout, time.monotonic() - begun
 
 
+@pytest.mark.long
 @TARGETS
 @pytest.mark.parametrize("age_s", [0.0, 1.2])
 @pytest.mark.parametrize("count", [1, 7])

@@ -21,6 +21,7 @@ def outcome(folder, text, *words):
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("workers", [[], ["-n", "1"]], ids=["here", "worker"])
 @pytest.mark.parametrize(
     ("text", "said"), [(SLEEPS, "Timeout (>1.0s)"), (DEAF, "Timeout (0:00:03)!")], ids=["sleeps", "deaf"]
@@ -31,6 +32,7 @@ def test_a_test_that_hangs_is_ended(tmp_path, text, said, workers):
     assert said in output
 
 
+@pytest.mark.long
 def test_long_tests_run_on_request_alone(tmp_path):
     assert outcome(tmp_path, LONG)[0] == pytest.ExitCode.NO_TESTS_COLLECTED
     assert outcome(tmp_path, LONG, "-m", "long")[0] == pytest.ExitCode.OK

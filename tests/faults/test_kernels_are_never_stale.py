@@ -91,6 +91,7 @@ def kept(package):
     return {p.name for p in (package / "__pycache__/kernels").glob("*servo_axis.closed_loop-*")}
 
 
+@pytest.mark.long
 def test_two_processes_that_compile_at_once_keep_both_forms(tmp_path):
     package = copied(tmp_path)
     both = [started(package), started(package, "read-only")]
@@ -98,6 +99,7 @@ def test_two_processes_that_compile_at_once_keep_both_forms(tmp_path):
     assert [coast(package), coast(package, "read-only")] == [[BRAKED, 0]] * 2
 
 
+@pytest.mark.long
 @pytest.mark.short
 def test_an_edited_callee_gives_new_physics(package):
     """A force in a file beneath the kernel's is multiplied by 0; what was compiled before is used no more, and gone."""
@@ -112,6 +114,7 @@ def test_an_edited_callee_gives_new_physics(package):
     assert coast(package) == [BRAKED, 1]
 
 
+@pytest.mark.long
 def test_another_processor_has_its_own(package):
     """A home that machines share: none runs, or writes over, what another compiled for itself."""
     coast(package)
@@ -119,6 +122,7 @@ def test_another_processor_has_its_own(package):
     assert coast(package) == [BRAKED, 0]
 
 
+@pytest.mark.long
 def test_a_damaged_file_is_compiled_again(package):
     coast(package)
     for name in kept(package):
@@ -129,6 +133,7 @@ def test_a_damaged_file_is_compiled_again(package):
     assert coast(package) == [BRAKED, 0]
 
 
+@pytest.mark.long
 def test_where_the_package_cannot_be_written_the_users_folder_serves(tmp_path):
     package = copied(tmp_path)
     (package / "__pycache__").touch()  # stands where a folder would be made, for root too

@@ -66,6 +66,7 @@ def recorded(folder, rows):
     return folder / "r.csv", folder / "map.toml", folder / "run"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("long_rows", [200_000, pytest.param(10**10, marks=pytest.mark.xfail(strict=True))])
 def test_minutes_in_the_memory_of_seconds(tmp_path, long_rows):
     """1.6 million rows of 3 columns and a time are 51 MB; held whole, which must fail, they need several times that."""

@@ -54,6 +54,7 @@ def test_verify(many):
     in_a_child(BEFORE, "assert all(f.sound is not False for f in verify(folder))", MOST_BYTES, many)
 
 
+@pytest.mark.long
 def test_looking_at_signals_and_estimating(many):
     work = "check_recordings(run)\nfor r in run.recordings: estimate_frf(r, run.loop('a'), settings)"
     in_a_child(BEFORE, work, MOST_BYTES, many)

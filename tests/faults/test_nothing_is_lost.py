@@ -114,6 +114,7 @@ def killed_at(number, work):
     work()
 
 
+@pytest.mark.long
 def test_a_kill_before_each_single_step_of_writing(study):
     """A recording takes some fifteen calls: the kills fall before each of them, with none, one or two finished."""
     run, died = study.parent / "steps-0", 0

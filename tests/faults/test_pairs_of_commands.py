@@ -134,6 +134,7 @@ def between_reading_and_writing(steps):
     return next((k for k, step in enumerate(steps, 1) if step in ("write", "take")), len(steps))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("first", "second"), QUICK)
 def test_a_command_between_anothers_reading_and_writing(place, first, second):
     check_pair(place, first, second, between_reading_and_writing(gates(place, first)))

@@ -144,6 +144,7 @@ def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
         list(carried_out(os._exit, [7], 1))
 
 
+@pytest.mark.long
 def test_parts_that_were_recorded_apart_are_merged_to_the_same_bytes(campaign, alone):
     out = campaign.parent / "parts"
     at_once = [subprocess.Popen(command(campaign, out, "--part", f"{k}/3", "--workers", "1")) for k in (1, 3)]
@@ -160,6 +161,7 @@ def test_parts_that_were_recorded_apart_are_merged_to_the_same_bytes(campaign, a
     assert all(finding.sound is not False for toml in out.glob("*/run.toml") for finding in verify(toml.parent))
 
 
+@pytest.mark.long
 def test_parts_that_are_not_whole_are_not_merged(campaign):
     out = campaign.parent / "not-whole"
     for k in (1, 2):
@@ -172,6 +174,7 @@ def test_parts_that_are_not_whole_are_not_merged(campaign):
     assert len(list(out.glob("part-*"))) == 2
 
 
+@pytest.mark.long
 def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, alone):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     from distributed import LocalCluster
@@ -225,6 +228,7 @@ def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
     assert asked_for.effects[0]["gas_law"] > 0.0
 
 
+@pytest.mark.long
 def test_a_cluster_that_is_not_there_is_said():
     from loopshape.rig.many import carried_out
 
@@ -233,6 +237,7 @@ def test_a_cluster_that_is_not_there_is_said():
         list(carried_out(print, [], cluster="tcp://127.0.0.1:9"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["0/3", "4/3", "1", "a/b", "-1/3"])
 def test_a_part_that_a_campaign_does_not_have_is_refused(campaign, part):
     words = command(campaign, campaign.parent / "none", "--part", part)

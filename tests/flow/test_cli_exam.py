@@ -206,6 +206,7 @@ def test_library_forms_come_from_the_catalogue():
     assert len({(next(iter(c.labels)), c.variant) for c in cases if c.labels}) > 42
 
 
+@pytest.mark.long
 def test_an_arm_with_library_forms_has_a_session_s_recordings(monkeypatch):
     session = loopshape.examiner.make_run({}, 4)
     session = replace(session, recordings=session.recordings[7:])  # loops open, sweep, staircase, profile

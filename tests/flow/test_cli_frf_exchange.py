@@ -55,6 +55,7 @@ def run(tmp_path):
     return tmp_path / "run"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("to", "stated"), [("mat", ()), ("csv", ()), ("uff", ("--relative-std", 0.01))])
 def test_out_and_back_through_the_whole_chain(run, tmp_path, to, stated):
     told = json.loads(loopshape("export", run, "--to", to, "--json"))

@@ -224,6 +224,7 @@ def test_vented_the_muscles_empty_and_idle_it_stands_again(arm_experiment):
         np.testing.assert_allclose(session.status().sensors, before, atol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ignoring", [False, True])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_command_prints_the_port_and_runs_until_it_is_told_to_end(how, ignoring):

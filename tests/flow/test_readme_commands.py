@@ -20,6 +20,7 @@ def blocks() -> dict[str, str]:
     return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["tour", "own", "rig", "arm", "several", "gap"])
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")

@@ -74,6 +74,7 @@ def one_case(folder, expected, faults, line=None):
     return "right" if said is None else "half" if kept else "refused"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bad_line_gives_the_truth_or_nothing(tmp_path, expected, kind):
     """Each of ten faults in 14 cases: 1, 5 and 20 % of frames, up to three seeds, to the host and both ways."""
@@ -103,6 +104,7 @@ def test_all_at_once(tmp_path, expected):
 EVENTS = [("upload", 100), ("run", 1), ("run", 300), ("ended", 0), ("begun", 0)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("event", ["pull", "restart", "silent"])
 @pytest.mark.parametrize("recording", [1, 2])
 @pytest.mark.parametrize(("when", "at"), EVENTS)
@@ -139,6 +141,7 @@ def test_samples_that_are_gone_are_no_recording(tmp_path):
     assert finished(tmp_path / "run") == set()
 
 
+@pytest.mark.long
 def test_in_real_time_a_bad_line_gives_what_the_machine_did_or_nothing(tmp_path):
     """9 cases against the samples that the target itself made."""
     found = Counter()

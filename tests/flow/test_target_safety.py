@@ -131,6 +131,7 @@ def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
     np.testing.assert_array_equal(table(run, "after")["u1"], simulated(study, "after")["u1"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("on_limit", ["vent", "hold"])
 def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
     text = study_text(*EXPERIMENTS, target=(*REAL, f'on_limit = "{on_limit}"'), angle="low_rad = -3.0, high_rad = 0.16")
@@ -218,6 +219,7 @@ def started(study, run, port, *, ignoring=False):
             process.kill()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "stop", "SIGKILL"])
 def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
     study, run = write_study(tmp_path, LONG), tmp_path / "run"

@@ -26,6 +26,7 @@ def found_by(plant: str, structure: tuple[dict, ...], seed: int):
     return tune(PLANTS[plant], wished(*structure, **LIMITS), seed=seed, starts=3, explain=False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("plant", "less", "more"),

@@ -49,6 +49,7 @@ def test_the_peaks_of_s_and_t(margins):
     assert margins.modulus_margin == pytest.approx(1.0 / 10.05, rel=1e-2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("share", "stable"), [(0.9, True), (0.98, True), (1.02, False), (1.1, False)])
 def test_gains_just_inside_and_outside(share, stable):
     e = share / np.sqrt(A * A + 1.0)

@@ -131,6 +131,7 @@ def run_table(area):
     return read_toml(area / "run" / "run.toml")
 
 
+@pytest.mark.long
 def test_words_of_run_toml(area, run_table, untouched):
     @given(tables(run_table))
     @examples("run.toml words")
@@ -355,6 +356,7 @@ def test_csv_files_that_hold_little(area, untouched, content):
     said(lambda: use_source(path))
 
 
+@pytest.mark.long
 def test_a_csv_file_of_a_hundred_thousand_columns_is_read(area):
     wide = [f"c{k}" for k in range(100_000)]
     path = given_file(area, "wide.csv", (",".join(wide) + "\n" + ",".join(["1.5"] * len(wide)) + "\n").encode())

@@ -16,6 +16,7 @@ def answer(plant, std, gain, rng, **settings):
     return closed_loop_stability(loop_of(plant, frf_of(LINES, plant.response(LINES), std, rng), gain, **settings))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", STABLE)
 @pytest.mark.parametrize("noise", [1e-6, 0.02, 0.05, 0.1])
 def test_near_a_limit_noise_leaves_it_open_and_never_makes_it_wrong(name, noise):

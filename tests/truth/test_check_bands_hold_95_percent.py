@@ -38,6 +38,7 @@ def true_responses() -> dict[str, ComplexArray]:
     return {"P": truth()} | {name: getattr(loop, name) for name in ("L", "S", "T", "CS", "PS")}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.05, 0.15])
 def test_magnitude_and_phase_bands_cover_what_they_promise(noise: float) -> None:
     rng = np.random.default_rng(11)

@@ -101,6 +101,7 @@ def random_answers(count, low, high, model):
         yield P.integrators(), P.unstable_poles(), by_roots(num, den, gain), answer(num, den, f, gain, model=model)
 
 
+@pytest.mark.long
 def test_from_lines_below_the_lowest_corner_the_answer_is_never_wrong():
     answers = list(random_answers(700, 0.01, 0.5, model=False))
     decided = [x for x in answers if x[3].outcome != "undecided"]
@@ -113,6 +114,7 @@ def test_from_lines_below_the_lowest_corner_the_answer_is_never_wrong():
     assert 0.1 < np.mean([poles == 0 for _, _, poles, _ in decided]) < 0.9
 
 
+@pytest.mark.long
 def test_with_a_model_below_the_lines_the_answer_is_never_wrong():
     # lines that start up to four times above the lowest corner
     answers = list(random_answers(700, 0.01, 4.0, model=True))
@@ -279,6 +281,7 @@ def test_such_models_decide_both_ways():
     assert answer(np.polymul(num, lead), den, f, 0.2, model=True).outcome == "stable"
 
 
+@pytest.mark.long
 def test_a_sharp_resonance_below_the_first_line_is_not_stepped_over():
     rng = np.random.default_rng(0)
     wrong = []

@@ -330,6 +330,7 @@ def test_a_frf_of_white_noise_can_be_checked_to_its_last_line():
     check([frf], Controller("theta2", (Block("gain", {"gain": 0.1}),), RATE), wish(integrators=0, phase_margin_deg=1.0))
 
 
+@pytest.mark.long
 def test_lines_that_start_above_the_corners_are_never_judged_wrongly():
     rng = np.random.default_rng(3)
     for _ in range(300):

@@ -47,6 +47,7 @@ def test_it_is_measured_from_the_top_of_a_lead():
     assert 80.0 < found < 110.0
 
 
+@pytest.mark.long
 def test_the_tuner_keeps_it_and_it_costs():
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 20.0}
     free = tune(servos(), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))

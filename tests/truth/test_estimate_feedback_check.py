@@ -50,6 +50,7 @@ def probabilities(make, records, first_seed=0, **words):
     return np.array(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("excitation", [white, coloured, prbs, sweep, multisine])
 def test_one_record_in_a_hundred_is_a_false_alarm(excitation):
     def make(rng):
@@ -154,6 +155,7 @@ def test_an_input_of_two_values_under_feedback_may_repeat_and_is_tested():
     assert not repeats(np.linspace(0.0, 1e-5, N) ** 2)  # slow, and no repetition
 
 
+@pytest.mark.long
 def test_noise_at_the_input_between_periods_keeps_the_rate():
     def make(rng):
         u = multisine(rng) + 0.05 * rng.standard_normal(N)

@@ -103,6 +103,7 @@ def test_one_loop_alone_sees_the_other_closed(place):
         assert np.abs(frf.siso / plant(frf.frequency_hz)[:, k, k] - 1.0).max() > 0.03  # and that is another plant
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_the_order_of_the_recordings_does_not_matter(place):
     run = runs(place, [white(1, 1, 4000), white(2, 1, 4000)], 0.05, 1)[0]

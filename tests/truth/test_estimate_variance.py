@@ -76,6 +76,7 @@ def test_a_pooled_variance_scatters_as_its_degrees_of_freedom_say(periods):
     assert 2.0 / relative == pytest.approx(frfs[0].variance_freedom, rel=0.15)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["controller_input", "plant_input"])
 def test_sweeps_are_called_neither_better_nor_worse_than_they_are(place):
     n = Sweep(0.2, 40.0, 160.0, 1.0).signal(RATE)

@@ -249,6 +249,7 @@ def measured(periods, rng):
     return estimate_frf(Recording(info, rate_hz, columns), LoopSetup("axis", None, None, "z_v", "y_rad", None))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("periods", [2, 3, 5, 10, 20])
 def test_the_right_structure_is_accepted_whatever_the_number_of_periods(periods):
     # size at 1 %, signs at 1 %: 0.98 of 1000, known to 0.0044. Lines of 2.4 to 7.6 %, pooled to 40 degrees of freedom
@@ -295,6 +296,7 @@ def test_a_delay_at_its_limit_is_called_at_bound():
     assert found["delay_s"].value == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_the_best_of_several_structures_is_the_right_one(seed):
     rng = np.random.default_rng(seed)

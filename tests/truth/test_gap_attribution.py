@@ -41,6 +41,7 @@ def healthy():
     return run, attributed(run)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "magnitude"), [("payload", 60.0), ("gas_law", 0.8), ("angle_sensor_lag", 10.0), ("valve_delay", 3.5)]
 )
@@ -57,6 +58,7 @@ def test_a_single_effect_is_named_with_its_size_and_closes_the_held_out_gap(effe
     assert shrink.shrink_of(before.squares, after.squares) > 0.8
 
 
+@pytest.mark.long
 def test_two_effects_are_both_named():
     a = attributed(short({"payload": 60.0, "gas_law": 0.9}, 43))
     assert a.verdict == "gas_law+payload"

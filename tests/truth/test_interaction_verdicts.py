@@ -66,6 +66,7 @@ def _decided(k, error, more):
     return np.mean([word == "decoupled" for word in found])
 
 
+@pytest.mark.long
 def test_a_plant_on_the_limit_is_found_coupled_in_few_bands_and_decoupled_in_none():
     k = coupled_by(-20.0)
     words = [verdict(matrix_frf(k, error=0.04, seed=seed)).verdict for seed in range(400)]

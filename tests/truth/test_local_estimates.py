@@ -72,6 +72,7 @@ def test_elsewhere_they_are_no_worse(damping, snr_db):
         assert auto < 1.1 * best_welch(recording, damping)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["control", "controller_input", "plant_input"])
 @pytest.mark.parametrize("level", [0.002, 0.2])
 def test_their_95_percent_circles_hold_that_share_of_errors(place, level):

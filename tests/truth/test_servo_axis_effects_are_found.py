@@ -57,6 +57,7 @@ def ranking(run):
     return evidence, base, order
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("effect", "changes", "magnitude"),
     [

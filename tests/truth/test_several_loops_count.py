@@ -32,6 +32,7 @@ def random_case(rng, n, low, high, lines=600):
     return loops(f, G, controllers, integrators, unstable), poles(*plant, controllers), plant
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("n", "count", "least"), [(1, 100, 0.9), (2, 110, 0.7), (3, 60, 0.55), (4, 25, 0.3)])
 def test_from_lines_below_the_lowest_corner_the_count_is_never_wrong(n, count, least):
     rng = np.random.default_rng(10 + n)
@@ -45,6 +46,7 @@ def test_from_lines_below_the_lowest_corner_the_count_is_never_wrong(n, count, l
     assert {unstable == 0 for _, unstable in decided} == {True, False}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("low", [0.01, 0.5])
 def test_from_loops_that_stood_nothing_has_to_be_declared(low):
     rng = np.random.default_rng(3)
@@ -202,6 +204,7 @@ def test_noise_alone_changes_no_answer():
     assert found.count("stable") > 50
 
 
+@pytest.mark.long
 def test_loci_that_start_off_the_real_axis_or_about_the_limit_are_counted_right():
     rng, wrong, decided = np.random.default_rng(7), [], []
     f = np.geomspace(0.002, 500.0, 400)

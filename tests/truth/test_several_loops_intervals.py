@@ -36,6 +36,7 @@ def test_without_covariance_there_are_no_intervals():
     assert found.stable == "stable"
 
 
+@pytest.mark.long
 def test_intervals_of_95_percent_cover_and_medians_are_true():
     noise, truth, rng, count = 0.05, exact(), np.random.default_rng(0), 45
     frf = frf_of(F, G, noise)

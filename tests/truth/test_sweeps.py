@@ -52,6 +52,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_their_95_percent_circles_hold_that_share_of_errors(case):
     # 24 records of some 30 independent lines: 1 % of chance

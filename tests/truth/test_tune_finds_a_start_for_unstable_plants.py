@@ -50,6 +50,7 @@ def test_the_truth_knows_a_controller_for_each_case() -> None:
         assert closed_loop_poles(corner_hz, lead[:2]).real.max() > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("corners_hz", "structure"),

@@ -19,6 +19,7 @@ LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db"
 BLOCKS = (GAIN, LEAD, PI, NOTCH, LOW_PASS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("std", [0.02, 0.05])
 def test_it_passes_with_intervals_and_what_binds_has_no_room(std):
     plants, asked = servos(std), wished(*BLOCKS, **LIMITS)

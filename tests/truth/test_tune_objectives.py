@@ -48,6 +48,7 @@ def test_a_gain_and_pi_are_where_a_grid_finds_them():
     assert found.objective <= best + 0.05
 
 
+@pytest.mark.long
 def test_each_objective_is_the_best_at_its_own_and_a_weighted_one_between():
     blocks, plants = (GAIN, LEAD, PI, NOTCH, LOW_PASS), servos(lines=200)
     limits = NEAR | {"control_peak_db": 10.0}

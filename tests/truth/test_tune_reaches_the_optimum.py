@@ -123,12 +123,14 @@ def test_what_binds_has_no_room_left(tuned) -> None:
     assert named & {"sensitivity_peak_db", "phase_margin_deg", "control_peak_db", "gain_margin_db"}
 
 
+@pytest.mark.long
 def test_same_seed_same_controller_to_the_last_bit(tuned) -> None:
     plants, limits, found = tuned
     again = tune(plants, limits, seed=0)
     assert [b.parameters for b in again.controller.blocks] == [b.parameters for b in found.controller.blocks]
 
 
+@pytest.mark.long
 def test_another_seed_comes_within_two_percent(tuned) -> None:
     plants, limits, found = tuned
     other = tune(plants, limits, seed=5)
@@ -150,6 +152,7 @@ def test_no_small_change_of_the_result_is_better(tuned) -> None:
             assert m.ln_bandwidth.min() <= best + 1e-3
 
 
+@pytest.mark.long
 def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     """At least 1.3 times the lowest bandwidth of the source's controller, with at most twice its peak |CS|."""
     plants, _, _ = tuned

@@ -96,6 +96,7 @@ def test_at_rest_no_loop_improves_alone(coupled):
         assert turn.tuning.bandwidth_hz == pytest.approx(found.tunings[turn.loop].bandwidth_hz, rel=3e-3)
 
 
+@pytest.mark.long
 def test_same_seed_same_controllers(coupled):
     frfs, found = coupled
     again = tune_several(frfs, WISHES, **FEW)

@@ -30,6 +30,7 @@ def test_without_it_the_controller_cancels_the_resonance_and_does_not_stand_2_pe
     assert any("58.8" in warning for warning in plain.verdict.warnings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("percent", [1.0, 2.0, 5.0])
 def test_with_it_every_shift_inside_holds(percent, plain):
     found = tune([frf_of(CANCELLED, LINES, 1e-3)], replace(ASKED, detuning_percent=percent))
@@ -41,12 +42,14 @@ def test_with_it_every_shift_inside_holds(percent, plain):
     assert found.bandwidth_hz > 0.7 * plain.bandwidth_hz  # robustness is not bought with sleep
 
 
+@pytest.mark.long
 def test_a_bandwidth_that_only_a_cancelling_controller_reaches_is_not_passed(plain):
     asked = replace(ASKED, bandwidth_hz=21.0, detuning_percent=5.0)
     assert plain.bandwidth_hz > 21.5
     assert not tune([frf_of(CANCELLED, LINES, 1e-3)], asked, explain=False).feasible
 
 
+@pytest.mark.long
 def test_same_input_and_seed_give_the_same_controller():
     asked = replace(ASKED, detuning_percent=2.0)
     one, two = (tune([frf_of(CANCELLED, LINES, 1e-3)], asked, starts=2, draws=8, explain=False) for _ in range(2))

@@ -63,6 +63,7 @@ def test_alone_it_improves_locally_and_the_same_each_time():
     assert [b.parameters for b in found.controller.blocks] == [b.parameters for b in again.controller.blocks]
 
 
+@pytest.mark.long
 def test_the_best_known_is_never_made_worse():
     best = tune(PLANTS, ASKED).controller
     for starts in (1, 3):
