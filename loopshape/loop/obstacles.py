@@ -14,7 +14,7 @@ from loopshape.loop.between import Path, measured, turns_past, without_narrow
 from loopshape.loop.crossings import chords_to_minus_one
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.holes import hole
-from loopshape.loop.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, visible_residue
+from loopshape.loop.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
 #: a count is not given where the chance that the lines' errors make it wrong is above this
 WRONG = 0.005
@@ -24,6 +24,8 @@ REACH_95 = float(np.sqrt(-np.log(0.05)))
 ASIDE = 1.05
 #: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
 TAILS = 3.0
+#: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far off
+SCATTER = 2.0
 #: a place between lines that is known so many times worse than they are is a matter of finer lines
 STRAYS = 1.5
 #: nearer to -1 than this a chord says nothing
@@ -77,14 +79,18 @@ def sampling(loop: Loop, path: Path) -> Sampling:
 
 
 def _rough(loop: Loop, path: Path) -> Obstacle | None:
-    """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1."""
-    f = loop.frequency_hz
-    rough = roughness(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
+    """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1.
+
+    Where the lines scatter all along that is their error, and L lies within a disk of it.
+    """
+    f, seen = loop.frequency_hz, (loop.frequency_hz, without_narrow(loop), *_spread(loop))
+    rough = roughness(*seen, unstable=may_be_oscillatory(loop))
     if not rough.any():
         return None
+    reach = np.where(scattered(*seen, unstable=may_be_oscillatory(loop)), SCATTER, TAILS)
     chords, C = chords_to_minus_one(path.L)[0], np.abs(loop.C)
     near = np.minimum.reduceat(chords, np.flatnonzero(path.line)[:-1])
-    gaps = np.flatnonzero(TAILS * np.maximum(C[1:], C[:-1]) * rough > near)
+    gaps = np.flatnonzero(reach * np.maximum(C[1:], C[:-1]) * rough > near)
     if not gaps.size:
         return None
     low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])

@@ -31,6 +31,9 @@ SURE = 2.2
 WIDEST = 4.0
 #: what is left of lines counts where it is more than this share of |P|
 ROUGH = 0.02
+#: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
+#: more than noise, and in deviations this share of what the rough one leaves at least
+MOSTLY, ALONG, COMPARABLE = 0.75, 60, 0.1
 #: what a polynomial beside a pole rounds off of it, as a share of residue and half width
 UNEXACT = 0.01
 #: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
@@ -85,6 +88,14 @@ def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.in
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]
 
 
+def scattered(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
+    """At which rough gaps (nf - 1,) the lines scatter all along, more than their variance says: no resonance does that.
+
+    Friction and play scatter the lines of a periodic excitation so, the same way in every period.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[3]
+
+
 def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
     f, P, variance = arrays
     return f.tobytes(), np.asarray(P, dtype=complex).tobytes(), np.ascontiguousarray(variance).tobytes()
@@ -93,11 +104,12 @@ def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
 @lru_cache(maxsize=256)
 def _remembered(
     f: bytes, P: bytes, variance: bytes, freedom: float, unstable: bool
-) -> tuple[tuple[HiddenPole, ...], Array, Array]:
+) -> tuple[tuple[HiddenPole, ...], Array, Array, np.ndarray]:
     """All answers for a plant, which is asked about under many controllers."""
     lines = np.frombuffer(f)
     if lines.size < 2 * HALF:
-        return (), np.full(max(lines.size - 1, 0), np.inf), np.zeros(max(lines.size - 1, 0))
+        none = np.zeros(max(lines.size - 1, 0))
+        return (), np.full(none.size, np.inf), none, none > 0.0
     windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
     share = FALSE_ALARM / (_TESTS * windows.gap.size)
     freedom = min(freedom, 1e9)
@@ -108,9 +120,10 @@ def _remembered(
     rough = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
     visible = (np.sqrt(threshold) + SURE) * visible
     visible[[0, -1]] = np.inf
-    for made in (visible, rough):
+    scatter = _scattered(windows, misfit, rough)
+    for made in (visible, rough, scatter):
         made.setflags(write=False)
-    return poles, visible, rough
+    return poles, visible, rough, scatter
 
 
 def _screen(windows: Windows) -> tuple[Array, Array, Array]:
@@ -149,6 +162,15 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
         rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
         rough[k] = np.sqrt(rest / LEFT) * window.std[0] if rest > enough else 0.0
     return rough
+
+
+def _scattered(windows: Windows, misfit: Array, rough: Array) -> np.ndarray:
+    """At which rough gaps (n,) most windows about, of other lines, leave much too, by their `misfit` (n,)."""
+    off = np.abs(np.arange(rough.size)[:, None] - np.arange(rough.size))
+    about = (off >= 2 * HALF) & (off < ALONG)
+    least = np.maximum((COMPARABLE * rough / windows.std) ** 2, ROUNDED) * LEFT
+    count, alike = about.sum(axis=1), (about & (misfit > least[:, None])).sum(axis=1)
+    return np.asarray((rough > 0.0) & (count > ALONG // 2) & (alike > MOSTLY * count))
 
 
 def _noise(misfit: Array) -> Array:
