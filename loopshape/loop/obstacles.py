@@ -24,7 +24,7 @@ REACH_95 = float(np.sqrt(-np.log(0.05)))
 ASIDE = 1.05
 #: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
 TAILS = 3.0
-#: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far off
+#: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
 SCATTER = 2.0
 #: a place between lines that is known so many times worse than they are is a matter of finer lines
 STRAYS = 1.5
