@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from loopshape.cli.bound import bound
 from loopshape.cli.campaign import campaign
@@ -47,29 +50,72 @@ Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse
 unreadable input.
 """
 
-app = typer.Typer(
-    help=HELP, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
-)
-for command in (measure, simulate, frf, fit, tune, check, gap, exam, effects, figures, equilibria, demo):
-    app.command()(command)
-app.command("import")(import_file)
-app.command("import-frf")(import_frf)
-app.command()(export)
-app.command("export-controller")(export_controller)
-app.command("export-excitation")(export_excitation)
-app.command()(interaction)
-app.command()(plan)
-app.command("check-several")(check_several)
-app.command()(predict)
-app.command()(compare)
-app.command()(report)
-app.command()(bound)
-app.command()(schedule)
-app.command()(campaign)
-app.command()(study)
-app.command()(stop)
-app.command()(emulator)
-app.command()(verify)
+#: commands by what they are for: name, function, an example
+COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
+    "Measure and import": (
+        ("measure", measure, "loopshape measure examples/arm/identify.toml --out runs/arm"),
+        ("simulate", simulate, "loopshape simulate examples/arm/steps.toml --out runs/steps --effect payload=20"),
+        ("campaign", campaign, "loopshape campaign campaign.toml --out runs/many --workers 2"),
+        ("import", import_file, "loopshape import recording.csv --map map.toml --out runs/axis"),
+        ("import-frf", import_frf, "loopshape import-frf plant.mat --relative-std 0.02 --out runs/plant"),
+        ("emulator", emulator, "loopshape emulator --tcp 4040"),
+        ("stop", stop, "loopshape stop runs/arm"),
+    ),
+    "Estimate": (
+        ("frf", frf, "loopshape frf runs/axis"),
+        ("fit", fit, "loopshape fit runs/axis --structure auto"),
+        ("interaction", interaction, "loopshape interaction runs/arm2"),
+        ("plan", plan, "loopshape plan runs/axis --std-percent 5"),
+        ("figures", figures, "loopshape figures runs/axis --controller controller.toml"),
+    ),
+    "Design": (
+        ("tune", tune, "loopshape tune runs/axis --require requirements.toml --out controller.toml"),
+        ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
+        ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
+    ),
+    "Verify": (
+        ("check", check, "loopshape check runs/axis controller.toml --require requirements.toml"),
+        (
+            "check-several",
+            check_several,
+            "loopshape check-several runs/arm2 controllers.toml --require wanted.toml",
+        ),
+        ("predict", predict, "loopshape predict runs/axis controller.toml --out prediction.npz"),
+        ("compare", compare, "loopshape compare runs/after prediction.npz"),
+        ("report", report, "loopshape report runs/axis --controller controller.toml --require requirements.toml"),
+        ("verify", verify, "loopshape verify runs/axis"),
+    ),
+    "Diagnose": (
+        ("gap", gap, "loopshape gap runs/arm"),
+        ("effects", effects, "loopshape effects arm-1dof"),
+        ("equilibria", equilibria, "loopshape equilibria --out figures"),
+        ("exam", exam, "loopshape exam --out exam --seed 1"),
+        ("study", study, "loopshape study detuning"),
+        ("demo", demo, "loopshape demo --out demo"),
+    ),
+    "Exchange": (
+        ("export", export, "loopshape export runs/axis --to mat --out frfs"),
+        ("export-controller", export_controller, "loopshape export-controller controller.toml --to c --out firmware"),
+        ("export-excitation", export_excitation, "loopshape export-excitation study.toml --to csv --out signals"),
+    ),
+}
+
+
+class Grouped(TyperGroup):
+    """The commands under headings, in the order of the work."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Each heading with its commands and what they do."""
+        for heading, commands in COMMANDS.items():
+            rows = [(name, self.commands[name].get_short_help_str(formatter.width - 22)) for name, _, _ in commands]
+            with formatter.section(heading):
+                formatter.write_dl(rows, col_max=20)
+
+
+app = typer.Typer(cls=Grouped, help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+for commands in COMMANDS.values():
+    for name, function, example in commands:
+        app.command(name, epilog=f"Example: {example}")(function)
 
 
 def _print_version(asked: bool) -> None:

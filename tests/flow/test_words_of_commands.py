@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from loopshape import __version__
 from loopshape.cli.fit import root_cells
-from loopshape.cli.main import app
+from loopshape.cli.main import COMMANDS, app
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import TWO_PI
 from loopshape.data.excitation import Multisine
@@ -130,3 +130,22 @@ def test_a_first_order_fit_prints_its_time_constant_and_no_delay(folder):
     constant, spread = (float(x) for x in row.split("pole1")[1].replace("-", " ").split(" ± "))
     assert abs(constant - 0.2) < max(2.0 * spread, 0.004)
     assert "e-39" not in said
+
+
+def test_the_help_groups_every_command_under_a_heading():
+    """Headings in the order of the work, each command once."""
+    told = loopshape("--help")[1]
+    listed = [name for commands in COMMANDS.values() for name, _, _ in commands]
+    assert sorted(listed) == sorted(typer.main.get_command(app).commands)
+    assert [told.index(f"{heading}:") for heading in COMMANDS] == sorted(told.index(f"{h}:") for h in COMMANDS)
+
+
+@pytest.mark.parametrize("name", [name for commands in COMMANDS.values() for name, _, _ in commands])
+def test_every_command_has_an_example_that_it_takes(name):
+    """The words of the example are parsed by the command itself: a wrong option would be refused."""
+    example = next(example for commands in COMMANDS.values() for n, _, example in commands if n == name)
+    program, first, *words = example.split()
+    command = typer.main.get_command(app).commands[name]
+    assert (program, first) == ("loopshape", name)
+    assert command.make_context(name, words).info_name == name
+    assert example.split()[-1] in loopshape(name, "--help")[1]
