@@ -132,7 +132,7 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
 def _report_shortfall(found: Shortfall, output: Output) -> None:
     """What the least miss is held by, how sure that is, and what to relax."""
     rows = [[p.quantity, p.recording, p.at_hz, p.spare, p.unit, p.share] for p in found.pulls]
-    columns = ["requirement", "recording", "at [Hz]", "spare at best", "unit", "share"]
+    columns = ["requirement", "recording", "at [Hz]", "slack at best", "unit", "share"]
     output.table("The requirements were not met together; the least worst miss is held by", columns, rows)
     output.say(
         f"changing free parameters by up to 1 % takes at most {found.helps:.2g} off a worst miss of {found.miss:.2g}"
@@ -142,7 +142,7 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
         output.say(f"at a bound there: {line}")
     possible = [r for r in found.relaxations if isfinite(r.reachable)]
     rows = [[r.quantity, r.wished, r.reachable, r.by, r.unit, _known(r.bandwidth_hz), r.verified] for r in possible]
-    columns = ["requirement", "wished", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
+    columns = ["requirement", "required", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
     output.table("One requirement relaxed, all others held", columns, rows)
     for r in found.relaxations:
         if r not in possible:

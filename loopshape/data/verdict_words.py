@@ -78,8 +78,8 @@ def bounded_number(line: Line) -> str:
 
 def line_text(line: Line) -> str:
     """A line in one sentence: wished, found with its interval, spare, and for an undecided one what would decide."""
-    spare = f"(spare {number(line.spare)}{_unit(line.unit)})"
-    return f"wished {wished_text(line)}, found {found_text(line)} {spare}{longer_text(line)}"
+    spare = f"(slack {number(line.spare)}{_unit(line.unit)})"
+    return f"required {wished_text(line)}, found {found_text(line)} {spare}{longer_text(line)}"
 
 
 def stability_text(margins: Margins) -> str:

@@ -65,7 +65,7 @@ def _counts(verdict: Verdict) -> str:
 
 
 def _requirements(verdict: Verdict) -> list[str]:
-    columns = ["requirement", "wished", "worst found", "95 % interval", "spare", "unit", "at", "Hz", "verdict"]
+    columns = ["requirement", "required", "worst case", "95 % interval", "slack", "unit", "at", "Hz", "verdict"]
     parts = [f"### Loop {_escaped(verdict.loop)}", _table(columns, [_row(line) for line in verdict.lines])]
     notes = [*(unstable_text(verdict, name) for name in verdict.unstable), *verdict.warnings]
     return parts + (["\n".join(f"- {_escaped(note)}" for note in notes)] if notes else [])
@@ -83,7 +83,7 @@ def _comparison(title: str, comparison: Comparison) -> list[str]:
     lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
     lines += [[f"stability in {s.recording}", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
     if lines:
-        parts.append(_table(["requirement", "loop", "before", "wished", "now", "wished now"], lines))
+        parts.append(_table(["requirement", "loop", "before", "required", "now", "required now"], lines))
     if moved := comparison.largest():
         columns = ["margin", "loop", "before", "now", "change", "its 95 % interval", "unit", "at", "points", "outcome"]
         parts.append(_table(columns, [_moved(change, points) for change, points in moved]))

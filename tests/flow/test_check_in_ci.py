@@ -263,7 +263,7 @@ def test_the_pytest_helper_fails_with_the_verdict_as_its_message(bench: Path) ->
     assert outcomes["test_each[motor: bandwidth_hz]"] == "PASSED"
     assert outcomes["test_each[motor: sensitivity_peak_db]"] == "FAILED"
     assert outcomes["test_each[motor: stability]"] == "PASSED"
-    assert re.search(r"E +FAIL: sensitivity_peak_db: wished at most 6 dB, found [\d.]+ dB", done.stdout)
+    assert re.search(r"E +FAIL: sensitivity_peak_db: required at most 6 dB, found [\d.]+ dB", done.stdout)
     assert re.search(
         r"E +sensitivity_peak_db of loop motor: pass \(at most 6 dB\) to FAIL \(at most 6 dB\)", done.stdout
     )

@@ -166,7 +166,7 @@ def test_junit(tmp_path):
         if case.find("failure") is not None
     }
     assert set(failed) == {"sensitivity_peak_db", "stability in r02"}
-    assert failed["sensitivity_peak_db"] == "wished at most 6 dB, found 8.4 dB in r02 (spare -2.4 dB)"
+    assert failed["sensitivity_peak_db"] == "required at most 6 dB, found 8.4 dB in r02 (slack -2.4 dB)"
     assert failed["stability in r02"].startswith("undecided: one encirclement < &")
 
 

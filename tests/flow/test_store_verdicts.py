@@ -198,7 +198,7 @@ def test_junit_tells_missed_from_undecided_and_says_intervals(tmp_path):
         "stability in r3": "missed",
     }
     assert found[name, "gain_margin_db"][1] == (
-        "wished at least 5 dB, found 5.5 dB (95 %: 4 .. 7 dB) at 3 Hz in r1 (spare -1 dB): 2.2 times the data would"
+        "required at least 5 dB, found 5.5 dB (95 %: 4 .. 7 dB) at 3 Hz in r1 (slack -1 dB): 2.2 times the data would"
         " decide"
     )
     assert found[name, "stability in r2"][1] == "undecided: why; measure 0.1 to 2 Hz"
