@@ -150,7 +150,7 @@ def _ends(e: Evaluation) -> Iterator[Rows]:
     owner = p.owner[blind]
     swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
     yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
-    yield on_lines(SURE, p, e.ln_L[unfitted], unfitted, np.ones(unfitted.size))
+    yield on_lines(SURE, p, e.ln_L[unfitted] - 1e-3, unfitted, np.ones(unfitted.size))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:

@@ -219,3 +219,12 @@ def test_an_integral_controller_is_tuned_stably() -> None:
     assert found.feasible
     assert all(m.stable == "stable" for m in found.verdict.margins.values())
     assert found.bandwidth_hz > 3.0
+
+
+@pytest.mark.parametrize(("size", "holds"), [(1.0005, False), (1.01, True)])
+def test_l_that_only_touches_one_at_the_first_frequency_does_not_do(size: float, holds: bool) -> None:
+    # a little less, as a search may leave it, and `check` has no crossover to count from
+    limits = wished(integrators=0, phase_margin_deg=45.0)
+    frf = plant(TransferFunction([1.0], np.polymul([0.1, 1.0], [0.2, 1.0])))
+    p = problem(loops_of([frf], Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4)
+    assert (measure(p, np.log([size / abs(frf.siso[0])]), {}).worst >= 0.0) is holds
