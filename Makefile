@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long test-oldest test-newest check speed studies exam clean install
+.PHONY: help docs demo test test-long test-oldest test-newest check speed studies exam clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,6 +20,10 @@ install: $(STAMP) ## make the environment in .venv
 
 demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm and a real bench; figures in demo/
 	$(BIN)/loopshape demo --out demo
+
+docs: $(STAMP) ## build the documentation site into build/docs; every warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/docs
+	@echo "build/docs/index.html"
 
 test: $(STAMP) ## run the tests
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests  # a worker a core: libraries add no threads
@@ -49,8 +53,8 @@ test-newest: $(STAMP) ## the same on the newest Python here (PYTHON_NEWEST) and 
 	OMP_NUM_THREADS=1 .venv-newest/bin/python $(SHORT)
 
 check: $(STAMP) ## ruff, the type checker, and who may import whom
-	$(BIN)/ruff check loopshape tests experiments examples
-	$(BIN)/ruff format --check loopshape tests experiments examples
+	$(BIN)/ruff check loopshape tests experiments examples docs
+	$(BIN)/ruff format --check loopshape tests experiments examples docs
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
@@ -66,4 +70,4 @@ exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an ho
 
 clean: ## remove caches (compiled kernels too) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
-	rm -rf demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info
+	rm -rf demo docs/made docs/reference docs/sg_execution_times.rst .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info

@@ -1,0 +1,151 @@
+"""The documentation site: `make docs` builds it, and every warning is an error.
+
+Pages are Markdown; docstrings are plain text with `code`; pictures of the gallery and of the notebooks are made by the
+build. Formulas become MathML, so that a page is read without a network.
+"""
+
+import re
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+from weakref import WeakSet
+
+import matplotlib.pyplot as plt
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx_gallery.scrapers import figure_rst
+from sphinx_gallery.sorting import FileNameSortKey
+
+import loopshape
+
+project = "loopshape"
+author = "the loopshape developers"
+copyright = "the loopshape developers; BSD-3-Clause"
+release = version = loopshape.__version__
+
+sys.path.insert(0, str(Path(__file__).parent))  # the gallery finds `last_picture` by its name
+sys.modules["loopshape.plot"] = loopshape.plot  # pages name pictures as a script does
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["gallery", "notebooks", "**/*.ipynb"]
+suppress_warnings = ["config.cache"]  # the gallery's sorting is a class
+html_theme = "furo"
+html_title = f"loopshape {release}"
+templates_path = ["_templates"]
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = html_show_sourcelink = False
+html_math_renderer = "mathml"
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+pygments_style = "friendly"
+
+default_role = "code"
+autosummary_generate = True
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+python_use_unqualified_type_names = True
+nitpicky = True
+#: what has no page on this site: other projects, and what is inside the package
+nitpick_ignore_regex = [
+    ("py:.*", r"(?!loopshape\.)[\w.]+"),
+    ("py:.*", r"loopshape\.[a-z]\w*\..*"),
+]
+
+sphinx_gallery_conf = {
+    "examples_dirs": ["gallery", "notebooks"],
+    "gallery_dirs": ["made/gallery", "made/notebooks"],
+    "filename_pattern": r"\.py$",
+    "ignore_pattern": r"__init__\.py",
+    "within_subsection_order": FileNameSortKey,
+    "capture_repr": ("_repr_html_", "__repr__"),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+    "ignore_repr_types": r"matplotlib|Figure|Axes",
+    "image_scrapers": ("matplotlib", "conf.last_picture"),
+    "remove_config_comments": True,
+}
+warnings.filterwarnings("ignore", message="FigureCanvasAgg is non-interactive")
+
+
+SHOWN: WeakSet[Figure] = WeakSet()
+
+
+def last_picture(block: Any, block_vars: Any, gallery_conf: Any) -> str:
+    """The picture that a block ends with: those of `loopshape.plot` are not among pyplot's."""
+    last = block_vars["example_globals"].get("___")
+    figure = last.figure if isinstance(last, Axes) else last
+    if (
+        not isinstance(figure, Figure)
+        or figure in SHOWN
+        or plt.fignum_exists(getattr(figure, "number", -1))
+    ):
+        return ""
+    SHOWN.add(figure)
+    path = next(block_vars["image_path_iterator"])
+    figure.savefig(path, dpi=130)
+    return figure_rst([path], gallery_conf["src_dir"])
+
+
+def mathml(writer: Any, node: nodes.Element, *, block: bool) -> None:
+    """A formula as MathML, and nothing after it."""
+    tex = node.astext().strip()
+    writer.body.append(
+        tex2mathml(
+            r"\begin{aligned}" + tex + r"\end{aligned}" if r"\\" in tex else tex, as_block=block
+        )
+    )
+    raise nodes.SkipNode
+
+
+def as_rst(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Escape what a docstring means as text and reST would read as markup: |S|, X* Y, a trailing underscore."""
+    for k, line in enumerate(lines):
+        if not line.lstrip().startswith((">>>", "...", "..")):
+            parts = re.split(r"(`+[^`]*`+)", line)
+            lines[k] = "".join(
+                p if p.startswith("`") else re.sub(r"([|*\\]|_(?=\W|$))", r"\\\1", p)
+                for p in parts
+            )
+
+
+def public(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, text: nodes.Element
+) -> nodes.reference | None:
+    """A class is known by its public name wherever it is defined: loopshape.data.frf.FRF is loopshape.FRF."""
+    short = f"loopshape.{str(node.get('reftarget')).rsplit('.', 1)[-1]}"
+    if node.get("refdomain") != "py" or short == node["reftarget"]:
+        return None
+    found = env.domains["py"].objects.get(short)
+    if found is None or app.builder is None:
+        return None
+    uri = app.builder.get_relative_uri(env.docname, found.docname)
+    return nodes.reference(
+        "", "", text, internal=True, refuri=f"{uri}#{found.node_id}", reftitle=short
+    )
+
+
+def setup(app: Sphinx) -> None:
+    """Formulas, docstrings and names as above."""
+    app.add_html_math_renderer(
+        "mathml",
+        inline_renderers=(lambda writer, node: mathml(writer, node, block=False), None),
+        block_renderers=(lambda writer, node: mathml(writer, node, block=True), None),
+    )
+    app.connect("autodoc-process-docstring", as_rst, priority=400)
+    app.connect("missing-reference", public)
