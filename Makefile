@@ -70,4 +70,4 @@ exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an ho
 
 clean: ## remove caches (compiled kernels too) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
-	rm -rf demo docs/made docs/reference docs/sg_execution_times.rst .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info
+	rm -rf demo docs/made docs/reference .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis build *.egg-info

@@ -75,6 +75,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_signature": False,
     "show_memory": False,
+    "write_computation_times": False,
     "min_reported_time": 1e9,
     "ignore_repr_types": r"matplotlib|Figure|Axes",
     "image_scrapers": ("matplotlib", "conf.last_picture"),

@@ -29,7 +29,7 @@ robust = ls.tune(P, asked, fits=[model], start=C, starts=1)
 robust
 
 # %%
-# The peak of |S| against the shift, for the controller as it was tuned and for one that had to keep its requirements
+# The peak of the sensitivity against the shift, for the controller as it was tuned and for one that had to keep its requirements
 # within 2 %.
 
 

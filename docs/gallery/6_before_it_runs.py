@@ -37,7 +37,7 @@ C = ls.controller(ls.gain(1.2), ls.lead_lag(10.0, 80.0), ls.pi(0.6), rate_hz=RAT
 (found,) = ls.predict(P, C)
 
 # %%
-# A response with errors of 8 % predicts |S| within the band shown.
+# A response with errors of 8 % predicts the sensitivity within the band shown.
 
 S = found.sensitivity
 size, radius = np.abs(S.siso), np.sqrt(3.0 * S.variance[:, 0, 0])

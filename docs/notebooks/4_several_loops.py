@@ -8,22 +8,18 @@ in a recording of its own while all are closed; together the recordings give the
 """
 
 # %%
-from dataclasses import replace
 from pathlib import Path
+from tempfile import mkdtemp
 
 import loopshape as ls
 from loopshape.identify.interaction import interaction
 from loopshape.identify.matrix import estimate_matrix
-from loopshape.io.study import read_study
 from loopshape.loop.several import check_several
-from loopshape.model import registry
-from loopshape.rig.simulated import header, measure
+from loopshape.verbs.machine import measure
 from loopshape.view.interaction import coefficients
 from loopshape.view.matrix import matrix_page
 
-study = read_study(Path("../../examples/arm2/study.toml"))
-arm = registry.plant(study.plant)
-run = replace(header(study, arm), recordings=tuple(measure(study, arm)))
+run = measure(Path("../../examples/arm2/study.toml"), mkdtemp())
 run
 
 # %% [markdown]

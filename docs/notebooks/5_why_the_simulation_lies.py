@@ -8,18 +8,14 @@ and not the cause.
 """
 
 # %%
-from dataclasses import replace
 from pathlib import Path
+from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.io.study import read_study
-from loopshape.model import registry
-from loopshape.rig.simulated import header, measure
+from loopshape.verbs.machine import measure
 from loopshape.view.gap_report import gap_figure
 
-study = read_study(Path("../../examples/arm/gap.toml"))
-arm = registry.plant(study.plant)
-run = replace(header(study, arm), recordings=tuple(measure(study, arm)))
+run = measure(Path("../../examples/arm/gap.toml"), mkdtemp())
 run
 
 # %% [markdown]

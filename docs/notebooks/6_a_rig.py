@@ -8,48 +8,43 @@ what it measured. Here the target is an emulator (the reference firmware in C99,
 simulated arm behind it; a serial port or a TCP address of your own target takes its place.
 """
 
+# %% [markdown]
+# The study says what is recorded and which limits are kept. An emulator on a busy computer gets a longer watchdog than the
+# 250 ms of a machine.
+
 # %%
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
+from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.io.study import read_study
-from loopshape.model import registry
+from loopshape.core.errors import WrongUseError
 from loopshape.model.arm.emulated import plant_file
 from loopshape.rig.emulator import Emulator, emulated
-from loopshape.rig.link import open_link
-from loopshape.rig.session import Session
-from loopshape.rig.simulated import experiment, header, plan
-from loopshape.rig.target import arm, configuration, drive
+from loopshape.verbs.machine import measure
 
-study = read_study(Path("../../examples/rig/study.toml"))
-study = replace(study, operating_points=study.operating_points[:1])
-model = registry.plant(study.plant)
+folder = Path(mkdtemp())
+study = folder / "study.toml"
+given = Path("../../examples/rig/study.toml").read_text()
+study.write_text(given.replace("watchdog_ms = 250", "watchdog_ms = 5000"))
 
 # %% [markdown]
-# Nothing is armed yet: the target says who it is, and the study is compared with what it can do.
+# Without ``arm`` nothing moves: the target is asked who it is, the study is compared with what it can do, and that is
+# refused in a sentence.
 
 # %%
-opened = ExitStack()
-port = opened.enter_context(emulated(Emulator(plant_file(None))))
-session = Session(opened.enter_context(open_link(port, study.target.baud)))
-planned = plan(study, model)
-wanted = configuration(
-    session.identity, planned[0].loops, study.target, study.rate_hz, dict(study.pwm)
-)
-print(session.identity.board, "emulated" if session.identity.emulated else "a real machine")
-for column, limit in study.target.limits.items():
-    print(f"{column:10s} {limit}")
+with emulated(Emulator(plant_file(None))) as port:
+    try:
+        measure(study, folder / "run", port=port)
+    except WrongUseError as refused:
+        print(refused)
 
 # %% [markdown]
-# Arming is a step of its own. From here on the machine may move; whatever ends the block early vents it.
+# Arming is said in so many words. From here on the machine may move; whatever ends the measurement early vents it, and
+# every finished recording is kept.
 
 # %%
-with opened:
-    armed = arm(session, study.target, planned[0].loops, wanted)
-    recordings = tuple(drive(armed, (experiment(study, model, one) for one in planned)))
-run = replace(header(study, model), recordings=recordings)
+with emulated(Emulator(plant_file(None))) as port:
+    run = measure(study, folder / "run", port=port, arm=True)
 assert all(r.info.ended_early is None for r in run.recordings)
 run
 
@@ -57,5 +52,5 @@ run
 # What was recorded on a target is a run like any other.
 
 # %%
-P = ls.frf(run)
-ls.plot.frf(P)
+P = ls.frfs(run)
+ls.plot.frf(P[0])

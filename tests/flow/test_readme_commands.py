@@ -1,4 +1,4 @@
-"""The README's commands run as they stand, in a copy of the project's examples."""
+"""Commands of the README and of the how-to pages run as they stand, in a copy of the project's examples."""
 
 import json
 import os
@@ -13,11 +13,13 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap")]
+PAGES = "\n".join([README, *(page.read_text() for page in HOW_TO)])
 
 
 def blocks() -> dict[str, str]:
     """Console blocks by the name in the comment before them."""
-    return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", README, flags=re.S))
+    return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", PAGES, flags=re.S))
 
 
 @pytest.mark.long
@@ -69,22 +71,37 @@ def _shorten(study: Path) -> None:
     study.write_text("".join(part for part in parts if "-high" not in part))
 
 
-def test_every_loopshape_command_shown_is_run_by_a_test() -> None:
-    shown = set(re.findall(r"^loopshape ([\w-]+)", README, flags=re.M))
-    run = set(re.findall(r"^loopshape ([\w-]+)", "\n".join(blocks().values()), flags=re.M))
+def test_every_command_line_shown_is_run_by_a_test() -> None:
+    console = "\n".join(re.findall(r"```console\n(.*?)```", PAGES, flags=re.S))
+    shown = set(re.findall(r"^loopshape .*", console, flags=re.M))
+    run = set(re.findall(r"^loopshape .*", "\n".join(blocks().values()), flags=re.M))
+    assert len(run) >= 25
     assert shown == run
 
 
+def test_the_python_of_the_readme_runs() -> None:
+    (shown,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
+    done = subprocess.run([sys.executable, "-c", shown], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "Verdict: passed\n"
+
+
 def test_the_workflow_shown_is_the_one_that_is_tested() -> None:
-    (shown,) = re.findall(r"```yaml\n(.*?)```", README, flags=re.S)
+    (shown,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "ci.md").read_text(), flags=re.S)
     assert shown == (ROOT / "examples" / "ci" / "check-controllers.yml").read_text()
 
 
-def test_what_the_readme_shows_exists() -> None:
-    assert all((ROOT / path).exists() for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README))
-    named = re.findall(r"`((?:examples|experiments|loopshape|docs)/[\w./]*)`", README)
+@pytest.mark.parametrize("page", [ROOT / "README.md", *HOW_TO], ids=lambda page: page.stem)
+def test_what_a_page_shows_exists(page: Path) -> None:
+    text = page.read_text()
+    assert all((page.parent / path).exists() for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", text))
+    named = re.findall(r"`((?:examples|experiments|loopshape|docs)/[\w./]*)`", text)
     assert named
     assert all((ROOT / path).exists() for path in named)
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= 120
 
 
 def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:

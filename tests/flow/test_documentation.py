@@ -1,0 +1,113 @@
+"""The documentation site builds without a warning, its pages hang together, and its notebooks run as plain Python."""
+
+import os
+import pkgutil
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import loopshape as ls
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.py"))
+QUICK = {"1_bench_in_five_minutes", "2_your_own_arrays", "6_a_rig"}
+
+
+def copied(to: Path) -> Path:
+    """What the site is made of, without what was made."""
+    shutil.copytree(DOCS, to / "docs", ignore=shutil.ignore_patterns("made", "reference", "__pycache__"))
+    shutil.copytree(ROOT / "examples", to / "examples")
+    shutil.copytree(ROOT / "figures", to / "figures")
+    return to / "docs"
+
+
+def run_python(words: list[str], here: Path, tmp_path: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"MPLBACKEND": "Agg", "TMPDIR": str(tmp_path)}
+    return subprocess.run(
+        [sys.executable, *words], cwd=here, env=environment, capture_output=True, text=True, check=False,
+        timeout=timeout_s,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[] if p.stem in QUICK else pytest.mark.long) for p in NOTEBOOKS],
+    ids=lambda p: p.stem,
+)
+def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
+    if path.stem == "6_a_rig" and shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, which the emulator needs")
+    here = tmp_path / "docs" / "notebooks"
+    here.mkdir(parents=True)
+    shutil.copy(path, here)
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    done = run_python(["-W", "error", path.name], here, tmp_path, 280.0)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+
+def test_there_are_six_notebooks_in_the_percent_format() -> None:
+    assert len(NOTEBOOKS) == 6
+    for path in NOTEBOOKS:
+        text = path.read_text()
+        assert text.startswith('# %% [markdown]\n"""\n')
+        assert text.count("\n# %%\n") >= 3
+
+
+def test_every_page_is_in_the_contents() -> None:
+    index = (DOCS / "index.md").read_text()
+    listed = set(
+        re.findall(r"^[\w/]+$", "\n".join(re.findall(r"```{toctree}\n(.*?)```", index, flags=re.S)), flags=re.M)
+    )
+    made = {"made/notebooks/index", "made/gallery/index"}
+    assert listed == {str(page.with_suffix("")) for page in PAGES} - {"index"} | made
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    listed = set(re.findall(r"^   ([\w.]+)$", (DOCS / "api.md").read_text(), flags=re.M))
+    assert {name.split(".")[0] for name in listed} == set(dir(ls)) - {"__version__"}
+    pictures = {
+        f"plot.{name}" for name, one in vars(ls.plot).items() if getattr(one, "__module__", "") == ls.plot.__name__
+    }
+    assert {name for name in listed if "." in name} == {name for name in pictures if "._" not in name}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_what_a_page_leads_to_exists(page: Path) -> None:
+    text = (DOCS / page).read_text()
+    targets = [t.split("#")[0] for t in re.findall(r"\]\(([^):\s]+)\)", text)]
+    assert all((DOCS / page.parent / target).exists() for target in targets if target)
+    for code in re.findall(r"`(loopshape(?:\.[a-z_0-9]+)+)`", text):
+        pkgutil.resolve_name(code)  # raises where there is no such thing
+
+
+@pytest.mark.parametrize("page", ["estimators", "intervals"])
+def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
+    text = (DOCS / "mathematics" / f"{page}.md").read_text()
+    parts = re.split(r"^## ", text, flags=re.M)[1:]
+    assert [part.splitlines()[0] for part in parts if "*Code:*" not in part] == []
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    for module in ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery"):
+        pytest.importorskip(module, reason="the extra `docs` is not installed")
+    docs, out = copied(tmp_path), tmp_path / "site"
+    done = run_python(
+        ["-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(docs), str(out)], docs, tmp_path, 280.0
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    pages = {path.relative_to(out).as_posix() for path in out.rglob("*.html")}
+    assert {"index.html", "api.html", "reference/loopshape.tune.html", "mathematics/intervals.html"} <= pages
+    for kind in ("gallery", "notebooks"):
+        for script in (docs / kind).glob("*.py"):
+            page = (out / "made" / kind / f"{script.stem}.html").read_text()
+            assert f"sphx_glr_{script.stem}_001.png" in page, script.stem
+    assert "<math" in (out / "mathematics" / "intervals.html").read_text()
+    loaded = re.compile(r"<(?:script|img)[^>]+src=\"https?:|<link[^>]+stylesheet[^>]+href=\"https?:")
+    assert [path.name for path in out.rglob("*.html") if loaded.search(path.read_text())] == []
