@@ -14,16 +14,13 @@ from matplotlib.ticker import NullFormatter
 from scipy.stats import f
 
 import loopshape as ls
-from loopshape.io.controllers import read_controllers
-from loopshape.io.import_file import import_file
-from loopshape.io.requirements import read_requirements
 
 BENCH = Path("../../examples/motor_bench")
-P = ls.frf(import_file(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
 model = ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")
 (C,), (R,) = (
-    read_controllers(BENCH / "controller.toml"),
-    read_requirements(BENCH / "requirements.toml"),
+    ls.read_controllers(BENCH / "controller.toml"),
+    ls.read_requirements(BENCH / "requirements.toml"),
 )
 v = ls.check(P, C, R, fits=[model])
 v

@@ -13,16 +13,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import loopshape as ls
-from loopshape.io.controllers import read_controllers
-from loopshape.io.import_file import import_file
-from loopshape.io.requirements import read_requirements
 
 BENCH = Path("../../examples/motor_bench")
-P = ls.frf(import_file(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
 model = ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")
 (C,), (R,) = (
-    read_controllers(BENCH / "controller.toml"),
-    read_requirements(BENCH / "requirements.toml"),
+    ls.read_controllers(BENCH / "controller.toml"),
+    ls.read_requirements(BENCH / "requirements.toml"),
 )
 asked = replace(R, detuning_percent=2.0)
 robust = ls.tune(P, asked, fits=[model], start=C, starts=1)

@@ -14,10 +14,9 @@ twenty times while the current loop inside was closed. From the table of samples
 from pathlib import Path
 
 import loopshape as ls
-from loopshape.io.import_file import import_file
 
 BENCH = Path("../../examples/motor_bench")
-run = import_file(BENCH / "multisine_type_a.parquet", BENCH / "map.toml")
+run = ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml")
 run
 
 # %% [markdown]

@@ -15,11 +15,10 @@ import loopshape as ls
 from loopshape.identify.interaction import interaction
 from loopshape.identify.matrix import estimate_matrix
 from loopshape.loop.several import check_several
-from loopshape.verbs.machine import measure
 from loopshape.view.interaction import coefficients
 from loopshape.view.matrix import matrix_page
 
-run = measure(Path("../../examples/arm2/study.toml"), mkdtemp())
+run = ls.measure(Path("../../examples/arm2/study.toml"), mkdtemp())
 run
 
 # %% [markdown]

@@ -12,10 +12,9 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.verbs.machine import measure
 from loopshape.view.gap_report import gap_figure
 
-run = measure(Path("../../examples/arm/gap.toml"), mkdtemp())
+run = ls.measure(Path("../../examples/arm/gap.toml"), mkdtemp())
 run
 
 # %% [markdown]

@@ -17,10 +17,6 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.model.arm.emulated import plant_file
-from loopshape.rig.emulator import Emulator, emulated
-from loopshape.verbs.machine import measure
 
 folder = Path(mkdtemp())
 study = folder / "study.toml"
@@ -32,10 +28,10 @@ study.write_text(given.replace("watchdog_ms = 250", "watchdog_ms = 5000"))
 # refused in a sentence.
 
 # %%
-with emulated(Emulator(plant_file(None))) as port:
+with ls.emulator() as port:
     try:
-        measure(study, folder / "run", port=port)
-    except WrongUseError as refused:
+        ls.measure(study, folder / "run", port=port)
+    except ls.LoopshapeError as refused:
         print(refused)
 
 # %% [markdown]
@@ -43,8 +39,8 @@ with emulated(Emulator(plant_file(None))) as port:
 # every finished recording is kept.
 
 # %%
-with emulated(Emulator(plant_file(None))) as port:
-    run = measure(study, folder / "run", port=port, arm=True)
+with ls.emulator() as port:
+    run = ls.measure(study, folder / "run", port=port, arm=True)
 assert all(r.info.ended_early is None for r in run.recordings)
 run
 
