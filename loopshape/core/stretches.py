@@ -96,6 +96,12 @@ def extent(signal: Signal) -> Extent:
     return Extent(size, least, most, mean, float(np.sqrt(squares / size)))
 
 
+def constant(signal: Signal) -> bool:
+    """Whether a signal (n,), n at least 1, does not move; it is read no further than to where it does."""
+    first = signal[:1]
+    return all(bool(np.all(part == first)) for (part,) in stretches(signal))
+
+
 def equal(one: Signal, other: Signal) -> bool:
     """Whether two signals hold the same numbers."""
     return one.size == other.size and all(np.array_equal(a, b) for a, b in stretches(one, other))

@@ -7,7 +7,7 @@ a spike comes back to where it left, far beyond what the signal does elsewhere (
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -48,22 +48,31 @@ class Fault:
     sentence: str
 
 
-def by_stretches(
-    look: Callable[[Array, float, str, int], Fault | None], signal: Signal, rate_hz: float, name: str
-) -> Fault | None:
-    """`look` (`spikes` or `saturated`) at a signal (n,); at a long one stretch by stretch, each judged by itself.
+Look = Callable[[Array, float, str, int], "Fault | None"]
 
-    The sentence is that of the first stretch with a fault, and says how many stretches have one.
+
+def by_stretches(looks: Sequence[Look], signal: Signal, rate_hz: float, name: str) -> list[Fault]:
+    """What `looks` (`spikes`, `saturated`) find in a signal (n,); in a long one stretch by stretch, each by itself.
+
+    A long signal is read once for all of them. A fault's sentence is that of the first stretch with it, and says how
+    many stretches have it.
     """
     if not isinstance(signal, LongSignal):
-        return look(signal, rate_hz, name, 0)
+        return [fault for look in looks if (fault := look(signal, rate_hz, name, 0)) is not None]
     starts = [max(0, k - 2 * AROUND) for k in range(0, signal.size, AT_ONCE)]
-    every = (look(signal[start : start + AT_ONCE + 2 * AROUND], rate_hz, name, start) for start in starts)
-    found = [fault for fault in every if fault is not None]
-    if not found:
-        return None
+    every: list[list[Fault]] = [[] for _ in looks]
+    for start in starts:
+        values = signal[start : start + AT_ONCE + 2 * AROUND]
+        for look, found in zip(looks, every, strict=True):
+            if (fault := look(values, rate_hz, name, start)) is not None:
+                found.append(fault)
+    return [_together(found, f"{len(found)} of {len(starts)}", rate_hz) for found in every if found]
+
+
+def _together(found: Sequence[Fault], share: str, rate_hz: float) -> Fault:
+    """One fault of several stretches'."""
     rows, size = np.unique(np.concatenate([f.rows for f in found])), max(found, key=lambda f: abs(f.size)).size
-    more = f"; so in {len(found)} of {len(starts)} stretches of {AT_ONCE / rate_hz:.3g} s, this is the first"
+    more = f"; so in {share} stretches of {AT_ONCE / rate_hz:.3g} s, this is the first"
     return replace(found[0], rows=rows, size=size, sentence=found[0].sentence + more)
 
 
@@ -80,12 +89,15 @@ def spikes(values: Array, rate_hz: float, name: str = "the signal", first_row: i
     moving = moves[moves > 0.0]
     if x.size < 2 * AROUND or not moving.size:
         return None
+    heights = [_heights(x, width) for width in range(1, WIDTH + 1)]
+    if np.count_nonzero(moves > max(h.max() for h in heights) / COMMON) > 0.02 * moves.size:
+        return None  # that many ordinary moves are larger than half of the largest excursion
     limit = max(COMMON * float(np.quantile(moves, 0.98)), TYPICAL * float(np.median(moving)))
     found = [
-        (start, width, height)
-        for width in range(1, WIDTH + 1)
-        for start, height in _excursions(x, width, limit)
-        if height > LOCAL * _moves_near(moves, start, width)
+        (start, width, float(height[start - 1]))
+        for width, height in enumerate(heights, 1)
+        for start in (np.flatnonzero(height > limit) + 1).tolist()
+        if height[start - 1] > LOCAL * _moves_near(moves, start, width)
     ]
     found = [one for one in found if not _its_own(x, one[0], one[1])]
     if not found:
@@ -99,15 +111,14 @@ def spikes(values: Array, rate_hz: float, name: str = "the signal", first_row: i
     return Fault("spikes", name, rows, highest, words)
 
 
-def _excursions(x: Array, width: int, limit: float) -> list[tuple[int, float]]:
-    """Starts and heights of stretches of `width` samples that lie beyond both neighbours by more than `limit`."""
+def _heights(x: Array, width: int) -> Array:
+    """How far each stretch of `width` samples, from sample 1 on, lies beyond both of its neighbours."""
     count = x.size - width - 1
     within = [x[1 + k : 1 + k + count] for k in range(width)]
     before, after = x[:count], x[width + 1 :]
     up = reduce(np.minimum, within) - np.maximum(before, after)
     down = np.minimum(before, after) - reduce(np.maximum, within)
-    height = np.maximum(up, down)
-    return [(int(k) + 1, float(height[k])) for k in np.flatnonzero(height > limit)]
+    return np.maximum(up, down)
 
 
 def _moves_near(moves: Array, start: int, width: int) -> float:
@@ -225,8 +236,12 @@ def _checked(values: Array, name: str) -> Array:
 
 def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """Starts and ends (exclusive) of the runs of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    there = np.flatnonzero(mask)
+    if not there.size:
+        return []
+    gaps = np.flatnonzero(np.diff(there) > 1)
+    starts, lasts = there[np.append(0, gaps + 1)], there[np.append(gaps, -1)]
+    return list(zip(starts.tolist(), (lasts + 1).tolist(), strict=True))
 
 
 def _count(n: int, what: str) -> str:

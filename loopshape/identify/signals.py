@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.stretches import Signal, equal, extent, stretches
+from loopshape.core.stretches import Signal, constant, equal, extent, stretches
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.experiment import LoopSetup
@@ -51,11 +51,10 @@ def read_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Signal]:
     u, y = input_signal(recording, loop), recording.signal(loop.output)
     source = moved_signal(recording, loop)
     for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
-        seen = extent(signal)
-        if seen.least == seen.most:
+        if constant(signal):
             raise BadSignalError(
                 f"the {what} of loop {loop.name} in recording {info.file} is constant",
-                f"{seen.least:g} in every row",
+                f"{float(signal[:1][0]):g} in every row",
                 "check the cable, the map, or which loop the recording excites",
             )
     return LoopSignals(u, y, source, info.closed_loop, Channel.from_column(loop.control), output_channel(loop))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.stretches import Signal, extent, stretches
+from loopshape.core.stretches import Signal, constant, stretches
 from loopshape.data.channel import sum_terms
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
@@ -30,7 +30,7 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
         signal = recording.signal(name)
         if not signal.size:
             raise BadSignalError(f"recording {recording.info.file} has no rows", "an empty table", "leave it out")
-        if name not in watched:  # which are read below
+        if name not in watched or name == watched[name].injected:  # the others are read below
             for _ in stretches(signal):  # a long recording's values are looked at as they are read
                 pass
     info = recording.info
@@ -41,11 +41,10 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
         if not all(term in recording.columns for term in sum_terms(name)):
             continue
         values = recording.signal(name)
-        seen = extent(values)
-        if seen.least == seen.most:
+        if constant(values):
             raise BadSignalError(
                 f"{name} of recording {info.file} does not move although loop {loop.name} is excited",
-                f"{seen.least:g} in all {seen.size} rows",
+                f"{float(values[:1][0]):g} in all {values.size} rows",
                 "check the sensor and the column, or leave the recording out",
             )
         if name != loop.injected:
@@ -87,5 +86,4 @@ def _share_beyond(signal: Signal, limit: float) -> float:
 def _spoiled(name: str, values: Signal, info: RecordingInfo, rate_hz: float) -> list[str]:
     """Sentences on clipped samples and spikes, which they name."""
     whole = f"{name} of recording {info.file}"
-    found = [by_stretches(look, values, rate_hz, whole) for look in (saturated, spikes)]
-    return [fault.sentence for fault in found if fault is not None]
+    return [fault.sentence for fault in by_stretches((saturated, spikes), values, rate_hz, whole)]

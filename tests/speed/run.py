@@ -271,6 +271,8 @@ def main() -> None:
     line("  filled cache", first_call(True), "s")
     frf()
     long_recording()
+    million()
+    runs()
     tuning()
     campaign()
 
@@ -303,6 +305,25 @@ def long_recording() -> None:
     line(
         "9 million rows from the disk to an FRF", taken, f"s of one core, {taken / bare:.2f} of reading and transforms"
     )
+
+
+def million() -> None:
+    """A FRF of a million frequencies, checked, drawn and reported."""
+    from million_workload import table
+
+    for one in table():
+        line(*one)
+
+
+def runs() -> None:
+    """Import beside reading the file, and memory against the number of recordings."""
+    from runs_workload import importing, megabytes
+
+    taken, most, reading, least = importing()
+    line("import of a CSV file of 3 million rows", taken, f"s of one core, {taken / reading:.1f} times reading it")
+    line("  its memory", most, f"MB; reading it {least:.0f} MB")
+    few, many = megabytes(10), megabytes(40)
+    line("frf of 10 recordings of 4 MB, memory", few, f"MB; of 40 {many:.0f} MB")
 
 
 def campaign() -> None:

@@ -1,0 +1,69 @@
+"""Import of a CSV file beside reading it, and the memory of looking at and estimating runs of 10 and 40 recordings."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from million_workload import spent
+
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.io.run_folder import write_run
+
+ROWS = 3_000_000
+MAP = """
+format = "loopshape-map/1"
+rate_hz = 10000.0
+[columns]
+n_v = { from = "n", unit = "V" }
+u_v = { from = "u", unit = "V" }
+y_m = { from = "y", unit = "m" }
+[[loop]]
+name = "axis"
+injected = "n_v"
+control = "u_v"
+output = "y_m"
+[recording]
+kind = "noise"
+injection = "controller_input"
+excites = "axis"
+"""
+READING = "import sys, pyarrow.csv; pyarrow.csv.read_csv(sys.argv[1])"
+
+
+def importing() -> tuple[float, float, float, float]:
+    """Processor times in s and most memory in MB of importing a CSV file of three columns, and of reading it."""
+    import pyarrow as pa
+    from pyarrow.csv import write_csv
+
+    with tempfile.TemporaryDirectory() as name:
+        folder, rng = Path(name), np.random.default_rng(0)
+        columns = {what: np.round(rng.standard_normal(ROWS), 3) for what in "nuy"}
+        write_csv(pa.table(columns), folder / "r.csv")
+        (folder / "map.toml").write_text(MAP)
+        words = ["import", str(folder / "r.csv"), "--map", str(folder / "map.toml"), "--out", str(folder / "run")]
+        ours = spent(["-m", "loopshape.cli.main", *words])
+        return *ours, *spent(["-c", READING, str(folder / "r.csv")])
+
+
+def megabytes(recordings: int) -> float:
+    """Most memory of `frf` on a run of so many recordings of 4 MB."""
+    rng = np.random.default_rng(0)
+    u = rng.integers(-500, 500, 160_000) / 100.0
+    y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[: u.size]
+    loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
+    every = tuple(
+        Recording(
+            RecordingInfo(f"r{k:02d}.parquet", "noise", "reference", excites="a"),
+            1000.0,
+            {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
+        )
+        for k in range(recordings)
+    )
+    with tempfile.TemporaryDirectory() as name:
+        write_run(Path(name) / "run", Run(rate_hz=1000.0, loops=(loop,), recordings=every))
+        words = ["frf", str(Path(name) / "run"), "--resolution-hz", "1", "--no-figures"]
+        return spent(["-m", "loopshape.cli.main", *words])[1]
