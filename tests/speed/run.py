@@ -322,8 +322,8 @@ def runs() -> None:
     taken, most, reading, least = importing()
     line("import of a CSV file of 3 million rows", taken, f"s of one core, {taken / reading:.1f} times reading it")
     line("  its memory", most, f"MB; reading it {least:.0f} MB")
-    few, many = megabytes(10), megabytes(40)
-    line("frf of 10 recordings of 4 MB, memory", few, f"MB; of 40 {many:.0f} MB")
+    few, many = megabytes(60), megabytes(120)
+    line("frf of 60 recordings of 4 MB, memory", few, f"MB; of 120 {many:.0f} MB")
 
 
 def campaign() -> None:
