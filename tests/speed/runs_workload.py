@@ -1,4 +1,4 @@
-"""Import of a CSV file beside reading it, and the memory of looking at and estimating runs of few and of many recordings."""
+"""Import of a CSV file beside reading it, and memory of `frf` on runs of few and of many recordings."""
 
 from __future__ import annotations
 
