@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import re
+import shutil
 import struct
 import tokenize
 import tomllib
@@ -11,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +24,8 @@ from loopshape.io.seen import look, own, refuse_changed
 from loopshape.io.toml_text import toml_text
 
 PART = ".part"  # ending of a file that is still being written
+_HOST = f"{zlib.crc32(platform.node().encode()):08x}"[:4]
+_OF_A_PROCESS = re.compile(rf"\..*\.{_HOST}-(\d+)-[0-9a-f]{{8}}{re.escape(PART)}", re.DOTALL)  # of this machine
 _LONGEST_TOML = 256 * 1024 * 1024  # bytes; a run of half a million recordings is shorter
 
 #: what readers of damaged or foreign files raise
@@ -69,20 +75,72 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """
     if not path.name:
         raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
-    part = path.with_name(f".{path.name}.{os.getpid()}-{os.urandom(4).hex()}{PART}")
+    part = part_of(path)
     try:
         with writing(path):
+            clear(path.parent)
             write(part)
-            _sync(part)
-            refuse_changed()
-            own(path)
-            os.replace(part, path)
-            _sync(path.parent)
+            put(part, path)
     except UnicodeEncodeError:
         raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def put(part: Path, path: Path) -> None:
+    """Put a whole file in its place in one step, where no file that was read has changed since."""
+    _sync(part)
+    refuse_changed()
+    own(path)
+    os.replace(part, path)
+    _sync(path.parent)
+
+
+def part_of(path: Path) -> Path:
+    """Where this process writes what is to stand at a path: a hidden name beside it that no other one takes."""
+    return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{PART}")
+
+
+@contextmanager
+def staged(folder: Path, what: str) -> Iterator[Path]:
+    """A folder within a folder in which files are made that are moved together; gone afterwards."""
+    stage = part_of(folder / what)
+    clear(folder)
+    try:
+        make_folder(stage)
+        yield stage
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+@cache
+def clear(folder: Path) -> None:
+    """Remove what processes of this machine that were killed were writing in a folder; looked for once."""
+    for left in folder.glob(f".*{PART}"):
+        if (found := _OF_A_PROCESS.fullmatch(left.name)) and not _runs(int(found[1])):
+            remove_part(left)
+
+
+def remove_part(left: Path) -> None:
+    """Remove a file or folder whose writing was cut short."""
+    if left.is_dir() and not left.is_symlink():
+        shutil.rmtree(left, ignore_errors=True)
+    with suppress(OSError):
+        left.unlink()
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process of this number runs; True where the system does not tell."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        pass
+    return True
 
 
 @contextmanager

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,13 +10,14 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.frf import FRF
-from loopshape.io.files import PART, inside, make_folder, short
+from loopshape.io.files import PART, inside, make_folder, put, staged, writing
 from loopshape.io.frf_csv import frf_csv, read_frf_csv
 from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
 from loopshape.io.frf_mat import read_frf_mat, write_frf_mat
 from loopshape.io.frf_uff import read_frf_uff, write_frf_uff
 from loopshape.io.frf_words import frf_arrays
 from loopshape.io.frfs import FOLDER, has_any, read_frfs, write_frfs
+from loopshape.io.held import held
 from loopshape.io.run_folder import RUN_TOML
 from loopshape.io.words import refuse_doubles
 
@@ -67,17 +65,10 @@ def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ..
     refuse_doubles(names, str(out), "FRFs")
     make_folder(out)
     paths = [inside(out, name, "the name of a FRF's recording and loop") for name in names]
-    stage = out / f".export.{os.getpid()}-{os.urandom(4).hex()}{PART}"
-    make_folder(stage)
-    try:
+    with writing(out), staged(out, "export") as stage:
         notes = [note for name, frf in zip(names, frfs, strict=True) for note in kind.write(stage / name, frf)]
         for name, path in zip(names, paths, strict=True):
-            os.replace(stage / name, path)
-    except OSError as error:
-        raise UnreadableInputError(f"{out} cannot be written", error.strerror or short(error), "check it") from None
-    finally:
-        with suppress(OSError):
-            shutil.rmtree(stage)
+            put(stage / name, path)
     return tuple(paths), tuple(dict.fromkeys(notes))
 
 
@@ -128,25 +119,27 @@ def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -
             str(folder),
             "choose another folder",
         )
-    ours = (PART, "figures", "fits.json", "export", FOLDER)
-    foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)] if folder.is_dir() else []
-    if foreign:
-        raise WrongUseError(
-            "a folder that is no run is not written into",
-            f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
-            "choose a new or an empty folder",
-        )
-    there = read_frfs(folder) if has_any(folder, FOLDER) else ()
-    old = {(one.recording, one.loop): one for one in there}
-    taken = [one for one in frfs if (one.recording, one.loop) in old]
-    other = [one for one in taken if not _same(one, old[(one.recording, one.loop)])]
-    if other and not replace_same:
-        raise WrongUseError(
-            f"{folder} has another FRF of this recording and loop",
-            ", ".join(f"{one.recording} of {one.loop}" for one in other),
-            "add --replace, or give it another name (--recording, --loop)",
-        )
-    return write_frfs(folder, frfs)
+    make_folder(folder)
+    with held(folder):
+        ours = (PART, "figures", "fits.json", "export", FOLDER)
+        foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)]
+        if foreign:
+            raise WrongUseError(
+                "a folder that is no run is not written into",
+                f"{folder}, which holds {', '.join(sorted(foreign)[:5])}",
+                "choose a new or an empty folder",
+            )
+        there = read_frfs(folder) if has_any(folder, FOLDER) else ()
+        old = {(one.recording, one.loop): one for one in there}
+        taken = [one for one in frfs if (one.recording, one.loop) in old]
+        other = [one for one in taken if not _same(one, old[(one.recording, one.loop)])]
+        if other and not replace_same:
+            raise WrongUseError(
+                f"{folder} has another FRF of this recording and loop",
+                ", ".join(f"{one.recording} of {one.loop}" for one in other),
+                "add --replace, or give it another name (--recording, --loop)",
+            )
+        return write_frfs(folder, frfs)
 
 
 def _same(one: FRF, two: FRF) -> bool:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.data.run import Run
-from loopshape.io.files import PART, make_folder, plain_name, short
+from loopshape.io.files import make_folder, plain_name, short, staged
 from loopshape.io.held import held
 from loopshape.io.journal import FILE as JOURNAL
 from loopshape.io.run_folder import RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
@@ -28,16 +27,13 @@ def replace_run(folder: Path, run: Run) -> None:
     with held(folder):
         if not has_run(folder):
             refuse_foreign(folder)
-        stage = folder / f".new.{os.getpid()}-{os.urandom(4).hex()}{PART}"
-        try:
+        with staged(folder, "new") as stage:
             write_run(stage, run)
             _remove_all_but_words(folder)
             names = sorted((path.name for path in stage.iterdir()), key=lambda name: name == RUN_TOML)
             for name in names:  # the old words stay to the last: they say what is to be removed
                 with _moving(folder / name):
                     os.replace(stage / name, folder / name)
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
 
 
 def _remove_all_but_words(folder: Path) -> None:

@@ -7,7 +7,6 @@ not named yet is written again when the work resumes.
 from __future__ import annotations
 
 import os
-import shutil
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -22,7 +21,7 @@ from loopshape.core.stretches import LongSignal, Signal, equal
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.io.arriving import ARRIVING, EARLIER, next_earlier
-from loopshape.io.files import PART, inside, make_folder, reading, short, write_toml
+from loopshape.io.files import PART, inside, make_folder, reading, remove_part, short, write_toml
 from loopshape.io.held import alone as alone
 from loopshape.io.held import held
 from loopshape.io.journal import FILE as JOURNAL
@@ -187,10 +186,7 @@ def refuse_foreign(folder: Path, tables: Sequence[str] = ()) -> None:
 def sweep(folder: Path) -> None:
     """Remove what writes that were killed left in a folder."""
     for left in folder.glob(f".*{PART}"):
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left, ignore_errors=True)
-        with suppress(OSError):
-            left.unlink()
+        remove_part(left)
 
 
 def _resume(folder: Path, header: Mapping[str, Any]) -> None:

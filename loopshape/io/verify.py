@@ -117,7 +117,7 @@ def _strange(folder: Path, listed: set[str]) -> Iterator[Finding]:
         if path.name.endswith(ARRIVING):
             yield Finding(path.name, None, "what came of a recording that did not end; the next measurement keeps it")
         elif path.name.endswith(PART):
-            yield Finding(path.name, None, "a file whose writing was cut short; the next measurement removes it")
+            yield Finding(path.name, None, "a file whose writing was cut short; the next one written here removes it")
         elif path.name.endswith(ENDINGS) and path.name not in listed:
             yield Finding(path.name, None, "a table that run.toml does not list: it is not part of the run")
 

@@ -1,0 +1,158 @@
+"""Every command that writes, killed before any step of its writing or at any time, and given again.
+
+Commands give the same bytes for the same input, so the truth is plain: after a kill each file is the one from before or
+the one that a whole command leaves, and the same command given again ends as if nothing had happened.
+"""
+
+import os
+import random
+import shutil
+import signal
+import threading
+import time
+
+import pytest
+from bench import command
+from wide_bench import commands, prepare
+
+from loopshape.io.verify import verify
+
+#: commands that write, but for campaigns, whose workers have a test of their own
+WRITING = (
+    "import another", "import --replace", "import a third", "frf otherwise", "fit otherwise", "tune", "predict",
+    "report", "figures", "export", "import-frf", "import-frf --replace", "check-several --junit",
+    "check --save-verdict", "export-controller", "export-excitation", "measure", "simulate",
+)  # fmt: skip
+#: before these a command is given that leaves another file in the place of its own
+AFTER = {"tune": "controller.toml", "predict": "prediction.npz", "check --save-verdict": "verdict.json"}
+QUICK = (("import --replace", 4), ("frf otherwise", 2), ("check --save-verdict", 5), ("measure", 9), ("tune", 1))
+CALLS = ("replace", "fsync", "open", "close", "write", "unlink")
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return prepare(tmp_path_factory.mktemp("kills") / "whole")
+
+
+@pytest.fixture(scope="module")
+def place(whole):
+    """Makes the same files anew, always at one place."""
+    folder = whole.with_name("work")
+
+    def make(name):
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(whole, folder)
+        if name in AFTER:
+            (folder / AFTER[name]).write_bytes(b"made earlier")
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def undisturbed(place):
+    """Files before a command, after it, what it printed, and how many steps it took; each command is run once."""
+    known = {}
+
+    def of(name):
+        if name not in known:
+            folder = place(name)
+            before, steps = tree(folder), folder.with_name("steps")
+            done = command(commands(folder)[name], before=lambda: counted(steps))
+            assert done.code in (0, 1), done
+            known[name] = before, tree(folder), done, len(steps.read_bytes())
+        return known[name]
+
+    return of
+
+
+def tree(folder):
+    """Every file by its path in the folder, but journals, which bear times, and what is still being written."""
+    paths = {str(path.relative_to(folder)): path for path in folder.rglob("*") if path.is_file()}
+    passing = ("/.", "journal.jsonl")
+    return {name: path.read_bytes() for name, path in paths.items() if not any(word in f"/{name}" for word in passing)}
+
+
+def counted(path):
+    """Note each call to the system that touches a file as one byte of a file."""
+    out = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    write = os.write
+    stand_in(lambda: write(out, b"."))
+
+
+def killed_before(step):
+    """End this process as a power cut does before its so-manieth call to the system that touches a file."""
+    left = [step]
+
+    def one():
+        left[0] -= 1
+        if left[0] < 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    stand_in(one)
+
+
+def stand_in(first):
+    """Do something before each such call."""
+
+    def wrapped(call):
+        def called(*given, **named):
+            first()
+            return call(*given, **named)
+
+        return called
+
+    for name in CALLS:
+        setattr(os, name, wrapped(getattr(os, name)))
+
+
+def killed_after(seconds):
+    """End this process so many seconds from now."""
+    threading.Thread(target=lambda: (time.sleep(seconds), os.kill(os.getpid(), signal.SIGKILL)), daemon=True).start()
+
+
+def is_old_or_new(folder, before, after):
+    """Every file is that from before or that of the whole command; none is missing but what the command removes."""
+    found = tree(folder)
+    for name, content in found.items():
+        assert content in (before.get(name), after.get(name)) or name.endswith("run.toml"), name
+    assert {name for name in before if name in after} <= set(found)
+    for run in folder.glob("*/run.toml"):
+        assert [one for one in verify(run.parent) if one.sound is False and one.what != "FRFs"] == []  # yet to be made
+
+
+def kill_and_go_on(name, place, undisturbed, ending):
+    """One kill; gives whether the command was ended by it. The number of a process that ended is free again."""
+    before, after, whole, _ = undisturbed(name)
+    folder = place(name)
+    done = command(commands(folder)[name], before=ending)
+    is_old_or_new(folder, before, after)
+    again = command(commands(folder)[name])
+    assert again.code == whole.code, again
+    assert tree(folder) == after
+    assert list(folder.rglob(".*")) == []
+    return done.code is None
+
+
+@pytest.mark.parametrize(("name", "step"), QUICK)
+def test_a_kill_before_a_step_of_writing(name, step, place, undisturbed):
+    assert kill_and_go_on(name, place, undisturbed, lambda: killed_before(step))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WRITING)
+def test_kills_before_steps_of_writing(name, place, undisturbed):
+    steps = undisturbed(name)[3]
+    for step in sorted({round(k * (steps - 1) / 4) for k in range(5)}):
+        assert kill_and_go_on(name, place, undisturbed, lambda step=step: killed_before(step)), (
+            f"step {step} of {steps}"
+        )
+
+
+@pytest.mark.long
+def test_kills_at_random_times(place, undisturbed):
+    rng, kills = random.Random(15), 0
+    while kills < 60:
+        name = rng.choice(WRITING)
+        kills += kill_and_go_on(name, place, undisturbed, lambda: killed_after(rng.uniform(0.0, 0.25)))
