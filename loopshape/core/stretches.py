@@ -86,11 +86,16 @@ class Extent:
 
 
 def extent(signal: Signal) -> Extent:
-    """What a signal (n,), n at least 1, extends over; stretches are joined as Chan, Golub and LeVeque do (1983)."""
+    """What a signal (n,), n at least 1, extends over; stretches are joined as Chan, Golub and LeVeque do (1983).
+
+    Where squares of its values exceed what a float holds, the standard deviation is inf.
+    """
     size, mean, squares, least, most = 0, 0.0, 0.0, np.inf, -np.inf
     for (part,) in stretches(signal):
+        with np.errstate(over="ignore"):
+            spread = float(part.var())
         apart, whole = float(part.mean()) - mean, size + part.size
-        squares += float(part.var()) * part.size + apart**2 * size * part.size / whole
+        squares += spread * part.size + apart * apart * size * part.size / whole
         mean, size = mean + apart * part.size / whole, whole
         least, most = min(least, float(part.min())), max(most, float(part.max()))
     return Extent(size, least, most, mean, float(np.sqrt(squares / size)))

@@ -78,14 +78,9 @@ def write_frf_file(path: Path, frf: FRF) -> tuple[str, ...]:
     if kind is None:
         raise WrongUseError("a FRF is not written to a file of this kind", str(path), f"use {', '.join(_ENDINGS)}")
     make_folder(path.parent)
-    part = path.with_name(f".{path.stem}{PART}{path.suffix}")
-    try:
-        notes = FORMATS[kind].write(part, frf)
-        os.replace(part, path)
-    except OSError as error:
-        raise UnreadableInputError(f"{path} cannot be written", error.strerror or short(error), "check it") from None
-    finally:
-        part.unlink(missing_ok=True)
+    with writing(path), staged(path.parent, "export") as stage:
+        notes = FORMATS[kind].write(stage / path.name, frf)
+        put(stage / path.name, path)
     return notes
 
 

@@ -173,3 +173,8 @@ def test_extent_is_that_of_the_whole(monkeypatch):
     found = extent(x)
     assert (found.size, found.least, found.most) == (100, x.min(), x.max())
     np.testing.assert_allclose([found.mean, found.std], [x.mean(), x.std()], rtol=1e-9)  # eps mean/std
+
+
+def test_a_signal_whose_squares_no_float_holds_has_no_finite_spread():
+    seen = extent(np.array([1e200, -1e200, 0.0]))
+    assert (seen.least, seen.most, seen.std) == (-1e200, 1e200, np.inf)
