@@ -50,7 +50,8 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
             ]
             for line in verdict.lines
         ]
-        columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]", "verdict"]
+        columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]"]
+        columns += ["verdict"]
         output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
         if margins:
             _margins(verdict, output)
@@ -130,7 +131,8 @@ def report_comparisons(comparisons: Mapping[str, Comparison], output: Output) ->
         lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
         lines += [["stability", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
         if lines:
-            output.table(f"{title}: outcomes", ["requirement", "loop", "before", "required", "now", "required now"], lines)
+            columns = ["requirement", "loop", "before", "required", "now", "required now"]
+            output.table(f"{title}: outcomes", columns, lines)
         if moved := comparison.largest():
             columns = [
                 "margin",
