@@ -9,7 +9,8 @@ import shutil
 from hashlib import sha256
 
 import pytest
-from bench import command, commands, prepare
+from bench import command
+from wide_bench import commands, prepare
 
 from loopshape.io import files, held
 
@@ -25,6 +26,15 @@ QUICK = [
     ("tune", "import --replace"), ("predict", "import --replace"), ("compare", "predict"),
     ("import", "import --replace"), ("import --replace", "frf otherwise"), ("import --replace", "import another"),
     ("import another", "import another"), ("verify", "import --replace"), ("gap", "import --replace"),
+]  # fmt: skip
+
+#: of the commands that read or write other folders; `campaign` starts processes, which a fork of this one cannot
+WIDE = [
+    ("measure", "measure otherwise"), ("measure otherwise", "measure"), ("simulate", "simulate otherwise"),
+    ("import-frf", "import-frf --replace"), ("import-frf --replace", "import-frf of two"),
+    ("interaction", "frf --matrix"), ("interaction", "import a third"), ("check-several", "frf --matrix"),
+    ("check-several --junit", "import a third"), ("frf --matrix", "import a third"), ("gap", "measure"),
+    ("check --save-verdict", "tune"), ("check --baseline", "check --save-verdict"),
 ]  # fmt: skip
 
 
@@ -72,8 +82,10 @@ def state(folder):
     """What a later command reads: words, tables, FRFs, fits, controllers and predictions, by their content."""
     run = folder / "run"
     paths = [run / "run.toml", run / "fits.json", folder / "controller.toml", folder / "prediction.npz"]
-    paths += [*run.glob("*.parquet"), *run.glob("frf/*.npz")]
-    return {path.name: sha256(path.read_bytes()).hexdigest() for path in paths if path.exists()}
+    paths += [folder / "verdict.json", folder / "several.xml", *run.glob("*.parquet"), *run.glob("frf/*.npz")]
+    for name in ("two", "measured", "simulated", "theirs"):
+        paths += [p for p in (folder / name).rglob("*") if p.suffix in (".toml", ".parquet", ".npz")]
+    return {str(p.relative_to(folder)): sha256(p.read_bytes()).hexdigest() for p in paths if p.exists()}
 
 
 def one_after_the_other(place, first, second):
@@ -135,7 +147,7 @@ def between_reading_and_writing(steps):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("first", "second"), QUICK)
+@pytest.mark.parametrize(("first", "second"), QUICK + WIDE)
 def test_a_command_between_anothers_reading_and_writing(place, first, second):
     check_pair(place, first, second, between_reading_and_writing(gates(place, first)))
 
