@@ -12,11 +12,6 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.identify.interaction import interaction
-from loopshape.identify.matrix import estimate_matrix
-from loopshape.loop.several import check_several
-from loopshape.view.interaction import coefficients
-from loopshape.view.matrix import matrix_page
 
 run = ls.measure(Path("../../examples/arm2/study.toml"), mkdtemp())
 run
@@ -26,18 +21,18 @@ run
 
 # %%
 theta1 = ls.frf(run, "theta1")
-P = estimate_matrix(run, run.recordings)
-matrix_page(P)
+(P,) = ls.frf_matrices(run)
+ls.plot.matrix(P)
 
 # %% [markdown]
 # The interaction of both joints, with 95 % bounds from the full covariance: a band is decoupled where every upper bound
 # is below the limit, coupled where a lower one is above it, else undecided.
 
 # %%
-found = interaction(P, ["theta1", "theta2"])
+found = ls.interaction(P, ["theta1", "theta2"])
 for one in found.verdicts:
     print(f"{one.band_hz[0]:.2g} to {one.band_hz[1]:.2g} Hz: {one.verdict}")
-coefficients(found)
+ls.plot.interaction(found)
 
 # %% [markdown]
 # The controllers under which the arm was recorded, judged together: each loop with the others closed, stability of all
@@ -45,9 +40,8 @@ coefficients(found)
 
 # %%
 own = [loop.controller for loop in run.loops]
-verdict = check_several(
-    [P], own, [ls.Requirements(c.loop, phase_margin_deg=30.0) for c in own], held=own
-)
+asked = [ls.Requirements(c.loop, phase_margin_deg=30.0) for c in own]
+verdict = ls.check_several(P, own, asked, recorded_under=own)
 for one in (*verdict.each, verdict.together):
     print(one)
 (margins,) = verdict.margins.values()

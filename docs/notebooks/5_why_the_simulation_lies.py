@@ -12,7 +12,6 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import loopshape as ls
-from loopshape.view.gap_report import gap_figure
 
 run = ls.measure(Path("../../examples/arm/gap.toml"), mkdtemp())
 run
@@ -31,7 +30,7 @@ assert report.verdict == "gas_law"
 # in time.
 
 # %%
-gap_figure(report)
+ls.plot.gap(report)
 
 # %% [markdown]
 # An effect is the most probable cause, with others beside it in the ambiguity set where the recordings do not separate

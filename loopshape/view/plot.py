@@ -9,8 +9,12 @@ from loopshape.data.frf import FRF
 from loopshape.data.requirements import Requirements, Verdict
 from loopshape.loop.verdict import loops_of
 from loopshape.view import frequency
+from loopshape.view import gap_report as gaps
+from loopshape.view import interaction as meetings
 from loopshape.view import loops as pages
+from loopshape.view import matrix as matrices
 from loopshape.view import nichols as charts
+from loopshape.view import prediction as forecasts
 from loopshape.view.bode import bode_page
 
 if TYPE_CHECKING:
@@ -19,7 +23,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from loopshape.data.gap_report import GapReport
+    from loopshape.data.interaction import Interaction
     from loopshape.data.loop import Loop
+    from loopshape.data.prediction import Prediction
     from loopshape.design.tune import Tuning
 
     Plants = FRF | Sequence[FRF]
@@ -36,6 +43,26 @@ def frf(P: FRF) -> Figure:
     return frequency.frf_page(P)
 
 
+def matrix(P: FRF) -> Figure:
+    """Magnitude and phase of each element of a matrix FRF, with 95 % bands."""
+    return matrices.matrix_page(P)
+
+
+def interaction(found: Interaction) -> Figure:
+    """Interaction coefficients, relative gains and equivalent plants over frequency, with bounds and verdicts."""
+    return meetings.interaction_page(found)
+
+
+def prediction(predictions: Sequence[Prediction]) -> Figure:
+    """Predicted |S|, |T| and steps of one loop at all operating points, with their bands."""
+    return forecasts.prediction_page(predictions)
+
+
+def gap(report: GapReport) -> Figure:
+    """Where a simulation leaves the machine, which effect causes it, and how that looks in time."""
+    return gaps.gap_figure(report)
+
+
 def nichols(
     P: Plants,
     C: Controller | Tuning,
@@ -44,7 +71,14 @@ def nichols(
     verdict: Verdict | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Open loops in the Nichols chart (degrees, dB), with what the requirements forbid; the worst point thick."""
+    """Open loops in the Nichols chart (degrees, dB), with what the requirements forbid; the worst point thick.
+
+    Without `ax` in a figure of pyplot's, which a notebook shows.
+    """
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.figure(figsize=(6.4, 5.2), layout="constrained").add_subplot()
     return charts.nichols(_loops(P, C, R), R, verdict=verdict, ax=ax)
 
 
