@@ -16,7 +16,7 @@ from loopshape.rig import session, taking
 pytestmark = pytest.mark.timeout(60)  # a hang is a failure
 NAMES = ("one", "two")
 TEXT = study_text(
-    experiment("one", period_s=0.25), experiment("two", period_s=0.25, amplitude=0.03), target=["watchdog_ms = 150"]
+    experiment("one", period_s=0.25), experiment("two", period_s=0.25, amplitude=0.03), target=["watchdog_ms = 500"]
 )
 KINDS = ("drop", "corrupt", "duplicate", "delay", "cut", "garbage", "oversize", "lie", "foreign", "late")
 
