@@ -34,7 +34,8 @@ def demo(
     output.say("\n== Why a simulation lies: an arm that holds what the nominal model leaves out ==\n")
     named, gap_figures = _gap(examples / "arm", out / "gap", output)
     passed = arm_passed and bench_passed and named
-    output.say(f"\n== Verdict: {'pass' if passed else 'not passed, see above'} ({time.monotonic() - started:.0f} s) ==\n")
+    word = "pass" if passed else "not passed, see above"
+    output.say(f"\n== Verdict: {word} ({time.monotonic() - started:.0f} s) ==\n")
     output.say("\n".join(["figures:", *(f"  {path}" for path in (*arm_figures, *bench_figures, *gap_figures))]))
     output.json({"passed": passed, "figures": [*arm_figures, *bench_figures, *gap_figures]})
     if not passed:
