@@ -9,7 +9,7 @@ import os
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -135,16 +135,14 @@ def _without_interrupts() -> Iterator[None]:
 def _serve(work: Callable[[Any], Any], pipe: Connection) -> None:
     """Answer jobs until there are no more, or the parent is gone, however it went."""
     Thread(target=_end_with_parent, daemon=True).start()
-    while True:
-        try:
+    with suppress(EOFError, OSError):  # its end closed: in order, or with answers unread
+        while True:
             job = pipe.recv()
-        except EOFError:
-            return
-        try:
-            answer = (False, work(job))
-        except Exception as error:
-            answer = (True, error)
-        pipe.send(answer)
+            try:
+                answer = (False, work(job))
+            except Exception as error:
+                answer = (True, error)
+            pipe.send(answer)
 
 
 def _end_with_parent() -> None:

@@ -1,5 +1,6 @@
 """Two at once, links that lead out, changed words, dying workers: nothing is lost, mixed up or written elsewhere."""
 
+import multiprocessing
 import os
 import resource
 import signal
@@ -33,6 +34,7 @@ from loopshape.io.run_folder import add_recording, finished, start_run
 from loopshape.io.study import read_study
 from loopshape.io.verify import verify
 from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig import processes
 from loopshape.rig.many import carried_out
 
 RATE = 100.0
@@ -294,6 +296,18 @@ def test_no_worker_hears_ctrl_c_not_even_the_first_of_an_interpreter(tmp_path):
     (tmp_path / "deaf.py").write_text(DEAF)
     done = subprocess.run([sys.executable, str(tmp_path / "deaf.py")], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True"] * 6
+
+
+def test_a_worker_whose_parent_goes_with_an_answer_unread_ends_without_a_word():
+    ours, its = multiprocessing.get_context("spawn").Pipe()  # closed with data unread, its end is reset, not ended
+    worker = multiprocessing.get_context("spawn").Process(target=processes._serve, args=(abs, its), daemon=True)
+    worker.start()
+    its.close()
+    ours.send(-1)
+    assert ours.poll(60)
+    ours.close()
+    worker.join(60)
+    assert worker.exitcode == 0
 
 
 def test_a_full_disk_ends_a_campaign_in_a_sentence(files):
