@@ -132,7 +132,7 @@ def _plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:
             if part_of is not None:  # what rounding made negative
                 rows = np.arange(part_of.shape[1])
                 part_of[:, rows, rows] = np.maximum(part_of[:, rows, rows].real, 0.0)
-    return PlantEstimate(P, covariance, noise, np.sqrt(np.nan_to_num(unsure.max(axis=1), nan=np.inf)))
+    return PlantEstimate(P, covariance, noise, np.sqrt(np.nan_to_num(np.maximum(unsure.max(axis=1), 0.0), nan=np.inf)))
 
 
 def _input_errors(part: Answers, inverse: ComplexArray, outputs: int) -> Array:

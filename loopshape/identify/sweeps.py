@@ -19,6 +19,7 @@ from loopshape.identify.answers import Answers
 from loopshape.identify.averages import smoothed
 from loopshape.identify.local_models import Fits, influences, solve, window_moments
 from loopshape.identify.settings import Settings
+from loopshape.identify.sweep_harmonics import harmonics
 from loopshape.identify.sweep_windows import HALVES, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
 from loopshape.identify.transforms import FLOOR, fast_length
 
@@ -50,8 +51,10 @@ def by_sweep(
             f"{low_hz:.3g} to {high_hz:.3g} Hz with lines {unit:.3g} Hz apart",
             "record longer, or sweep a wider band",
         )
+    nonlinear = harmonics(z, instrument[: fast_length(instrument.size)], low, high, low_hz / unit)
+    z[low : high + 1, 2:] -= nonlinear.added
     chosen, transient = choose(z, lines, low, high, outputs)
-    response, covariance, power, freedom = _estimated(z, lines, chosen, transient)
+    response, covariance, power, freedom = _estimated(z, lines, chosen, transient, 1.0 - nonlinear.share[lines - low])
     to_unit, width = scale[2:] / scale[0], chosen.right - chosen.left + 1
     order = [*range(2, z.shape[1]), 0]
     density = 2.0 / (recording.rate_hz * recording.rate_hz / unit)
@@ -68,7 +71,8 @@ def by_sweep(
         freedom=freedom,
         pooled=2 * POOL + 1,
         method=f"local fits of a sweep of {1.0 / unit:.4g} s, windows of {width.min() * unit:.3g} to"
-        f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals",
+        f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals"
+        f"{nonlinear}",
     )
 
 
@@ -138,9 +142,12 @@ def _grid(first: int, last: int, unit: float, settings: Settings) -> np.ndarray:
 
 
 def _estimated(
-    z: ComplexArray, lines: np.ndarray, chosen: Chosen, transient: Transient
+    z: ComplexArray, lines: np.ndarray, chosen: Chosen, transient: Transient, left_of_noise: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, float]:
-    """Responses (n, m), their covariance, cross-powers of z over each window, and degrees of freedom of a variance."""
+    """Responses (n, m), their covariance, cross-powers of z over each window, and degrees of freedom of a variance.
+
+    `left_of_noise` (n,) is the share of the noise that z still holds.
+    """
     n, m = lines.size, z.shape[1] - 2
     response, total = np.empty((n, m), dtype=complex), np.zeros((n, m, m), dtype=complex)
     held, gain, effective = np.empty_like(total), np.empty(n), np.empty(n)
@@ -157,7 +164,7 @@ def _estimated(
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
         total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
     noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
-    louder = chosen.louder * gain
+    louder = chosen.louder * gain / left_of_noise
     width = chosen.right - chosen.left + 1.0
     freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
     return response, np.asarray(noise * louder[:, None, None] + held), power, float(np.median(freedom))

@@ -99,8 +99,8 @@ def median_error(f_hz: Array, P: ComplexArray, rate_hz: float) -> float:
     return float(np.median(np.abs(P[inside] / plant(f_hz[inside], rate_hz) - 1.0)))
 
 
-def share_inside(frf: FRF, rate_hz: float) -> float:
-    """Share of errors within 95 % of an F distribution with the stated freedom."""
-    error = np.abs(frf.siso - plant(frf.frequency_hz, rate_hz)) ** 2
+def share_inside(frf: FRF, rate_hz: float, gain: float = 1.0) -> float:
+    """Share of errors, from the plant times `gain`, within 95 % of an F distribution with the stated freedom."""
+    error = np.abs(frf.siso - gain * plant(frf.frequency_hz, rate_hz)) ** 2
     reach = f_distribution.ppf(0.95, 2, frf.variance_freedom)
     return float(np.mean(error < reach * frf.variance[:, 0, 0]))

@@ -3,11 +3,12 @@ estimators or less, and 95 % intervals hold 93 to 97 %."""
 
 import numpy as np
 import pytest
-from swept_loop import HIGH, LOOP, LOW, measured, median_error, peer_errors, plant, share_inside, sweep
+from scipy.signal import lfilter
+from swept_loop import HIGH, LOOP, LOW, loop, measured, median_error, peer_errors, plant, share_inside, sweep
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import TWO_PI
-from loopshape.data.recording import Recording
+from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.identify.sweeps import swept_band
@@ -115,3 +116,29 @@ def test_what_a_window_rounds_off_of_a_resonance_is_not_taken_for_noise_that_com
 def test_a_slow_linear_sweep_is_valid_from_where_it_starts():
     frf = estimate_frf(recorded("controller_input", swept(180.0, spacing="linear"), seed=0), LOOP)
     assert octaves(frf.frequency_hz[frf.trusted]) > 0.95 * np.log2(HIGH / LOW)
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_harmonics_of_a_nonlinear_machine_are_neither_plant_nor_noise(both_ways):
+    # u + 0.2 u^2 - 0.3 u^3 in front of a known plant: a sine of amplitude 1 sees the plant times 1 - 3/4 0.3
+    B, A, _, _ = loop(RATE)
+    n, gain = swept(60.0, both_ways=both_ways), 0.775
+    errors, spreads, inside = [], [], []
+    for y in (lfilter(B, A, gain * n), lfilter(B, A, n + 0.2 * n**2 - 0.3 * n**3)):
+        for seed in range(3):
+            frf = estimate_frf(recorded_open(n, y, seed), LOOP)
+            assert ("without the sweep's harmonics 2, 3" in frf.method) == (len(errors) >= 3)
+            apart = frf.frequency_hz > 3.0  # from where harmonics pass at another time than the sweep
+            truth = gain * plant(frf.frequency_hz[apart], RATE)
+            errors.append(np.median(np.abs(frf.siso[apart] / truth - 1.0)))
+            spreads.append(np.median(np.sqrt(frf.variance[apart, 0, 0]) / np.abs(truth)))
+            inside.append(share_inside(frf, RATE, gain))
+    assert np.mean(errors[3:]) < 2.0 * np.mean(errors[:3])  # 6 to 10 times with harmonics taken for noise or plant
+    assert np.mean(spreads[3:]) < 3.0 * np.mean(spreads[:3])
+    assert np.mean(inside[3:]) > 0.85
+
+
+def recorded_open(n, y, seed):
+    v = 0.01 * y.std() * np.random.default_rng(seed).standard_normal(n.size)
+    columns = {"z_v": n, "y_rad": y + v, "r_rad": np.zeros(n.size), "n_rad": n}
+    return Recording(RecordingInfo("r1.parquet", "sweep", "controller_input", excites="axis"), RATE, columns)

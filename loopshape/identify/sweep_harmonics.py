@@ -1,0 +1,141 @@
+"""Harmonics of a sweep: what a nonlinear machine adds to its answer, taken out before local models are fitted.
+
+While a sweep passes f / m, a nonlinear plant answers at f too, at another time than when the sweep itself passes there
+(Farina, AES 108, 2000; Novak, Simon, Kadlec, Lotton, IEEE TIM 59, 2010). In the record's transform that is a ripple
+over frequency, X(k) = H(k) R(k) + sum_m H_m(k) R_m(k) + T(k) + V(k) with R_m of m times the sweep's phase: a narrow
+window takes it for the plant, a wide one for noise, and it is neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import hilbert
+
+from loopshape.core.units import Array, ComplexArray
+from loopshape.identify.local_models import Fits, Shape, solve, window_moments
+
+#: highest harmonic looked for
+HIGHEST = 12
+#: half a window: this share of its frequency, and so many lines at least
+WIDTH, NARROWEST = 0.1, 20
+#: orders of H and T, and of a harmonic's answer, over a window
+POLYNOMIAL, RATIONAL, ORDER = Shape(2, 0), Shape(2, 2), 2
+#: a harmonic is taken that explains so many times what noise would, if all those taken leave this share at most
+CLEAR, LEAVES = 4.0, 0.67
+#: one that the sweep times a polynomial of this order explains beyond this share passes with the sweep, not apart
+SMOOTH, APART = 8, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Harmonics:
+    """What a sweep's harmonics add: to the transforms (lines, m) from line `low` on, the share (lines,) of the noise
+    that went with them, and which were found (their numbers)."""
+
+    low: int
+    added: ComplexArray
+    share: Array
+    found: tuple[int, ...]
+
+    def __str__(self) -> str:
+        numbers = ", ".join(str(m) for m in self.found)
+        return f", without the sweep's harmonic{'s' * (len(self.found) > 1)} {numbers}" * bool(self.found)
+
+
+def harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: float) -> Harmonics:
+    """The harmonics in lines [low, high] of z (nf, 2 + m), an instrument's transform, 1 and answers.
+
+    `instrument` (n,) is the sweep over time, from line `lowest` on: harmonic m begins at m times that. One that
+    resonances or noise may explain as well is left where it is.
+    """
+    inputs = _inputs(instrument, low, high)
+    middle, half = _windows(low, high)
+    added = np.zeros((high + 1 - low, z.shape[1] - 2), dtype=complex)
+    share = np.zeros(high + 1 - low)
+    found: set[int] = set()
+    left, right = middle - half, middle + half
+    M = window_moments(z, middle, left[:, None], right[:, None], RATIONAL.powers)[:, 0]
+    count = right - left + 1.0
+    plain, sharp = solve(M, count, POLYNOMIAL), solve(M, count, RATIONAL)
+    for i, (c, h) in enumerate(zip(middle, half, strict=True)):
+        k, t = np.arange(c - h, c + h + 1), np.arange(-h, h + 1) / h
+        residuals = min((_residuals(z[k], t, x, i) for x in (plain, sharp)), key=lambda r: float(np.prod(_energy(r))))
+        heard = max(0, int(k[0] / lowest) - 1)
+        part, taken = _explained(z[k, 0], inputs[:heard, k - low], residuals, t)
+        weight = np.interp(k, middle, np.eye(middle.size)[i]) if middle.size > 1 else np.ones(k.size)
+        added[k - low] += weight[:, None] * part
+        share[k - low] += weight * len(taken) * (ORDER + 1) / k.size
+        found.update(j + 2 for j in taken)
+    return Harmonics(low, added, share, tuple(sorted(found)))
+
+
+def _inputs(instrument: Array, low: int, high: int) -> ComplexArray:
+    """Transforms (HIGHEST - 1, lines) of the sweep at 2, 3, ... times its phase, up to Nyquist."""
+    analytic = hilbert(instrument - instrument.mean())
+    size, phase = np.abs(analytic), np.unwrap(np.angle(analytic))
+    step = np.gradient(phase)
+    found = np.empty((HIGHEST - 1, high + 1 - low), dtype=complex)
+    for m in range(2, HIGHEST + 1):
+        found[m - 2] = np.fft.rfft(size * np.cos(m * phase) * (m * step < np.pi))[low : high + 1]
+    return found
+
+
+def _windows(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
+    """Middles and half widths of windows within [low, high], each reaching to the next one's middle."""
+    most = (high - low) // 2
+    half = [min(max(NARROWEST, int(WIDTH * low)), most)]
+    middle = [low + half[0]]
+    while middle[-1] + half[-1] < high:
+        middle.append(middle[-1] + half[-1])
+        half.append(min(max(NARROWEST, int(WIDTH * middle[-1])), most))
+        middle[-1] = min(middle[-1], high - half[-1])
+    return np.array(middle), np.array(half)
+
+
+def _residuals(z: ComplexArray, t: Array, fits: Fits, i: int) -> ComplexArray:
+    """What the fit over window i leaves of its answers, (lines, m)."""
+    powers = t[:, None] ** np.arange(POLYNOMIAL.order + 1)
+    shaped = np.hstack([z[:, :1] * powers, powers]) @ fits.theta[i]
+    denominator = fits.denominator[i]
+    return np.asarray(z[:, 2:] - shaped / (powers[:, : denominator.size] @ denominator)[:, None])
+
+
+def _explained(
+    sweep: ComplexArray, inputs: ComplexArray, residuals: ComplexArray, t: Array
+) -> tuple[ComplexArray, list[int]]:
+    """What harmonics explain of residuals (lines, m), and which of `inputs` (harmonics, lines) these are."""
+    powers = t[:, None] ** np.arange(ORDER + 1)
+    smooth = np.linalg.qr(sweep[:, None] * np.polynomial.chebyshev.chebvander(t, SMOOTH))[0]
+    apart = [j for j, x in enumerate(inputs) if _energy(smooth.conj().T @ x) < APART * _energy(x)]
+    base = np.hstack([sweep[:, None] * powers, powers])
+    basis = np.linalg.qr(base)[0]
+    left = residuals - basis @ (basis.conj().T @ residuals)
+    start = size = _energy(left)
+    taken: list[int] = []
+    while len(taken) < len(apart):
+        spans = {j: _span(inputs[j][:, None] * powers, basis) for j in apart if j not in taken}
+        less = {j: float(np.mean(_energy(span.conj().T @ left) / size)) for j, span in spans.items()}
+        best = max(less, key=less.__getitem__)
+        free = t.size - basis.shape[1]
+        if free < 4 * powers.shape[1] or less[best] < CLEAR * powers.shape[1] / free:
+            break
+        taken.append(best)
+        basis = np.hstack([basis, spans[best]])
+        left = left - spans[best] @ (spans[best].conj().T @ left)
+        size = _energy(left)
+    if not {0, 1} & set(taken) or float(np.mean(size / start)) > LEAVES:  # no machine has higher ones alone
+        return np.zeros_like(residuals), []
+    columns = np.hstack([base, *(inputs[j][:, None] * powers for j in taken)])
+    columns /= np.sqrt(_energy(columns))
+    theta = np.linalg.lstsq(columns, residuals, rcond=None)[0]
+    return np.asarray(columns[:, base.shape[1] :] @ theta[base.shape[1] :]), taken
+
+
+def _span(columns: ComplexArray, basis: ComplexArray) -> ComplexArray:
+    """An orthonormal basis of what of columns (lines, p) lies outside of `basis` (lines, q)."""
+    return np.linalg.qr(columns - basis @ (basis.conj().T @ columns))[0]
+
+
+def _energy(x: ComplexArray) -> Array:
+    return np.maximum((np.abs(x) ** 2).sum(axis=0), 1e-300)
