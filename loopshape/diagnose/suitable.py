@@ -35,9 +35,10 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
         )
     points = {tuple(sorted(r.info.operating_point.items())) for r in estimation}
     if len(points) == 1:
+        keys = " or ".join(estimation[0].info.operating_point)
         notes.append(
-            "one operating point: effects that part only by pressure or angle stay together in the ambiguity set; "
-            "record at two more angles and another pressure"
+            f"one operating point: effects that differ only by {keys or 'operating point'} stay together in the "
+            "ambiguity set; record at two more"
         )
     if len(estimation) == 1:
         notes.append("one estimation recording: intervals by leaving recordings out do not exist; record more")

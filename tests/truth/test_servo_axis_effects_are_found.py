@@ -12,6 +12,7 @@ from loopshape.diagnose import attribute
 from loopshape.diagnose.evidence import Evidence
 from loopshape.diagnose.hypothesis import candidates
 from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.model.servo_axis.effects import USUAL, forms
 
 RATE_HZ, SECONDS = 1000.0, 7
 GIVEN = {"mass_kg": 100.0, "viscous_ns_m": 200.0}
@@ -28,6 +29,18 @@ def strokes(seed):
         parts += [at + (to - at) * (10 * s**3 - 15 * s**4 + 6 * s**5), np.full(200, to)]
         at = to
     return np.concatenate(parts)[: int(SECONDS * RATE_HZ)]
+
+
+def slower(run, rate_hz):
+    """The run as a slower logger keeps it: the force's mean over each sample, the position at its start."""
+    n = round(run.rate_hz / rate_hz)
+
+    def thinned(r):
+        rows = r.columns["position_m"].size // n * n
+        force = r.columns["force_n"][:rows].reshape(-1, n).mean(axis=1)
+        return replace(r, rate_hz=rate_hz, columns={"force_n": force, "position_m": r.columns["position_m"][:rows:n]})
+
+    return replace(run, rate_hz=rate_hz, recordings=tuple(thinned(r) for r in run.recordings))
 
 
 def recorded(changes, given, count=3):
@@ -79,6 +92,20 @@ def test_a_known_effect_is_ranked_first_with_its_magnitude(effect, changes, magn
     assert order[0].magnitudes[0] == pytest.approx(magnitude, rel=0.05)
     assert order[0].cost < 0.5 * base.cost
     assert order[0].cost < 3.0 * evidence.quiet
+
+
+@pytest.mark.parametrize("rate_hz", [200.0, 100.0])
+def test_friction_is_found_at_slow_rates(rate_hz):
+    _, _, order = ranking(slower(recorded({"coulomb_n": 15.0}, GIVEN), rate_hz))
+    assert order[0].hypothesis.name == "coulomb_friction"
+    assert order[0].magnitudes[0] == pytest.approx(15.0, rel=0.2)
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 30.0, 250.0, 1e4, 1e6])
+def test_every_start_of_every_form_is_a_parameter_of_the_axis_at_any_rate(rate_hz):
+    axis = ServoAxis()
+    for form in forms(replace(USUAL, rate_hz=rate_hz)):
+        axis.parameters.vector(form.moves([f.starts[0] for f in form.free]))
 
 
 @pytest.mark.parametrize("given", [GIVEN, {}, {"mass_kg": 97.0, "viscous_ns_m": 230.0}])

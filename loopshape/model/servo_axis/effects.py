@@ -104,7 +104,8 @@ def _transmissions(s: Scales) -> tuple[EffectForm, ...]:
     fine = [5e-5 * s.travel_m * 1.35**k for k in range(20)]  # a play and a resonance are seen from near alone
     coarse = fine[::3]
     rate = s.rate_hz
-    hz = _free("flexible_hz", 2.0, 0.25 * rate, *(0.006 * rate * 1.2**k for k in range(15)))
+    lowest = min(2.0, 0.006 * rate)
+    hz = _free("flexible_hz", lowest, 0.25 * rate, *(0.006 * rate * 1.2**k for k in range(15)))
     damping = _free("flexible_damping", 0.0, 0.5, 0.1)
     stiff = {"flexible_share": 0.5, "flexible_hz": 0.05 * rate, "flexible_damping": 0.3}
     return (

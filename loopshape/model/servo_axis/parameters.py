@@ -63,7 +63,7 @@ AXIS_PARAMETERS = ParameterTable(
         ("sensor_play_m", 0.0, "m", 0.0, 1e3, "neutral 0: whole play before the sensor; effect backlash"),
         ("drive_play_m", 0.0, "m", 0.0, 1e3, "shapes flexible_share: whole play of the coupling; effect backlash"),
         ("flexible_share", 0.0, "1", 0.0, 0.9, "neutral 0: share of the mass beyond the coupling; effect flexibility"),
-        ("flexible_hz", 20.0, "Hz", 0.1, 1e4, "shapes flexible_share: free-free frequency"),
+        ("flexible_hz", 20.0, "Hz", 1e-6, 1e6, "shapes flexible_share: free-free frequency"),
         ("flexible_damping", 0.02, "1", 0.0, 2.0, "shapes flexible_share: relative damping, free-free"),
     )
     + rows(
