@@ -61,12 +61,13 @@ check: $(STAMP) ## ruff, the type checker, and who may import whom
 speed: $(STAMP) ## benchmarks against peers (needs a C compiler); no gate
 	$(BIN)/python tests/speed/run.py
 
-studies: $(STAMP) ## all studies under experiments/ but the exam, within an hour on two cores; installs the extra `learning` (5 GB)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[learning]"
-	$(BIN)/loopshape study --all
+STUDIES ?= --all
+studies: $(STAMP) ## all studies under experiments/ but the exam, within an hour on two cores; installs the extra `learning` (5 GB); STUDIES="pwm qube" runs these
+	$(if $(filter --all learning,$(STUDIES)),$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[learning]")
+	$(BIN)/python experiments/lab/studies.py $(STUDIES)
 
 exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an hour or so); EXAM_SEED=n draws another exam
-	$(BIN)/loopshape exam --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)
+	$(BIN)/python experiments/lab/exam.py --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)
 
 clean: ## remove caches (compiled kernels too) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,10 +11,8 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.data.gap_report import GapReport, Proposal, Ranked
-    from loopshape.data.study import ExperimentTemplate, Setpoint, Study
+    from loopshape.data.gap_report import GapReport, Ranked
 
-FORMAT = "loopshape-gap/1"
 SHOWN = 6
 
 
@@ -76,7 +74,7 @@ def diagnose_run(
         from loopshape.io.files import make_folder, write_json
 
         make_folder(save_answer.parent)
-        write_json(save_answer, answer(found))
+        write_json(save_answer, found.to_dict())
         output.say(f"answer written to {save_answer}")
     if report is not None:
         from loopshape.cli.pictures import save
@@ -88,7 +86,7 @@ def diagnose_run(
     if found.proposal is not None:
         output.say(f"next: {found.proposal.sentence}")
     output.say(found.sentence)
-    output.json(answer(found))
+    output.json(found.to_dict())
     return found
 
 
@@ -112,7 +110,7 @@ def show(found: GapReport, output: Output) -> None:
         if rows:
             cells = [gap_cells(found.table, row) for row in rows]
             output.table("Closed loop, nominal model against recorded", COLUMNS, cells)
-    control = control_json(found)
+    control = found.control
     if control:
         nu = [[c["loop"], c["recording"], point(c["operating_point"]), *(c[k] for k in _NU_KEYS)] for c in control]
         heads = ["loop", "recording", "operating point", "nominal", "with the effect", "to the nearest real point"]
@@ -144,24 +142,6 @@ def show(found: GapReport, output: Output) -> None:
 _NU_KEYS = ("nu_gap_before", "nu_gap_after", "nu_gap_to_nearest_point")
 
 
-def control_json(found: GapReport) -> list[dict[str, Any]]:
-    """What the gap means for control, recording by recording: nu-gaps before and after, and their scale."""
-    if found.table is None:
-        return []
-    after = {(r.loop, r.recording): r.value for r in (found.table_after.nu_gaps if found.table_after else ())}
-    return [
-        {
-            "loop": r.loop,
-            "recording": r.recording,
-            "operating_point": dict(r.operating_point),
-            "nu_gap_before": r.value,
-            "nu_gap_after": after.get((r.loop, r.recording)),
-            "nu_gap_to_nearest_point": r.scale,
-        }
-        for r in found.table.nu_gaps
-    ]
-
-
 def ranking_rows(ranking: Sequence[Ranked]) -> list[list[Any]]:
     """The first hypotheses as cells."""
     rows: list[list[Any]] = []
@@ -182,62 +162,6 @@ def ranking_rows(ranking: Sequence[Ranked]) -> list[list[Any]]:
     return rows
 
 
-def answer(found: GapReport) -> dict[str, Any]:
-    """The JSON that other tools read; see the exchange format's page in docs."""
-    gap = found.gap
-    return {
-        "format": FORMAT,
-        "run": found.run,
-        "plant": found.plant,
-        "verdict": found.verdict,
-        "ranking": [_rank_json(r) for r in found.ranking],
-        "ambiguity_set": list(found.ambiguity),
-        "where": {
-            "block": found.where.block,
-            "blocks": dict(found.where.blocks),
-            "channel": found.where.channel,
-            "band_hz": list(found.where.band_hz),
-            "operating_points": [dict(p) for p in found.where.operating_points],
-            "places": dict(found.where.places),
-        },
-        "gap": None
-        if gap is None
-        else {
-            "metric": gap.metric,
-            "noise_floor": 1.0,
-            "before": gap.before,
-            "after": gap.after,
-            "shrink": gap.shrink,
-            "interval": None if gap.interval is None else list(gap.interval),
-            "recordings": [f"{name}.parquet" if "." not in name else name for name in gap.recordings],
-            "rival": gap.rival,
-            "rival_after": gap.rival_after,
-        },
-        "submodels": [
-            {k: getattr(s, k) for k in ("recording", "role", "path", "before", "after", "rival")}
-            for s in found.submodels
-        ],
-        "next_experiment": next_json(found.proposal),
-        "control": control_json(found),
-        "parameters": dict(found.moves),
-        "software": list(found.software),
-        "notes": list(found.notes),
-        "sentence": found.sentence,
-    }
-
-
-def _rank_json(r: Ranked) -> dict[str, Any]:
-    row: dict[str, Any] = {"effect": r.effect, "probability": r.probability}
-    if r.magnitude is not None:
-        row |= {"magnitude": r.magnitude, "interval": r.interval and list(r.interval), "unit": r.unit, "form": r.form}
-    if r.parts:
-        row["form"] = r.form
-        row["parts"] = {
-            effect: {"magnitude": m, "interval": i and list(i), "unit": u} for effect, (m, i, u) in r.parts.items()
-        }
-    return row
-
-
 def propose(found: GapReport, path: Path, output: Output) -> None:
     """Write the study that would part the leading two hypotheses; say so where there is none to write."""
     from loopshape.io.files import make_folder, write_toml
@@ -246,71 +170,5 @@ def propose(found: GapReport, path: Path, output: Output) -> None:
         output.warn([f"no experiment of this rig parts the leading hypotheses: {path} is not written"])
         return
     make_folder(path.parent)
-    write_toml(path, study_table(found.proposal.study))
+    write_toml(path, found.proposal.study.to_table())
     output.say(f"study written to {path}")
-
-
-def next_json(proposal: Proposal | None) -> dict[str, Any] | None:
-    """The proposed experiment: what it parts, by how much, and its study as in a study file."""
-    if proposal is None:
-        return None
-    return {
-        "name": proposal.name,
-        "parts": list(proposal.parts),
-        "separation": proposal.separation,
-        "sentence": proposal.sentence,
-        "study": study_table(proposal.study),
-    }
-
-
-def study_table(study: Study) -> dict[str, Any]:
-    """A study as the TOML file that `loopshape measure` reads, signals in stored units."""
-    units = study.extra["units"]
-    return {
-        "format": "loopshape-study/1",
-        "rig": study.rig,
-        "plant": study.plant,
-        "rate_hz": study.rate_hz,
-        "seed": study.seed,
-        "solver": study.solver,
-        "operating_points": [dict(p) for p in study.operating_points],
-        "parameters": dict(study.changes) or None,
-        "pwm": dict(study.pwm) or None,
-        "loop": [
-            {"name": name, "controller": [block.to_table() for block in blocks]}
-            for name, blocks in study.controllers.items()
-        ],
-        "experiment": [_experiment_table(t, units[t.name]) for t in study.experiments],
-    }
-
-
-def _experiment_table(t: ExperimentTemplate, units: Mapping[str, Any]) -> dict[str, Any]:
-    """One experiment; keys that have their default are left out."""
-    from dataclasses import asdict
-
-    signal = None
-    if t.excitation is not None:
-        given = asdict(t.excitation)  # type: ignore[call-overload]
-        unit = units["excitation"]
-        signal = {"kind": given.pop("kind"), f"amplitude_{unit}": given.pop("amplitude"), **given}
-    return {
-        "name": t.name,
-        "excites": t.excites,
-        "injection": t.injection,
-        "role": t.role,
-        "lead_s": t.lead_s or None,
-        "tail_s": t.tail_s or None,
-        "duration_s": t.duration_s,
-        "operating_points": None if t.operating_points is None else [dict(p) for p in t.operating_points],
-        "excitation": signal,
-        "references": _setpoints(t.references, units["references"]) or None,
-        "control": _setpoints(t.control, units["control"]) or None,
-    }
-
-
-def _setpoints(signals: Mapping[str, Setpoint], units: Mapping[str, str]) -> dict[str, Any]:
-    """Staircases by loop."""
-    return {
-        loop: {"kind": s.kind, "times_s": list(s.times_s), f"values_{units[loop]}": list(s.values)}
-        for loop, s in signals.items()
-    }

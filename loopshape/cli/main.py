@@ -18,7 +18,6 @@ from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
 from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
-from loopshape.cli.exam import exam
 from loopshape.cli.export import export
 from loopshape.cli.export_controller import export_controller
 from loopshape.cli.export_excitation import export_excitation
@@ -37,7 +36,6 @@ from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
 from loopshape.cli.simulate import simulate
 from loopshape.cli.stop import stop
-from loopshape.cli.study import study
 from loopshape.cli.tune import tune
 from loopshape.cli.verify import verify
 from loopshape.core.errors import LoopshapeError
@@ -45,7 +43,7 @@ from loopshape.core.errors import LoopshapeError
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
 measure or import a run -> frf -> fit -> tune -> check -> predict; measure again -> compare; any run -> report, gap;
-frf -> interaction, plan, export; controller -> export-controller, bound, schedule; study runs the project's studies.
+frf -> interaction, plan, export; controller -> export-controller, bound, schedule.
 Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse than a baseline, 2 wrong use or
 unreadable input.
 """
@@ -89,8 +87,6 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("gap", gap, "loopshape gap runs/arm"),
         ("effects", effects, "loopshape effects arm-1dof"),
         ("equilibria", equilibria, "loopshape equilibria --out figures"),
-        ("exam", exam, "loopshape exam --out exam --seed 1"),
-        ("study", study, "loopshape study detuning"),
         ("demo", demo, "loopshape demo --out demo"),
     ),
     "Exchange": (

@@ -139,7 +139,6 @@ def _controller(path: Path | None, loop: str) -> Controller | None:
 
 def _write(run: Run, recording: Recording, plan: Plan, path: Path) -> tuple[Path, bool, str]:
     """Write the study, or the signal alone where no rig is known that could do it; the path, which, and why not."""
-    from loopshape.cli.gap import study_table
     from loopshape.core.errors import LoopshapeError
     from loopshape.io.files import make_folder, write_text_whole, write_toml
 
@@ -150,7 +149,7 @@ def _write(run: Run, recording: Recording, plan: Plan, path: Path) -> tuple[Path
         csv = path.with_suffix(".csv")
         write_text_whole(csv, signal_csv(run, plan))
         return csv, False, f"the signal alone is written, no study can drive this rig ({error.what})"
-    table = study_table(study)
+    table = study.to_table()
     table["effects"] = dict(study.effects) or None
     table["experiment"][0]["realisations"] = plan.realisations if plan.realisations > 1 else None
     table["experiment"][0]["parameters"] = dict(recording.info.parameters) or None

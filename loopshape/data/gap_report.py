@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from loopshape.core.units import Array
 from loopshape.data.gap_table import GapTable
 from loopshape.data.study import Study
+
+FORMAT = "loopshape-gap/1"
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,16 @@ class Ranked:
     unit: str | None = None
     form: str | None = None
     parts: Mapping[str, tuple[float, tuple[float, float] | None, str]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: what is not known of it is left out."""
+        row: dict[str, Any] = {"effect": self.effect, "probability": self.probability}
+        if self.magnitude is not None:
+            row |= {"magnitude": self.magnitude, "interval": self.interval, "unit": self.unit, "form": self.form}
+        if self.parts:
+            named = (dict(zip(("magnitude", "interval", "unit"), part, strict=True)) for part in self.parts.values())
+            row |= {"form": self.form, "parts": dict(zip(self.parts, named, strict=True))}
+        return row
 
 
 @dataclass(frozen=True)
@@ -64,6 +77,11 @@ class Shrink:
     rival: str | None = None
     rival_after: float | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON, with the recordings' files."""
+        files = [f"{name}.parquet" if "." not in name else name for name in self.recordings]
+        return {"metric": self.metric, "noise_floor": 1.0} | asdict(self) | {"recordings": files}
+
 
 @dataclass(frozen=True, eq=False)
 class Trace:
@@ -89,6 +107,16 @@ class Proposal:
     separation: float
     study: Study
     sentence: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: what it parts, by how much, and its study as in a study file."""
+        return {
+            "name": self.name,
+            "parts": list(self.parts),
+            "separation": self.separation,
+            "sentence": self.sentence,
+            "study": self.study.to_table(),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +144,41 @@ class GapReport:
     def probability(self) -> float:
         """Of the verdict."""
         return next(r.probability for r in self.ranking if r.effect == self.verdict)
+
+    @property
+    def control(self) -> list[dict[str, Any]]:
+        """What the gap means for control, recording by recording: nu-gaps before and after, and their scale."""
+        if self.table is None:
+            return []
+        after = {(r.loop, r.recording): r.value for r in (self.table_after.nu_gaps if self.table_after else ())}
+        return [
+            {
+                "loop": r.loop,
+                "recording": r.recording,
+                "operating_point": dict(r.operating_point),
+                "nu_gap_before": r.value,
+                "nu_gap_after": after.get((r.loop, r.recording)),
+                "nu_gap_to_nearest_point": r.scale,
+            }
+            for r in self.table.nu_gaps
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The answer that other tools read as JSON; `docs/gap.md` lists its keys."""
+        return {
+            "format": FORMAT,
+            "run": self.run,
+            "plant": self.plant,
+            "verdict": self.verdict,
+            "ranking": [r.to_dict() for r in self.ranking],
+            "ambiguity_set": list(self.ambiguity),
+            "where": asdict(self.where),
+            "gap": None if self.gap is None else self.gap.to_dict(),
+            "submodels": [asdict(s) for s in self.submodels],
+            "next_experiment": None if self.proposal is None else self.proposal.to_dict(),
+            "control": self.control,
+            "parameters": dict(self.moves),
+            "software": list(self.software),
+            "notes": list(self.notes),
+            "sentence": self.sentence,
+        }

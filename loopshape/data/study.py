@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from loopshape.core.errors import WrongUseError
@@ -13,6 +13,7 @@ from loopshape.data.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.target_settings import TargetSettings
 
+FORMAT = "loopshape-study/1"
 Setpoint = Staircase | Profile
 
 
@@ -118,3 +119,53 @@ class Study:
     extra: Mapping[str, Any] = field(default_factory=dict)
     target: TargetSettings | None = None
     loops: tuple[LoopSetup, ...] = ()
+
+    def to_table(self) -> dict[str, Any]:
+        """The study as the TOML file that `loopshape measure` reads, signals in stored units (`extra["units"]`)."""
+        units = self.extra["units"]
+        return {
+            "format": FORMAT,
+            "rig": self.rig,
+            "plant": self.plant,
+            "rate_hz": self.rate_hz,
+            "seed": self.seed,
+            "solver": self.solver,
+            "operating_points": [dict(p) for p in self.operating_points],
+            "parameters": dict(self.changes) or None,
+            "pwm": dict(self.pwm) or None,
+            "loop": [
+                {"name": name, "controller": [block.to_table() for block in blocks]}
+                for name, blocks in self.controllers.items()
+            ],
+            "experiment": [_experiment_table(t, units[t.name]) for t in self.experiments],
+        }
+
+
+def _experiment_table(t: ExperimentTemplate, units: Mapping[str, Any]) -> dict[str, Any]:
+    """One experiment; keys that have their default are left out."""
+    signal = None
+    if t.excitation is not None:
+        given = asdict(t.excitation)  # type: ignore[call-overload]
+        unit = units["excitation"]
+        signal = {"kind": given.pop("kind"), f"amplitude_{unit}": given.pop("amplitude"), **given}
+    return {
+        "name": t.name,
+        "excites": t.excites,
+        "injection": t.injection,
+        "role": t.role,
+        "lead_s": t.lead_s or None,
+        "tail_s": t.tail_s or None,
+        "duration_s": t.duration_s,
+        "operating_points": None if t.operating_points is None else [dict(p) for p in t.operating_points],
+        "excitation": signal,
+        "references": _setpoints(t.references, units["references"]) or None,
+        "control": _setpoints(t.control, units["control"]) or None,
+    }
+
+
+def _setpoints(signals: Mapping[str, Setpoint], units: Mapping[str, str]) -> dict[str, Any]:
+    """Staircases by loop."""
+    return {
+        loop: {"kind": s.kind, "times_s": list(s.times_s), f"values_{units[loop]}": list(s.values)}
+        for loop, s in signals.items()
+    }

@@ -42,14 +42,13 @@ from loopshape.data.controller import Block
 from loopshape.data.excitation import Excitation
 from loopshape.data.excitation_sets import together
 from loopshape.data.experiment import INJECTIONS, KINDS, ROLES
-from loopshape.data.study import ExperimentTemplate, Setpoint, Study, expanded
+from loopshape.data.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
 from loopshape.io.files import plain_name
 from loopshape.io.run_tables import read_blocks, read_loops
 from loopshape.io.study_signals import read_excitation, read_excitations, read_setpoints
 from loopshape.io.study_target import read_target
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
 
-FORMAT = "loopshape-study/1"
 _KEYS = (
     "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "effects", "pwm",
     "loop", "experiment", "target", "limits",

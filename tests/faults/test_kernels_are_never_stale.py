@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import examiner
 import pytest
 
 import loopshape
@@ -32,17 +33,17 @@ FREE = pytest.approx(TICKS * TICK_S, rel=1e-12)
 #: the files of ours that each of the modules named brings with it, its packages' own files left out
 LOADED = """
 import importlib, itertools, json, os, sys, types
-files = {}
+files, ours = {}, ("loopshape", "examiner")
 for name in sys.argv[1:]:
-    for loaded in [m for m in sys.modules if m.split(".")[0] == "loopshape"]:
+    for loaded in [m for m in sys.modules if m.split(".")[0] in ours]:
         del sys.modules[loaded]
     for place in sys.argv[1:]:
         for package in itertools.accumulate(place.split(".")[:-1], "{}.{}".format):
             bare = sys.modules[package] = types.ModuleType(package)
             bare.__path__ = [package.replace(".", "/")]
     importlib.import_module(name)
-    ours = [m for n, m in sys.modules.items() if n.split(".")[0] == "loopshape" and hasattr(m, "__file__")]
-    files[name] = [os.path.relpath(m.__file__) for m in ours]
+    found = [m for n, m in sys.modules.items() if n.split(".")[0] in ours and hasattr(m, "__file__")]
+    files[name] = [os.path.relpath(m.__file__) for m in found]
 json.dump(files, sys.stdout)
 """
 
@@ -145,9 +146,11 @@ def test_where_the_package_cannot_be_written_the_users_folder_serves(tmp_path):
 
 def test_a_key_covers_all_that_an_import_runs(package):
     """For every file with a compiled function: no module of ours that Python loads with it is outside its key."""
-    here = Path(loopshape.__file__).parent
-    files = {name(p, here): p for p in here.rglob("*.py") if "@compiled" in p.read_text()}
+    rooms = [Path(one.__file__).parent for one in (loopshape, examiner)]
+    files = {name(p, room): p for room in rooms for p in room.rglob("*.py") if "@compiled" in p.read_text()}
     assert len(files) > 15
+    shutil.copytree(rooms[1], package.parent / "examiner", ignore=shutil.ignore_patterns("__pycache__"))
     loaded = answer(started(package, *files, code=LOADED))
     for module, file in files.items():
-        assert set(loaded[module]) <= {str(p.relative_to(here.parent)) for p in sources(file)}, module
+        keyed = {str(p.relative_to(room.parent)) for p in sources(file) for room in rooms if p.is_relative_to(room)}
+        assert set(loaded[module]) <= keyed, module

@@ -23,7 +23,7 @@ TOPICS = (
 
 
 def _load():
-    spec = importlib.util.spec_from_file_location("scoreboard_run", EXPERIMENTS / "scoreboard" / "run.py")
+    spec = importlib.util.spec_from_file_location("scoreboard_run", EXPERIMENTS / "lab" / "scoreboard" / "run.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)

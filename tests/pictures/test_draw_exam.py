@@ -4,11 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
-
-from loopshape.examiner.score import Marked, calibrated
-from loopshape.view.exam import (
+from exam_pictures import (
     RIGHT,
     WRONG,
     confusion_figure,
@@ -18,6 +14,10 @@ from loopshape.view.exam import (
     shrink_figure,
     shrinks,
 )
+from examiner.score import Marked, calibrated
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+
 from loopshape.view.style import png
 
 BARS = {"must": 0.8, "aim": 0.95}

@@ -4,10 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from scipy.stats import binom
-
-from loopshape.examiner.labels import BLOCKS
-from loopshape.examiner.score import (
+from examiner.labels import BLOCKS
+from examiner.score import (
     BARS,
     FAILED,
     Label,
@@ -21,6 +19,7 @@ from loopshape.examiner.score import (
     share,
     spread,
 )
+from scipy.stats import binom
 
 
 def answer(verdict, *others, p=0.9, magnitude=None, interval=None, block=None, shrink=None, time_s=50.0):

@@ -6,15 +6,11 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
+import examiner.exam as exam
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import lfilter
-
-import loopshape.examiner.exam as exam
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import deg, rad
-from loopshape.examiner import (
+from examiner import (
     BLOCKS,
     EFFECTS,
     KINDS,
@@ -27,11 +23,15 @@ from loopshape.examiner import (
     seal,
     verdict,
 )
-from loopshape.examiner.arm import BAR, OMEGA, P_A, P_B, P_C, STATES, SUPPLY_PA, THETA, Arm
-from loopshape.examiner.forms import FORMS, build, typical_load_n
-from loopshape.examiner.motion import rates
-from loopshape.examiner.record import at_rest, record
-from loopshape.examiner.session import ANGLE, PRESSURE, Plan, plans
+from examiner.arm import BAR, OMEGA, P_A, P_B, P_C, STATES, SUPPLY_PA, THETA, Arm
+from examiner.forms import FORMS, build, typical_load_n
+from examiner.motion import rates
+from examiner.record import at_rest, record
+from examiner.session import ANGLE, PRESSURE, Plan, plans
+from scipy.signal import lfilter
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import deg, rad
 
 SHARED = Path(os.environ.get("LOOPSHAPE_DATA", Path(__file__).parents[3] / "shared"))
 REFERENCE = SHARED / "reference"
@@ -266,10 +266,10 @@ def test_knows_no_plant():
 
 PLAIN = """
 import numpy as np
-from loopshape.examiner.exam import start
-from loopshape.examiner.forms import build
-from loopshape.examiner.record import record
-from loopshape.examiner.session import ANGLE, PRESSURE
+from examiner.exam import start
+from examiner.forms import build
+from examiner.record import record
+from examiner.session import ANGLE, PRESSURE
 labels = {"hose_lag": 3.0, "valve_delay": 4.0, "braid_hysteresis": 5.0, "joint_friction": 0.2, "muscle_creep": 0.2,
           "choked_flow": 0.5, "backlash": 0.5, "angle_sensor_lag": 10.0, "coupling_flexibility": 15.0, "leak": 0.2}
 for variant in (0, 1):
@@ -287,7 +287,7 @@ def test_plain_python_gives_what_the_compiled_kernel_gives():
     plain, compiled = (
         subprocess.run(
             [sys.executable, "-c", PLAIN], env=os.environ | {"NUMBA_DISABLE_JIT": off}, capture_output=True, text=True,
-            check=True,
+            check=True, cwd=Path(exam.__file__).parents[1],
         ).stdout.split()
         for off in ("1", "0")
     )  # fmt: skip

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examiner import make_run
 
 from loopshape.diagnose import attribute, decide, fitting, shrink
 from loopshape.diagnose.diagnose import attribute_effect
 from loopshape.diagnose.evidence import Evidence
 from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.examiner import make_run
 from loopshape.model.arm.arm1 import Arm1
 from loopshape.model.arm.effects import FORMS
 

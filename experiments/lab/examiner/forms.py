@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from loopshape.core.units import rad
-from loopshape.examiner.arm import BAR, Arm
-from loopshape.examiner.labels import effect
-from loopshape.examiner.mechanics import geometry, nominal_length, stiffness
+
+from .arm import BAR, Arm
+from .labels import effect
+from .mechanics import geometry, nominal_length, stiffness
 
 Form = Callable[[Arm, float, int, np.random.Generator], Arm]
 SOUND_M_S = 343.0

@@ -18,7 +18,7 @@ from loopshape.io.files import write_bytes_whole
 from loopshape.model.arm.source import number
 
 HERE = Path(__file__).parent
-STUDIES = HERE.parent
+STUDIES = HERE.parents[1]
 VERDICTS = ("agrees", "partly", "differs", "not comparable")
 COLUMNS = ("item", "quantity", "source", "ours", "verdict", "why")
 OPEN = "open"  # an item with a study that has not scored it

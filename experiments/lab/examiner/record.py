@@ -8,13 +8,14 @@ import numpy as np
 
 from loopshape.core.kernels.compiled import compiled, compiled_in_line
 from loopshape.core.units import Array
-from loopshape.examiner import arm as at
-from loopshape.examiner.arm import PERIOD_S, STATES, STEP_S, SUPPLY_PA, THETA, TICK_S, Arm
-from loopshape.examiner.mechanics import geometry, nominal_length
-from loopshape.examiner.motion import step
-from loopshape.examiner.pneumatics import regulator_target
-from loopshape.examiner.sensors import CONTROL_GRID_V, in_range, on_grid, play, read_angle, read_pressures
-from loopshape.examiner.valves import PULSES, openings, start_pulse
+
+from . import arm as at
+from .arm import PERIOD_S, STATES, STEP_S, SUPPLY_PA, THETA, TICK_S, Arm
+from .mechanics import geometry, nominal_length
+from .motion import step
+from .pneumatics import regulator_target
+from .sensors import CONTROL_GRID_V, in_range, on_grid, play, read_angle, read_pressures
+from .valves import PULSES, openings, start_pulse
 
 STEPS = round(TICK_S / STEP_S)
 TICKS = round(PERIOD_S / TICK_S)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from loopshape.core.kernels.compiled import compiled, compiled_in_line
 from loopshape.core.units import Array
-from loopshape.examiner.arm import (
+
+from .arm import (
     ATMOSPHERE_PA,
     BRAID_A,
     BRAID_B,
@@ -32,7 +33,7 @@ from loopshape.examiner.arm import (
     THETA_L,
     Arm,
 )
-from loopshape.examiner.mechanics import (
+from .mechanics import (
     body_torque,
     friction,
     geometry,
@@ -40,7 +41,7 @@ from loopshape.examiner.mechanics import (
     muscle_force,
     volume,
 )
-from loopshape.examiner.pneumatics import (
+from .pneumatics import (
     THROAT_S_PA,
     fill_flows,
     leak_flow,
@@ -49,7 +50,7 @@ from loopshape.examiner.pneumatics import (
     restriction,
     valve_pressure,
 )
-from loopshape.examiner.sensors import lag_rates
+from .sensors import lag_rates
 
 REGULATOR_S = 0.15
 MANIFOLD_M3 = 2e-5

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.stats import beta, binom
 
 from loopshape.core.units import Array
-from loopshape.examiner.labels import BLOCKS, OUTSIDE, verdict
+
+from .labels import BLOCKS, OUTSIDE, verdict
 
 FORMAT = "loopshape-exam-scores/1"
 FAILED, PAIR = "failed", "pair"

@@ -6,7 +6,8 @@ import math
 
 from loopshape.core.kernels.compiled import compiled_in_line
 from loopshape.core.units import Array
-from loopshape.examiner.arm import (
+
+from .arm import (
     BAR,
     OMEGA,
     P_A,

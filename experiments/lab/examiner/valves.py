@@ -6,7 +6,8 @@ import math
 
 from loopshape.core.kernels.compiled import compiled_in_line
 from loopshape.core.units import Array
-from loopshape.examiner.arm import DEAD_ZONE, PERIOD_S, STEP_S, Arm
+
+from .arm import DEAD_ZONE, PERIOD_S, STEP_S, Arm
 
 PULSES = 4  # periods back that may still act
 RAMP_SHARE = (0.0, 0.4, 0.2)  # movement of the valve in parts of its opening delay, by form

@@ -11,11 +11,12 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, rad
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
-from loopshape.examiner.arm import BAR, PERIOD_S, TICK_S, Arm
-from loopshape.examiner.forms import build
-from loopshape.examiner.mechanics import body_torque, geometry, joint_torque, nominal_length, stiffness
-from loopshape.examiner.record import at_rest, record
-from loopshape.examiner.session import ANGLE, LOOPS, PRESSURE, PWM, RATE_HZ, Plan, plans
+
+from .arm import BAR, PERIOD_S, TICK_S, Arm
+from .forms import build
+from .mechanics import body_torque, geometry, joint_torque, nominal_length, stiffness
+from .record import at_rest, record
+from .session import ANGLE, LOOPS, PRESSURE, PWM, RATE_HZ, Plan, plans
 
 PRESSURE_NOISE_BAR, ANGLE_NOISE_DEG = 1e-3, 0.02
 LEAD_S = 10.0  # under control before the recording begins

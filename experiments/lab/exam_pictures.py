@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, figure_of, head, new_figure, styled
 
 if TYPE_CHECKING:
-    from loopshape.examiner.score import Calibration, Marked
+    from examiner.score import Calibration, Marked
 
 _LAST = ("none", "unknown", "pair", "wrong pair", "failed")
 RIGHT, WRONG = COLOURS[0], COLOURS[1]

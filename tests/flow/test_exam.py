@@ -1,4 +1,4 @@
-"""`loopshape exam` with a quick diagnosis in its place: seals first, one answer each, resumed, not tampered."""
+"""`make exam` with a quick diagnosis in its place: seals first, one answer each, resumed, not tampered."""
 
 import csv
 import hashlib
@@ -8,16 +8,18 @@ from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
+import exam as command
+import exam_cases
+import examiner
 import numpy as np
 import pytest
 import typer
+from exam import exam
+from exam_cases import Case, case_list, catalogue, library_run
+from examiner import EFFECTS, OUTSIDE
 
-import loopshape.examiner
-from loopshape.cli import exam as command
-from loopshape.cli.exam import Case, case_list, catalogue, exam, library_run
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.gap_report import GapReport, Ranked, Shrink, Where
-from loopshape.examiner import EFFECTS, OUTSIDE
 
 PLAN = {"single": 4, "healthy": 2, "unknown": 1, "pairs": 2}
 
@@ -49,18 +51,18 @@ def sat(monkeypatch):
 
     run = SimpleNamespace(plant="arm-1dof")
     monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", diagnose)
-    monkeypatch.setattr(loopshape.examiner, "make_run", lambda labels, seed, variant: run)
+    monkeypatch.setattr(examiner, "make_run", lambda labels, seed, variant: run)
     monkeypatch.setattr("loopshape.view.style.png", lambda figure: b"")  # test_draw_exam.py looks at pictures
     return found
 
 
-def sit(out, seed=1, quiet=True, **plan):
-    exam(out, **(PLAN | plan), seed=seed, jobs=1, keep_runs=False, library_forms=False, quiet=quiet)
+def sit(out, seed=1, **plan):
+    exam(out, **(PLAN | plan), seed=seed, jobs=1, keep_runs=False, library_forms=False)
 
 
 def test_seals_stand_and_are_printed_before_any_diagnosis_and_fit_the_labels(sat, tmp_path, capsys):
     sat.folder = tmp_path
-    sit(tmp_path, quiet=False)
+    sit(tmp_path)
     printed = capsys.readouterr().out
     assert sat.sealed_before == [True] * 9
     seals = {row["case"]: row["seal"] for row in json.loads((tmp_path / "sealed.json").read_text())["cases"]}
@@ -189,10 +191,10 @@ def test_an_arm_that_leaves_its_range_is_drawn_again(monkeypatch):
             raise WrongUseError("the arm left its range", "", "")
         return seed
 
-    monkeypatch.setattr(loopshape.examiner, "make_run", make_run)
-    assert command.made(Case("case-001", "single", {"leak": 0.2}, 0, 10, "")) == 12
+    monkeypatch.setattr(examiner, "make_run", make_run)
+    assert exam_cases.made(Case("case-001", "single", {"leak": 0.2}, 0, 10, "")) == 12
     with pytest.raises(WrongUseError):
-        command.made(Case("case-001", "single", {"leak": 0.2}, 0, -100, ""))
+        exam_cases.made(Case("case-001", "single", {"leak": 0.2}, 0, -100, ""))
 
 
 def test_library_forms_come_from_the_catalogue():
@@ -206,11 +208,24 @@ def test_library_forms_come_from_the_catalogue():
     assert len({(next(iter(c.labels)), c.variant) for c in cases if c.labels}) > 42
 
 
+def test_the_hash_of_the_code_changes_with_what_diagnoses_and_with_nothing_else(monkeypatch, tmp_path):
+    package = tmp_path / "loopshape"
+    for folder in ("diagnose", "view"):
+        (package / folder).mkdir(parents=True)
+        (package / folder / "one.py").write_text("x = 1")
+    monkeypatch.setattr(command.loopshape, "__file__", str(package / "__init__.py"))
+    first = command.code_sha256()
+    (package / "view" / "one.py").write_text("x = 2")
+    assert command.code_sha256() == first
+    (package / "diagnose" / "one.py").write_text("x = 2")
+    assert command.code_sha256() != first
+
+
 @pytest.mark.long
 def test_an_arm_with_library_forms_has_a_session_s_recordings(monkeypatch):
-    session = loopshape.examiner.make_run({}, 4)
+    session = examiner.make_run({}, 4)
     session = replace(session, recordings=session.recordings[7:])  # loops open, sweep, staircase, profile
-    monkeypatch.setattr(loopshape.examiner, "make_run", lambda labels, seed: session)
+    monkeypatch.setattr(examiner, "make_run", lambda labels, seed: session)
     run = library_run({"payload": 60.0}, 0, 4)
     assert [r.info for r in run.recordings] == [r.info for r in session.recordings]
     for mine, theirs in zip(run.recordings, session.recordings, strict=True):

@@ -15,7 +15,8 @@ from loopshape.core.units import Array, rad
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import RecordingInfo
-from loopshape.examiner.excitations import multisine, profile, pulses, sweep
+
+from .excitations import multisine, profile, pulses, sweep
 
 RATE_HZ = 1000.0
 

@@ -1,7 +1,7 @@
 """The examiner: arms with sealed effects, by models of its own. It knows run folders and no plant."""
 
-from loopshape.examiner.exam import make_run
-from loopshape.examiner.labels import (
+from .exam import make_run
+from .labels import (
     BLOCKS,
     EFFECTS,
     KINDS,

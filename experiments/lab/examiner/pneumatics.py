@@ -6,7 +6,8 @@ import math
 
 from loopshape.core.kernels.compiled import compiled_in_line
 from loopshape.core.units import Array
-from loopshape.examiner.arm import ATMOSPHERE_PA, RT, SEGMENTS, Arm
+
+from .arm import ATMOSPHERE_PA, RT, SEGMENTS, Arm
 
 VISCOSITY_PA_S = 1.82e-5  # air, 20 deg C
 LEAK_COEFFICIENT = 0.65  # of a sharp hole
