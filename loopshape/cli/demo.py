@@ -14,16 +14,20 @@ from loopshape.cli.pictures import figures_of
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for runs, controllers and figures.")] = Path("demo"),
-    examples: Annotated[Path, typer.Option(help="The project's examples.")] = Path("examples"),
+    examples: Annotated[
+        Path | None, typer.Option(help="Other examples than the package's own.", show_default=False)
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify, fit, tune and check the simulated arm at 24 equilibria and a real motor bench; diagnose a gap."""
     from loopshape.core.errors import UnreadableInputError
+    from loopshape.io.examples import examples_folder
 
+    examples = examples or examples_folder()
     if not (examples / "arm").is_dir():
         raise UnreadableInputError(
-            "the project's examples are not here", str(examples), "run this in the project's folder, or name --examples"
+            "the examples are not in this folder", str(examples), "leave --examples out to use the package's own"
         )
     output = Output(as_json, quiet)
     started = time.monotonic()

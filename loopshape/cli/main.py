@@ -18,6 +18,7 @@ from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
 from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
+from loopshape.cli.examples import examples
 from loopshape.cli.export import export
 from loopshape.cli.export_controller import export_controller
 from loopshape.cli.export_excitation import export_excitation
@@ -50,6 +51,10 @@ unreadable input.
 
 #: commands by what they are for: name, function, an example
 COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
+    "Start": (
+        ("demo", demo, "loopshape demo --out demo"),
+        ("examples", examples, "loopshape examples --out examples"),
+    ),
     "Measure and import": (
         ("measure", measure, "loopshape measure examples/arm/identify.toml --out runs/arm"),
         ("simulate", simulate, "loopshape simulate examples/arm/steps.toml --out runs/steps --effect payload=20"),
@@ -87,7 +92,6 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("gap", gap, "loopshape gap runs/arm"),
         ("effects", effects, "loopshape effects arm-1dof"),
         ("equilibria", equilibria, "loopshape equilibria --out figures"),
-        ("demo", demo, "loopshape demo --out demo"),
     ),
     "Exchange": (
         ("export", export, "loopshape export runs/axis --to mat --out frfs"),
