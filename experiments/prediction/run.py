@@ -19,10 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.cli.fit import fit_run
-from loopshape.cli.frf import estimate_and_report
-from loopshape.cli.measure import record
-from loopshape.cli.output import Output
+import loopshape as ls
 from loopshape.core.units import deg
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
@@ -30,12 +27,10 @@ from loopshape.data.prediction import Prediction
 from loopshape.data.requirements import LIMITS, Margins, Requirements, Verdict
 from loopshape.data.run import Run
 from loopshape.design.tune import tune
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Integrator, Structure, ThirdOrder
+from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit.structures import Structure
 from loopshape.io.controllers import read_controllers, write_controllers
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.fits import read_fits
-from loopshape.io.frfs import read_frfs
 from loopshape.io.predictions import write_predictions
 from loopshape.io.requirements import read_requirements
 from loopshape.io.run_folder import read_run
@@ -52,7 +47,8 @@ CONTROLLER, REQUIRE = ARM / "controller.toml", ARM / "requirements.toml"
 TOLERANCES_DB = (0.0, 1.0)
 SPARE_DB, SPARE_DEG = 0.2, 0.7
 KNOWN_HZ = {"theta2": 10.0, "p_ab": 5.0}
-STRUCTURES: dict[str, Structure] = {"theta2": ThirdOrder(), "p_ab": Integrator()}
+NAMES = {"theta2": "third_order", "p_ab": "integrator"}
+STRUCTURES: dict[str, Structure] = {loop: structure_by_name(name) for loop, name in NAMES.items()}
 COLUMNS = (
     "loop", "theta2_deg", "p_ab_bar", "supply_bar", "stands_at_deg", "peak_s_predicted_db", "peak_s_measured_db",
     "p_value", "outcome", "outcome_1db", "worst_low_hz", "worst_high_hz", "worst_s_db", "closed_loop", "peak_s_db",
@@ -64,11 +60,11 @@ COLUMNS = (
 
 def main() -> None:
     """Identify, fit, (tune,) predict, measure again, compare, check; a row for each loop and equilibrium."""
-    quiet = Output(quiet=True)
-    identified(OUT / "arm", quiet)
+    frfs = ls.frfs(ls.measure(ARM / "identify.toml", OUT / "arm"))
+    fits = [ls.fit(frf, NAMES[frf.loop]) for frf in frfs]
     if "--tune" in sys.argv:
-        tuned_twice(quiet)
-    frfs, fits, run = read_frfs(OUT / "arm"), read_fits(OUT / "arm"), verified(CONTROLLER, quiet)
+        tuned_twice(frfs, fits)
+    run = verified(CONTROLLER)
     rows: list[list[Any]] = []
     for own, wished in zip(read_controllers(CONTROLLER), read_requirements(REQUIRE), strict=True):
         made = predict([frf for frf in frfs if frf.loop == own.loop], own, fits)
@@ -82,31 +78,22 @@ def main() -> None:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
 
 
-def identified(folder: Path, output: Output) -> None:
-    """The run of identify.toml with its FRFs and the fits of the README."""
-    record(ARM / "identify.toml", folder, output)
-    estimate_and_report(folder, output, figures=False)
-    fit_run(folder, output, structure="third_order", loop="theta2")
-    fit_run(folder, output, structure="integrator", loop="p_ab")
-
-
-def verified(controllers: Path, output: Output) -> Run:
+def verified(controllers: Path) -> Run:
     """The run of verify.toml under these controllers, in a folder of their own."""
     folder = OUT / f"verify-{sha256(controllers.read_bytes()).hexdigest()[:8]}"
-    record(ARM / "verify.toml", folder, output, controllers=controllers)
-    return read_run(folder)
+    return ls.measure(ARM / "verify.toml", folder, controllers=read_controllers(controllers))
 
 
-def tuned_twice(output: Output) -> None:
+def tuned_twice(frfs: Sequence[FRF], fits: Sequence[Fit]) -> None:
     """Tune on the identified plants; then, where the loop that ran does not pass, on these and what was measured of it.
 
     The second time with a little to spare: the loop that then runs is measured once more, with other errors.
     """
-    frfs, fits, wishes = read_frfs(OUT / "arm"), read_fits(OUT / "arm"), read_requirements(REQUIRE)
+    wishes = read_requirements(REQUIRE)
     mine = {w.loop: [frf for frf in frfs if frf.loop == w.loop] for w in wishes}
     first = [tune(mine[w.loop], w, fits).controller for w in wishes]
     write_controllers(OUT / "first.toml", first)
-    run = verified(OUT / "first.toml", output)
+    run = verified(OUT / "first.toml")
     final = []
     for own, wished in zip(first, wishes, strict=True):
         found = remeasure(run, predict(mine[own.loop], own, fits, draws=2))

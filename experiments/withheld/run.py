@@ -8,8 +8,10 @@ import os
 import time
 from pathlib import Path
 
-from loopshape.cli.gap import diagnose_run
-from loopshape.cli.output import Output
+import loopshape as ls
+from loopshape.io.files import write_bytes_whole, write_json
+from loopshape.view.gap_report import gap_figure
+from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 RUNS = Path(os.environ.get("LOOPSHAPE_WITHHELD", HERE.parents[2] / "shared" / "withheld"))
@@ -30,8 +32,10 @@ def main() -> None:
         if path.exists():
             continue
         start = time.monotonic()
-        diagnose_run(folder, Output(), save_answer=path, report=FIGURES / f"{folder.name}.png")
-        print(f"{folder.name}: {time.monotonic() - start:.0f} s")
+        found = ls.gap(folder)
+        write_json(path, found.to_dict())
+        write_bytes_whole(FIGURES / f"{folder.name}.png", png(gap_figure(found)))
+        print(f"{folder.name}: {found.sentence} ({time.monotonic() - start:.0f} s)")
     table(sorted(answers.glob("*.json")))
 
 

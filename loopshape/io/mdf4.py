@@ -52,7 +52,7 @@ def _opened(path: Path) -> Any:
     said = ""
     try:
         return MDF(path)
-    except Exception as error:  # asammdf lets anything through
+    except Exception as error:  # of any kind: a damaged file ends in whatever the line of asammdf that met it raised
         said = short(error) or type(error).__name__
     with _no_last_words():
         gc.collect()

@@ -140,7 +140,7 @@ def _serve(work: Callable[[Any], Any], pipe: Connection) -> None:
             job = pipe.recv()
             try:
                 answer = (False, work(job))
-            except Exception as error:
+            except Exception as error:  # of any kind: the parent raises it where the answer is read
                 answer = (True, error)
             pipe.send(answer)
 

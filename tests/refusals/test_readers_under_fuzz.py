@@ -67,9 +67,11 @@ def recording(name, seed=1):
         f"{name}.parquet", "multisine", "controller_input", excites="x", period_s=0.2, periodic_from_s=0.2,
         operating_point={"x_m": 0.1}, parameters={"mass_kg": 2.0},
     )  # fmt: skip
-    return Recording(info, RATE, dict(zip(("r_x_m", "n_x_m", "z_v", "x_m"), noise, strict=True)))
+    return Recording(info, RATE, dict(zip(COLUMNS, noise, strict=True)))
 
 
+COLUMNS = ("r_x_m", "n_x_m", "z_v", "x_m")
+WRITTEN = np.array([recording(name, k).column(c) for k, name in enumerate(("a", "b")) for c in COLUMNS])
 HEADER = Run(
     RATE, (LOOP,), (), "servo-axis", {"frequency_hz": 50.0, "dead_zone": 0.1},
     {"study_sha256": "0" * 64, "provenance": {"seed": 1}, "parameters": {"mass_kg": 1.0}, "notes": ["a note"]},
@@ -131,6 +133,12 @@ def run_table(area):
     return read_toml(area / "run" / "run.toml")
 
 
+def with_own_words_again(run, table):
+    """The samples (8, 60) of both recordings where run.toml says again what it said."""
+    (run / "run.toml").write_bytes(tomli_w.dumps(table).encode())
+    return np.array([read_run(run).recording(name).column(c) for name in sorted(finished(run)) for c in COLUMNS])
+
+
 @pytest.mark.long
 def test_words_of_run_toml(area, run_table, untouched):
     @given(tables(run_table))
@@ -139,6 +147,7 @@ def test_words_of_run_toml(area, run_table, untouched):
         use_run(area / "run", tomli_w.dumps(table).encode())
 
     test()
+    assert np.array_equal(with_own_words_again(area / "run", run_table), WRITTEN)
 
 
 def test_bytes_of_run_toml(area, run_table, untouched):
@@ -148,6 +157,7 @@ def test_bytes_of_run_toml(area, run_table, untouched):
         use_run(area / "run", content)
 
     test()
+    assert np.array_equal(with_own_words_again(area / "run", run_table), WRITTEN)
 
 
 @pytest.mark.parametrize("name", NAMES)

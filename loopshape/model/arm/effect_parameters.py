@@ -111,7 +111,7 @@ EFFECT_ROWS = (
     TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
     TRAVEL, TRAVEL_BACK, DAHL_DAMPING, BRAID_STEEPER,
     WHOLE_LATE, CREEP_LENGTH,
-) = range(34, 101)  # fmt: skip
+) = _PLACES = range(34, 101)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
@@ -123,95 +123,161 @@ def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: fl
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
-    share = p["flexible_share"]
-    travel_ms = p["valve_opening_delay_ms"] * p["valve_travel_share"]
-    opening_ms = p["valve_opening_delay_ms"] - 0.5 * travel_ms  # an armature sets out; half open after the delay
+    by_place = _valve(p) | _supply(p) | _line(p) | _leaks(p) | _length(p) | _creep(p) | _braid(p) | _joint(p)
+    by_place |= _body(p, inertia_kgm2, gravity_nm) | _sensor(p) | _switches(p)
+    return [float(by_place[place]) for place in _PLACES]
+
+
+def _valve(p: Mapping[str, float]) -> dict[int, float]:
+    """Ages of the pulses' edges, and what a solenoid and its armature make of them."""
+    delay_ms, ramp_ms, late_ms = p["valve_opening_delay_ms"], p["valve_ramp_ms"], p["pulse_delay_ms"]
+    travel_ms = delay_ms * p["valve_travel_share"]
+    opening_ms = delay_ms - 0.5 * travel_ms  # an armature sets out; half open after the delay
     closing_ms = opening_ms * p["valve_closing_ratio"]
+    return {
+        LOOP_DELAY: 1e-3 * p["loop_delay_ms"],
+        OPENING: 1e-3 * max(opening_ms + late_ms, 0.5 * ramp_ms),
+        CLOSING: 1e-3 * max(closing_ms + late_ms, 0.5 * ramp_ms),
+        RAMP: 1e-3 * ramp_ms,
+        LATE: late_ms + delay_ms + ramp_ms > 0.0,
+        SHORTEST: 1e-3 * delay_ms * p["valve_short_lost"],
+        CURRENT: 1e-3 * delay_ms * p["valve_current"] / np.log(2.0),
+        ALONE: 1e-3 * delay_ms,
+        TRAVEL: 1e-3 * travel_ms,
+        TRAVEL_BACK: 1e-3 * travel_ms * p["valve_closing_ratio"],
+        WHOLE_LATE: 1e-3 * late_ms,
+    }
+
+
+def _supply(p: Mapping[str, float]) -> dict[int, float]:
+    """What stands before the valves, and how their flow depends on the ratio of pressures."""
+    return {
+        COMPRESSION: p["compression_exponent"],
+        CRITICAL: p["critical_ratio"],
+        CONDUCTANCE: p["choked_conductance"] * np.sqrt(1.0 - p["critical_ratio"]),
+        DROP: 1e5 * p["supply_droop_bar"],
+        DROP_TIME: p["supply_droop_time_s"],
+        SPLIT: 1e5 * p["splitter_droop_bar"],
+    }
+
+
+def _gas(p: Mapping[str, float]) -> float:
+    """R T in J/kg."""
+    return p["gas_constant_j_kgk"] * p["temperature_k"]
+
+
+def _line(p: Mapping[str, float]) -> dict[int, float]:
+    """A hose between valves and muscle, and the dead volumes that it adds to."""
+    length_m = p["hose_length_m"]
+    volume_m3 = length_m * np.pi / 4.0 * _BORE_M**2
+    front = p["hose_front"] if length_m > 0.0 else 0.0
+    return {
+        DEAD_A: 1e-6 * p["dead_volume_a_ml"] + volume_m3,
+        DEAD_B: 1e-6 * p["dead_volume_b_ml"] + volume_m3,
+        LINE: _has_line(p),
+        LINE_R: 128.0 * _AIR_PA_S * length_m / (np.pi * _BORE_M**4) * _gas(p),  # over the density: times p
+        LINE_V: volume_m3 / _gas(p),
+        LINE_LAG: 1e-3 * p["hose_lag_ms"] + front * length_m / _SOUND_M_S,
+        LINE_TURBULENT: p["hose_turbulence"],
+        LINE_Z: front * _SOUND_M_S / (np.pi / 4.0 * _BORE_M**2),
+    }
+
+
+def _leaks(p: Mapping[str, float]) -> dict[int, float]:
+    """Conductances of the leaks at both muscles."""
+    orifice = p["throttle_factor"] * np.sqrt(2.0) * np.pi * np.sqrt(0.5 / _gas(p)) * (0.5e-3) ** 2
+    return {LEAK_A: orifice * p["leak_a_mm"] ** 2, LEAK_B: orifice * p["leak_b_mm"] ** 2, LAMINAR: p["leak_laminar"]}
+
+
+def _length(p: Mapping[str, float]) -> dict[int, float]:
+    """Nominal lengths of both muscles, twice."""
+    two_l = 2e-3 * p["braid_length_mm"]
+    return {
+        TWO_L_A: two_l + 1e-3 * p["nominal_length_a_mm"],
+        TWO_L_B: two_l + 1e-3 * p["nominal_length_b_mm"],
+    }
+
+
+def _creep(p: Mapping[str, float]) -> dict[int, float]:
+    """One relaxing branch, or three that are so many decades apart."""
+    share, time_s, step = p["creep_share"], p["creep_time_s"], 10.0 ** p["creep_decades"]
+    one = p["creep_decades"] == 0.0
+    return {
+        CREEP_GAIN: 1.0 + share * p["creep_slow_nominal"] * (1.0 - p["creep_of_length"]),
+        CREEP: share,
+        CREEP_1: time_s,
+        CREEP_2: 0.0 if one else time_s / step,
+        CREEP_3: 0.0 if one else time_s * step,
+        CREEP_LENGTH: share * p["creep_of_length"],
+    }
+
+
+def _braid(p: Mapping[str, float]) -> dict[int, float]:
+    """Friction within the muscles' braids."""
+    return {
+        BRAID: p["braid_force_n"],
+        BRAID_SLIP: 1e-3 * p["braid_slip_mm"],
+        BRAID_ELEMENTS: p["braid_elements"],
+        BRAID_SHARE: p["braid_pressure_share"],
+        BRAID_STEEPER: p["braid_unloading"],
+    }
+
+
+def _joint(p: Mapping[str, float]) -> dict[int, float]:
+    """Frictions of the joint, and the hoses that bend with it."""
+    return {
+        COULOMB: p["coulomb_nm"],
+        COULOMB_SPEED: p["coulomb_rad_s"],
+        STRIBECK: p["stribeck_share"],
+        STRIBECK_SPEED: p["stribeck_rad_s"],
+        HOSE_K: p["hose_stiffness_nm_rad"],
+        HOSE_ANGLE: float(rad(p["hose_angle_deg"])),
+        HOSE_CUBIC: p["hose_cubic_nm_rad3"],
+        DAHL: p["presliding_nm"],
+        DAHL_ANGLE: float(rad(p["presliding_deg"])),
+        DAHL_ELEMENTS: p["presliding_elements"],
+        DAHL_DAMPING: p["presliding_damping_s"],
+        LOAD_SHARE: p["friction_load_share"],
+    }
+
+
+def _body(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> dict[int, float]:
+    """The part of the body beyond a flexible coupling, and which way gravity acts."""
+    share = p["flexible_share"]
     reduced = share * (1.0 - share) * inertia_kgm2
     turn = 2.0 * np.pi * p["flexible_hz"]
-    two_l = 2e-3 * p["braid_length_mm"]
-    gas = p["gas_constant_j_kgk"] * p["temperature_k"]
-    orifice = p["throttle_factor"] * np.sqrt(2.0) * np.pi * np.sqrt(0.5 / gas) * (0.5e-3) ** 2
-    hose_v = p["hose_length_m"] * np.pi / 4.0 * _BORE_M**2
-    hose_r = 128.0 * _AIR_PA_S * p["hose_length_m"] / (np.pi * _BORE_M**4) * gas  # over the density: times p
-    front = p["hose_front"] if p["hose_length_m"] > 0.0 else 0.0
-    line = p["hose_length_m"] > 0.0 or p["hose_lag_ms"] > 0.0
-    braid, dahl = p["braid_force_n"], p["presliding_nm"]
-    memory = line or p["creep_share"] > 0.0 or braid > 0.0 or dahl > 0.0
-    memory = memory or p["supply_droop_bar"] > 0.0 or p["splitter_droop_bar"] > 0.0
-    memory = memory or (p["friction_load_share"] > 0.0 and p["coulomb_nm"] > 0.0)
-    step = 10.0 ** p["creep_decades"]
-    one = p["creep_decades"] == 0.0
-    times = [p["creep_time_s"], 0.0 if one else p["creep_time_s"] / step, 0.0 if one else p["creep_time_s"] * step]
-    return [
-        1e-6 * p["dead_volume_a_ml"] + hose_v,
-        1e-6 * p["dead_volume_b_ml"] + hose_v,
-        two_l + 1e-3 * p["nominal_length_a_mm"],
-        two_l + 1e-3 * p["nominal_length_b_mm"],
-        p["compression_exponent"],
-        p["critical_ratio"],
-        p["choked_conductance"] * np.sqrt(1.0 - p["critical_ratio"]),
-        orifice * p["leak_a_mm"] ** 2,
-        orifice * p["leak_b_mm"] ** 2,
-        p["leak_laminar"],
-        1.0 + p["creep_share"] * p["creep_slow_nominal"] * (1.0 - p["creep_of_length"]),
-        p["coulomb_nm"],
-        p["coulomb_rad_s"],
-        p["stribeck_share"],
-        p["stribeck_rad_s"],
-        p["hose_stiffness_nm_rad"],
-        float(rad(p["hose_angle_deg"])),
-        p["hose_cubic_nm_rad3"],
-        float(np.sin(rad(p["base_tilt_deg"]))),
-        float(np.cos(rad(p["base_tilt_deg"]))),
-        reduced * turn**2,
-        2.0 * p["flexible_damping"] * reduced * turn,
-        share * inertia_kgm2,
-        share * p["flexible_gravity"] * gravity_nm,
-        float(line),
-        float(memory),
-        p["creep_share"],
-        *times,
-        braid,
-        1e-3 * p["braid_slip_mm"],
-        p["braid_elements"],
-        p["braid_pressure_share"],
-        dahl,
-        float(rad(p["presliding_deg"])),
-        p["friction_load_share"],
-        hose_r,
-        hose_v / gas,
-        1e-3 * p["hose_lag_ms"] + front * p["hose_length_m"] / _SOUND_M_S,
-        1e5 * p["supply_droop_bar"],
-        p["supply_droop_time_s"],
-        1e-3 * p["loop_delay_ms"],
-        1e-3 * max(opening_ms + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
-        1e-3 * max(closing_ms + p["pulse_delay_ms"], 0.5 * p["valve_ramp_ms"]),
-        1e-3 * p["valve_ramp_ms"],
-        1e-3 * p["angle_lag_ms"],
-        1e-3 * p["pressure_lag_ms"],
-        p["lag_order"],
-        float(rad(p["backlash_deg"])),
-        p["backlash_soft"],
-        float(_torques(p)),
-        float(p["pulse_delay_ms"] + p["valve_opening_delay_ms"] + p["valve_ramp_ms"] > 0.0),
-        p["presliding_elements"],
-        p["hose_turbulence"],
-        1e5 * p["splitter_droop_bar"],
-        front * _SOUND_M_S / (np.pi / 4.0 * _BORE_M**2),
-        1e-3 * p["valve_opening_delay_ms"] * p["valve_short_lost"],
-        p["lag_damping"],
-        1e-3 * p["valve_opening_delay_ms"] * p["valve_current"] / np.log(2.0),
-        1e-3 * p["valve_opening_delay_ms"],
-        1e-3 * travel_ms,
-        1e-3 * travel_ms * p["valve_closing_ratio"],
-        p["presliding_damping_s"],
-        p["braid_unloading"],
-        1e-3 * p["pulse_delay_ms"],
-        p["creep_share"] * p["creep_of_length"],
-    ]
+    return {
+        TILT_SINE: float(np.sin(rad(p["base_tilt_deg"]))),
+        TILT_COSINE: float(np.cos(rad(p["base_tilt_deg"]))),
+        FLEX_K: reduced * turn**2,
+        FLEX_D: 2.0 * p["flexible_damping"] * reduced * turn,
+        FLEX_INERTIA: share * inertia_kgm2,
+        FLEX_GRAVITY: share * p["flexible_gravity"] * gravity_nm,
+    }
 
 
-def _torques(p: Mapping[str, float]) -> bool:
-    names = ("braid_force_n", "presliding_nm", "coulomb_nm", "hose_stiffness_nm_rad", "hose_cubic_nm_rad3")
-    return any(p[n] > 0.0 for n in (*names, "flexible_share"))
+def _sensor(p: Mapping[str, float]) -> dict[int, float]:
+    """Lags and play of what is measured."""
+    return {
+        ANGLE_LAG: 1e-3 * p["angle_lag_ms"],
+        PRESSURE_LAG: 1e-3 * p["pressure_lag_ms"],
+        LAG_ORDER: p["lag_order"],
+        LAG_DAMPING: p["lag_damping"],
+        PLAY: float(rad(p["backlash_deg"])),
+        PLAY_SOFT: p["backlash_soft"],
+    }
+
+
+def _switches(p: Mapping[str, float]) -> dict[int, float]:
+    """1 where further states, or torques at the joint, have to be computed."""
+    states = ("creep_share", "braid_force_n", "presliding_nm", "supply_droop_bar", "splitter_droop_bar")
+    loaded = p["friction_load_share"] > 0.0 and p["coulomb_nm"] > 0.0
+    torques = ("braid_force_n", "presliding_nm", "coulomb_nm", "hose_stiffness_nm_rad", "hose_cubic_nm_rad3")
+    return {
+        MEMORY: _has_line(p) or loaded or any(p[name] > 0.0 for name in states),
+        TORQUES: any(p[name] > 0.0 for name in (*torques, "flexible_share")),
+    }
+
+
+def _has_line(p: Mapping[str, float]) -> bool:
+    return p["hose_length_m"] > 0.0 or p["hose_lag_ms"] > 0.0
