@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
     comparison_json,
     report_comparisons,
+    report_headline,
     report_margins,
     report_verdicts,
+    warn_of,
 )
-from loopshape.data.verdict_words import WORDS, outcome_of
+from loopshape.data.verdict_words import outcome_of
 
 if TYPE_CHECKING:
     from loopshape.io.check_files import Baseline, LoopCheck
@@ -48,16 +50,18 @@ def check(
         bool, typer.Option("--allow-worse", help="Say what got worse, and exit by the requirements alone.")
     ] = False,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
+    details: Details = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check margins, peaks and stability at every operating point.
+    """Check margins, peaks and stability at every operating point; the verdict comes first.
 
     Exit code 1 where a requirement is missed or not decided by these data, or where something is worse than the
     baseline. Without requirements margins and stability are reported, without verdict.
     """
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
-    passed, _ = check_run(run, controller, require, Output(as_json, quiet), reports=reports, figures=figures)
+    output = Output(as_json, quiet)
+    passed, _ = check_run(run, controller, require, output, reports=reports, figures=figures, details=details)
     if not passed:
         raise typer.Exit(1)
 
@@ -70,13 +74,14 @@ def check_run(
     *,
     reports: Reports | None = None,
     figures: bool = True,
+    details: bool = False,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
     from loopshape.io.check_files import against, check_files
 
     reports = reports or Reports()
     if require is None:
-        return _margins(run, controller, output, reports, figures)
+        return _margins(run, controller, output, reports, figures, details)
     if reports.allow_worse and reports.baseline is None:
         from loopshape.core.errors import WrongUseError
 
@@ -86,15 +91,17 @@ def check_run(
     outcome = outcome_of(verdicts)
     compared = None if reports.baseline is None else against(reports.baseline, loops)
     _write(reports, loops, compared)
-    report_verdicts(verdicts, output)
-    drawn = _draw(figures_of(run), loops) if figures else []
-    output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    if compared is not None:
-        output.say("")
-        report_comparisons(compared.parts, output)
     worse = compared is not None and compared.worse and not reports.allow_worse
     passed = outcome == "passed" and not worse
-    output.say(f"verdict: {WORDS[outcome]}{', and worse than the baseline' if worse else ''}")
+    report_headline(verdicts, output, ", and worse than the baseline" if worse else "")
+    if details:
+        report_verdicts(verdicts, output)
+    else:
+        warn_of(verdicts, output)
+    if compared is not None:
+        report_comparisons(compared.parts, output, details=details)
+    drawn = _draw(figures_of(run), loops) if figures else []
+    _say_figures(drawn, output, details)
     output.json(
         {
             "passed": passed,
@@ -107,7 +114,16 @@ def check_run(
     return passed, drawn
 
 
-def _margins(run: Path, controller: Path, output: Output, reports: Reports, figures: bool) -> tuple[bool, list[str]]:
+def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:
+    if details and drawn:
+        output.say("\n".join(["figures:", *drawn]))
+    else:
+        output.say(f"figures: {len(drawn)} in {Path(drawn[0]).parent}" if drawn else "no figures drawn")
+
+
+def _margins(
+    run: Path, controller: Path, output: Output, reports: Reports, figures: bool, details: bool
+) -> tuple[bool, list[str]]:
     """Margins and stability of each loop with nothing required; refuses reports of a verdict."""
     from loopshape.core.errors import WrongUseError
     from loopshape.io.check_files import check_files
@@ -116,10 +132,10 @@ def _margins(run: Path, controller: Path, output: Output, reports: Reports, figu
         raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
     loops = check_files(run, controller, None)
     verdicts = [loop.verdict for loop in loops]
-    report_margins(verdicts, output)
+    output.say("no requirement given; reported without verdict\n")
+    report_margins(verdicts, output, details=details)
     drawn = _draw(figures_of(run), loops) if figures else []
-    output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    output.say("no requirement given; reported without verdict")
+    _say_figures(drawn, output, details)
     made = [v.to_dict() | {"passed": None, "outcome": None} for v in verdicts]
     output.json({"passed": None, "outcome": None, "loops": made, "baseline": None, "figures": drawn})
     return True, drawn

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
@@ -39,6 +39,7 @@ def check_several(
     ] = None,
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw loci, singular values and margins.")] = True,
+    details: Details = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -47,8 +48,7 @@ def check_several(
     Each loop is held against its limits with all others closed, then all together: stability by det(I + L), and what
     the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
     """
-    from loopshape.cli.verdicts import report_verdicts
-    from loopshape.data.verdict_words import WORDS
+    from loopshape.cli.verdicts import report_headline, report_verdicts, warn_of
     from loopshape.io.controllers import read_controllers
     from loopshape.io.junit import write_junit
     from loopshape.io.requirements import read_requirements, read_several
@@ -61,12 +61,15 @@ def check_several(
     verdict = check(frfs, own, wished, several, loops=chosen, held=_held(run))
     if junit is not None:
         write_junit(junit, [*verdict.each, verdict.together])
-    report_verdicts(verdict.each, output)
-    report_verdicts([verdict.together], output, margins=False)
-    output.table("All loops at once", _COLUMNS, [_row(name, m) for name, m in verdict.margins.items()])
+    report_headline([*verdict.each, verdict.together], output)
+    if details:
+        report_verdicts(verdict.each, output)
+        report_verdicts([verdict.together], output, margins=False)
+        output.table("All loops at once", _COLUMNS, [_row(name, m) for name, m in verdict.margins.items()])
+    else:
+        warn_of([*verdict.each, verdict.together], output)
     drawn = _draw(run, verdict, frfs, own, several) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    output.say(f"verdict: {WORDS[verdict.outcome]}")
     output.json(
         {
             "passed": verdict.passed,

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
+from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
     from loopshape.data.gap_report import GapReport, Ranked
 
-SHOWN = 6
+#: hypotheses printed with --details, and without
+SHOWN, FIRST = 6, 3
 
 
 def gap(
@@ -27,18 +28,20 @@ def gap(
         Path | None, typer.Option("--next", help="Write the experiment that would part the leading two (TOML).")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Leave the closed-loop gap table out.")] = False,
+    details: Details = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose the gap between a run and the nominal model of its plant, or between two runs."""
+    """Diagnose the gap between a run and the nominal model of its plant, or between two runs; the verdict first."""
     output = Output(as_json, quiet)
     check_files(save_answer, report, next_study)
     if sim is not None:
         from loopshape.cli.gap_two_runs import two_runs
 
-        two_runs(run, sim, save_answer, report, output)
+        two_runs(run, sim, save_answer, report, output, details=details)
         return
-    diagnose_run(run, output, save_answer=save_answer, report=report, next_study=next_study, quick=quick)
+    files = {"save_answer": save_answer, "report": report, "next_study": next_study}
+    diagnose_run(run, output, **files, quick=quick, details=details)
 
 
 def diagnose_run(
@@ -49,6 +52,7 @@ def diagnose_run(
     report: Path | None = None,
     next_study: Path | None = None,
     quick: bool = False,
+    details: bool = False,
 ) -> GapReport:
     """Diagnose a run folder, print what was found, and write what was asked for.
 
@@ -69,7 +73,10 @@ def diagnose_run(
         )
     with output.progress("gap", 9) as step:
         found = diagnose(diagnosable(run.plant), run, folder.name, table=not quick, say=step)
-    show(found, output)
+    _headline(found, output)
+    if details:
+        show(found, output)
+    output.warn(found.notes)
     if save_answer is not None:
         from loopshape.io.files import make_folder, write_json
 
@@ -83,9 +90,6 @@ def diagnose_run(
         output.say(f"figure written to {save(gap_figure(found), report)}")
     if next_study is not None:
         propose(found, next_study, output)
-    if found.proposal is not None:
-        output.say(f"next: {found.proposal.sentence}")
-    output.say(found.sentence)
     output.json(found.to_dict())
     return found
 
@@ -101,8 +105,39 @@ def check_files(save_answer: Path | None, report: Path | None, study: Path | Non
             raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
 
 
+def _headline(found: GapReport, output: Output) -> None:
+    """The diagnosis in one sentence, the leading hypotheses, the place, and what to record next: 80 columns."""
+    output.paragraph(found.sentence)
+    output.say("")
+    rows = [row for r in found.ranking[:FIRST] for row in _short_rows(r)]
+    output.table("Leading hypotheses", ["effect", "probability", "magnitude", "95 % interval"], rows)
+    place, (low, high) = found.where, found.where.band_hz
+    if place.block != "none":
+        output.paragraph(f"where: {place.block}, seen most in {place.channel} from {low:.3g} to {high:.3g} Hz")
+    for words in found.software:
+        output.paragraph(words)
+    if found.proposal is not None:
+        output.paragraph(f"next: {found.proposal.sentence}")
+
+
+def _short_rows(r: Ranked) -> list[list[Any]]:
+    """A hypothesis with its magnitude; a pair takes a row for each of its effects."""
+    parts: dict[str, Any] = dict(r.parts)
+    if r.magnitude is not None or not parts:
+        parts = {r.effect: (r.magnitude, r.interval, r.unit)}
+    return [
+        [
+            f"{'' if k == 0 else '+ '}{effect}",
+            f"{r.probability:.1%}" if k == 0 else "",
+            "-" if size is None else f"{size:.3g} {'' if unit in (None, '1') else unit}".strip(),
+            f"{interval[0]:.3g} to {interval[1]:.3g}" if interval else "-",
+        ]
+        for k, (effect, (size, interval, unit)) in enumerate(parts.items())
+    ]
+
+
 def show(found: GapReport, output: Output) -> None:
-    """Tables of a report, most important last."""
+    """Every table of a report."""
     if found.table is not None:
         from loopshape.cli.gap_two_runs import COLUMNS, gap_cells
 
@@ -117,8 +152,10 @@ def show(found: GapReport, output: Output) -> None:
         output.table("For control: nu-gap of the loop-shaped plants to the recorded ones", heads, nu)
     columns = ["recording", "role", "path", "nominal", "with the effect", "with the rival"]
     rows_ = [[s.recording, s.role, s.path, s.before, s.after, s.rival] for s in found.submodels]
-    output.table("Submodels, rms over the noise floor", columns, rows_)
-    output.table("Which", ["effect", "probability", "magnitude", "95 %", "unit", "form"], ranking_rows(found.ranking))
+    output.table("Submodels, rms relative to the noise floor", columns, rows_)
+    output.table(
+        "Hypotheses", ["effect", "probability", "magnitude", "95 %", "unit", "form"], ranking_rows(found.ranking)
+    )
     place = found.where
     output.table(
         "Where",
@@ -133,10 +170,13 @@ def show(found: GapReport, output: Output) -> None:
         ],
     )
     if place.places:
-        output.table("A free disturbance would leave, rms over the floor", ["at", "left"], place.places.items())
-    for line in found.software or ["software: nothing speaks against the controllers as they are stated"]:
+        output.table(
+            "Residual if this equation had an arbitrary disturbance, relative to the noise floor",
+            ["equation", "residual"],
+            place.places.items(),
+        )
+    for line in found.software or ["software: the logged commands agree with the stated controllers"]:
         output.say(line)
-    output.warn(found.notes)
 
 
 _NU_KEYS = ("nu_gap_before", "nu_gap_after", "nu_gap_to_nearest_point")

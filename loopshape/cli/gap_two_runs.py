@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from loopshape.data.gap_table import GapRow, GapTable, NuGapRow, TimeRow
 
 FORMAT = "loopshape-gap-table/1"
+#: rows printed without --details
+FIRST = 6
 COLUMNS = (
     "path", "operating point", "injected", "band [Hz]", "size [%]", "z2", "p", "gain [dB]", "phase [deg]",
     "odd/even real [dB]", "odd/even sim [dB]", "",
@@ -27,12 +29,12 @@ def two_runs(
     report: Path | None = None,
     output: Output | None = None,
     bands: str = "third_decade",
-    every: bool = False,
+    details: bool = False,
 ) -> GapTable:
-    """Compare two run folders, print the table and its conclusion, write JSON and figure; gives the table.
+    """Compare two run folders, print the conclusion and the table, write JSON and figure; gives the table.
 
-    `save_answer` and `report` (.png) are files. Without `every` the time rows printed are those that stand clear of
-    their floor. Nothing is written where anything is refused.
+    `save_answer` and `report` (.png) are files. Without `details` the FRF rows printed are the largest of those
+    that stand out of the noise. Nothing is written where anything is refused.
     """
     from loopshape.cli.gap import check_files
     from loopshape.diagnose.table import compare
@@ -42,14 +44,10 @@ def two_runs(
     output = output or Output()
     check_files(save_answer, report)
     table = compare(read_run(real), read_run(sim), bands=bands, real_name=real.name, sim_name=sim.name)
-    output.table(f"{real.name} (real) against {sim.name} (sim)", COLUMNS, [gap_cells(table, row) for row in table.rows])
-    if table.nu_gaps:
-        output.table("nu-gap of the loop-shaped plants", NU_COLUMNS, [nu_cells(row) for row in table.nu_gaps])
-    times = [row for row in table.times if every or row.loud]
-    if times:
-        output.table("same inputs, in time", TIME_COLUMNS, [time_cells(row) for row in times])
+    output.paragraph(table.conclusion)
+    output.say("")
+    (_tables if details else _first_table)(table, output)
     output.warn([*table.unmatched, *table.notes])
-    output.say(table.conclusion)
     content = payload(table)
     figure = _draw(table, report)
     if report is not None and figure is None:
@@ -59,6 +57,28 @@ def two_runs(
         write_json(save_answer, content)
     output.json(content | ({"figures": [str(figure)]} if figure else {}))
     return table
+
+
+def _first_table(table: GapTable, output: Output) -> None:
+    """What stands out of the noise, largest first, in 80 columns."""
+    rows = sorted((row for row in table.rows if table.significant(row)), key=lambda row: -row.size)
+    cells = [
+        [row.path, point(row.operating_point), _span(row.band_hz, 3), f"{100.0 * row.size:.1f}", f"{row.gain_db:+.2f}"]
+        for row in rows[:FIRST]
+    ]
+    if cells:
+        title = f"{table.real} (real) against {table.sim} (sim): the largest {len(cells)} of {len(rows)} differences"
+        output.table(title, ["path", "operating point", "band [Hz]", "size [%]", "gain [dB]"], cells)
+
+
+def _tables(table: GapTable, output: Output) -> None:
+    cells = [gap_cells(table, row) for row in table.rows]
+    output.table(f"{table.real} (real) against {table.sim} (sim)", COLUMNS, cells)
+    if table.nu_gaps:
+        output.table("nu-gap of the loop-shaped plants", NU_COLUMNS, [nu_cells(row) for row in table.nu_gaps])
+    times = [row for row in table.times if row.loud]
+    if times:
+        output.table("same inputs, in time", TIME_COLUMNS, [time_cells(row) for row in times])
 
 
 def payload(table: GapTable) -> dict[str, Any]:

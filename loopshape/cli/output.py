@@ -6,6 +6,7 @@ import codecs
 import io
 import json
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 T = TypeVar("T")
+#: width of what is printed first
+COLUMNS = 80
 #: what a terminal shows that does not know a sign
 PLAIN = {
     "±": "+-", "²": "^2", "³": "^3", "·": "*", "∞": "inf", "≥": ">=", "≤": "<=", "≈": "~", "−": "-", "–": "-",
@@ -22,6 +25,7 @@ PLAIN = {
 }  # fmt: skip
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+Details = Annotated[bool, typer.Option("--details", help="Print every table after the verdict.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 RunFolder = Annotated[Path, typer.Argument(help="A run folder.", show_default=False)]
 
@@ -58,6 +62,15 @@ class Output:
         """One line."""
         if not (self.as_json or self.quiet):
             print(line)
+
+    def paragraph(self, words: str) -> None:
+        """Sentences folded at 80 columns, each line of `words` a paragraph; what follows its first row is indented."""
+        for line in words.splitlines():
+            rest = " " * (2 + len(line) - len(line.lstrip()))
+            folded = textwrap.wrap(
+                line, COLUMNS, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
+            )
+            self.say("\n".join(folded))
 
     def warn(self, lines: Iterable[str]) -> None:
         """Warnings, each once, to standard error, beside JSON too; quiet prints nothing but errors."""

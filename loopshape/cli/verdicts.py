@@ -11,10 +11,13 @@ from loopshape.core.json_ready import json_ready
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
+    comparison_text,
+    headline,
     interval_or_bound_text,
     interval_text,
     line_change_words,
     longer_text,
+    outcome_of,
     reach_text,
     unstable_text,
 )
@@ -22,7 +25,7 @@ from loopshape.data.verdict_words import (
 if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison
     from loopshape.data.model import Fit
-    from loopshape.data.requirements import Verdict
+    from loopshape.data.requirements import Line, Verdict
 
 
 def fits_of(run: Path) -> tuple[Fit, ...]:
@@ -35,13 +38,16 @@ def fits_of(run: Path) -> tuple[Fit, ...]:
 def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
     """Requirement lines, and the margins of each operating point."""
     for verdict in verdicts:
-        rows = [_stability_row(verdict)] if verdict.margins else []
+        stable, at, word = _stability(verdict)
+        rows: list[list[object]] = (
+            [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
+        )
         rows += [
             [
                 line.quantity,
                 line.unit,
                 line.wished,
-                f"> {line.found:g}" if line.beyond else line.found,
+                _worst(line),
                 interval_or_bound_text(line),
                 line.spare,
                 line.recording,
@@ -56,24 +62,57 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
         if margins:
             _margins(verdict, output)
             _detunings(verdict, output)
-        output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+    warn_of(verdicts, output)
 
 
-def _stability_row(verdict: Verdict) -> list[object]:
-    """The closed loop at its worst operating point, as a row of its own: a table that passes has it pass too."""
+def report_headline(verdicts: Sequence[Verdict], output: Output, more: str = "") -> None:
+    """The verdict in one sentence, and of each loop the requirements in a table of 80 columns."""
+    output.paragraph(f"verdict: {WORDS[outcome_of(verdicts)]}{more}: {headline(verdicts)}")
+    output.say("")
+    for verdict in verdicts:
+        stable, _, word = _stability(verdict)
+        rows: list[list[object]] = [["closed loop", "stable", stable, "-", word]] if verdict.margins else []
+        rows += [[x.quantity, x.wished, _worst(x), interval_or_bound_text(x), WORDS[x.outcome]] for x in verdict.lines]
+        columns = ["requirement", "required", "worst case", "95 % interval", "verdict"]
+        output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
+
+
+def _worst(line: Line) -> object:
+    return f"> {line.found:g}" if line.beyond else line.found
+
+
+def _stability(verdict: Verdict) -> tuple[str, str, str]:
+    """The closed loop at its worst operating point, where that is, and the outcome: a row of its own in each table."""
     from loopshape.loop.points import STABLE_RANK
 
+    if not verdict.margins:
+        return "-", "-", "-"
     name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
     stable = verdict.margins[name].stable
     word = {"stable": "passed", "unstable": "failed"}.get(stable, "undecided")
-    return ["closed loop", "-", "stable", stable, "-", "-", name, "-", WORDS[word]]
+    return stable, name, WORDS[word]
 
 
-def report_margins(verdicts: Sequence[Verdict], output: Output) -> None:
-    """The margins of each operating point where nothing was required."""
+def report_margins(verdicts: Sequence[Verdict], output: Output, *, details: bool = True) -> None:
+    """The margins of each operating point where nothing was required; without `details` in 80 columns."""
     for verdict in verdicts:
-        _margins(verdict, output)
+        (_margins if details else _first_margins)(verdict, output)
+    warn_of(verdicts, output)
+
+
+def warn_of(verdicts: Sequence[Verdict], output: Output) -> None:
+    """Warnings of verdicts, and each operating point whose loop is not known to be stable."""
+    for verdict in verdicts:
         output.warn([*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)])
+
+
+def _first_margins(verdict: Verdict, output: Output) -> None:
+    rows = [
+        [name, m.stable, m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.sensitivity_peak_db]
+        for name, m in verdict.margins.items()
+    ]
+    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "|S| [dB]"]
+    output.table(f"Margins of loop {verdict.loop}", columns, rows)
 
 
 def _margins(verdict: Verdict, output: Output) -> None:
@@ -125,9 +164,12 @@ def _detunings(verdict: Verdict, output: Output) -> None:
     output.table(f"Detuning margins of loop {verdict.loop}", columns, rows)
 
 
-def report_comparisons(comparisons: Mapping[str, Comparison], output: Output) -> None:
+def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *, details: bool = True) -> None:
     """What became of a baseline: outcomes that changed, then margins that did, then what lies underneath."""
     for title, comparison in comparisons.items():
+        if not details:
+            output.paragraph(comparison_text(title, comparison))
+            continue
         lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
         lines += [["stability", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
         if lines:

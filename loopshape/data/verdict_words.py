@@ -148,6 +148,26 @@ def verdict_text(verdict: Verdict) -> str:
     return "\n".join([f"loop {verdict.loop}: {WORDS[verdict.outcome]}", *lines])
 
 
+def headline(verdicts: Sequence[Verdict]) -> str:
+    """The outcome of all loops in one sentence: what holds, else the first of the worst and how many more there are."""
+    outcome = outcome_of(verdicts)
+    if outcome == "passed":
+        many = sum(len(verdict.lines) for verdict in verdicts)
+        points = len({name for verdict in verdicts for name in verdict.margins})
+        return f"all requirements hold ({many}) and the closed loop is stable at every operating point ({points})"
+    short = [(word, words) for verdict in verdicts for word, words in _shortcomings(verdict)]
+    short.sort(key=lambda one: one[0] != WORDS[outcome])
+    others = f"; {len(short) - 1} more not met or undecided" if len(short) > 1 else ""
+    return short[0][1] + others
+
+
+def _shortcomings(verdict: Verdict) -> list[tuple[str, str]]:
+    """What does not hold of one loop: its word, and a sentence."""
+    unstable = [(_stable_word(verdict, name), unstable_text(verdict, name)) for name in verdict.unstable]
+    lines = [x for x in verdict.lines if not x.passed]
+    return unstable + [(WORDS[x.outcome], f"{x.quantity} of loop {verdict.loop}: {line_text(x)}") for x in lines]
+
+
 def _stable_word(verdict: Verdict, name: str) -> str:
     return WORDS["failed" if verdict.margins[name].stable == "unstable" else "undecided"]
 

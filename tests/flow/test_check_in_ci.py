@@ -109,7 +109,8 @@ def test_the_shipped_controller_passes_by_the_workflows_own_commands(bench: Path
     *_, checks, summary, _ = steps()
     done = bash(checks["run"], bench)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.rstrip().endswith("verdict: pass")
+    assert done.stdout.startswith("verdict: pass: ")
+    assert max(map(len, done.stdout.splitlines())) <= 80
     assert re.search(r"Against the baseline: unchanged \(0 margins worse, 0 better, \d+ unchanged\)", done.stdout)
     assert bash(summary["run"], bench).returncode == 0
     assert (bench / "summary.md").read_text().startswith("## loopshape check: pass\n")
@@ -131,8 +132,10 @@ def test_a_controller_that_got_worse_fails_unless_that_is_allowed(bench: Path) -
     words = (slow, "--require", requirement(bench, "easy", bandwidth_hz=10.0), "--baseline", BENCH / "verdict.json")
     done = check(bench, *words, "--junit", bench / "slow.xml", "--markdown", bench / "slow.md")
     assert done.returncode == 1
-    assert done.stdout.rstrip().endswith("verdict: pass, and worse than the baseline")
-    line = next(x for x in done.stdout.splitlines() if x.startswith("bandwidth_hz") and "exact" in x)
+    assert done.stdout.startswith("verdict: pass, and worse than the baseline: ")
+    assert "bandwidth_hz of loop motor is worse by " in done.stdout
+    table = check(bench, *words, "--details").stdout.splitlines()
+    line = next(x for x in table if x.startswith("bandwidth_hz") and "exact" in x)
     assert "worse" in line
     assert "loop motor: another controller, the same data" in done.stdout
     assert 'type="worse"' in (bench / "slow.xml").read_text()
@@ -140,7 +143,7 @@ def test_a_controller_that_got_worse_fails_unless_that_is_allowed(bench: Path) -
                      (bench / "slow.md").read_text(), flags=re.M)  # fmt: skip
     allowed = check(bench, *words, "--allow-worse", "--junit", bench / "slow.xml")
     assert allowed.returncode == 0
-    assert allowed.stdout.rstrip().endswith("verdict: pass")
+    assert allowed.stdout.startswith("verdict: pass: ")
     assert "worse (" in allowed.stdout
     assert 'type="worse"' not in (bench / "slow.xml").read_text()
 
@@ -161,7 +164,8 @@ def test_controller_and_data_that_both_changed_are_told_apart(bench: Path) -> No
 def test_a_missed_requirement_is_1_and_wrong_use_is_2(bench: Path) -> None:
     own = BENCH / "controller.toml"
     missed = check(bench, own, "--require", requirement(bench, "missed", bandwidth_hz=500.0))
-    assert (missed.returncode, missed.stdout.rstrip()[-4:]) == (1, "FAIL")
+    assert missed.returncode == 1
+    assert missed.stdout.startswith("verdict: FAIL: bandwidth_hz of loop motor: required")
     for words, said in (
         ((own, "--allow-worse"), "--allow-worse speaks of a baseline"),
         ((own, "--baseline", "none.json"), "a file does not exist"),
@@ -188,7 +192,7 @@ def test_quiet_prints_nothing_and_json_is_one_object_without_nan(bench: Path) ->
             assert found["outcome"] == "undecided"
             assert '"nan"' not in done.stdout
         if not words:
-            assert done.stdout.rstrip().endswith("verdict: undecided")
+            assert done.stdout.startswith("verdict: undecided: ")
 
 
 def test_what_was_not_found_is_null_in_json() -> None:
@@ -283,3 +287,16 @@ def test_a_case_that_nobody_asked_for_is_refused() -> None:
 
     with pytest.raises(WrongUseError, match="a case is not one of the requirements"):
         ControllerTest("none", "none", REQUIRE).assert_case("motor: gain")
+
+
+def test_the_headline_names_what_fails_before_what_is_undecided() -> None:
+    from verdict_cases import checked, line, margins
+
+    from loopshape.data.verdict_words import headline
+
+    lines = [line("gain_margin_db", "undecided"), line("modulus_margin", "failed"), line("phase_margin_deg", "passed")]
+    said = headline([checked({"r1": margins()}, lines).verdict])
+    assert said.startswith("modulus_margin of loop axis: required ")
+    assert said.endswith("; 1 more not met or undecided")
+    alone = headline([checked({"r1": margins(stable="unstable", reason="why")}, lines[2:]).verdict])
+    assert alone == "loop axis is unstable at r1: why"

@@ -53,11 +53,12 @@ def answer(done):
     return json.loads(done[2][0].read_text())
 
 
-def test_it_names_the_payload_and_says_so_last(done, answer):
+def test_it_names_the_payload_and_says_so_first(done, answer):
     code, printed, _ = done
     assert code == 0
     assert answer["verdict"] == "payload"
-    assert answer["sentence"] in printed.strip().splitlines()[-1]
+    assert " ".join(printed.split("\n\n")[0].split()) == answer["sentence"]
+    assert max(len(line) for line in printed.splitlines() if " written to " not in line) <= 80
     first = answer["ranking"][0]
     assert first["interval"][0] < first["magnitude"] < first["interval"][1]
     assert first["magnitude"] == pytest.approx(60.0, abs=6.0)
@@ -110,7 +111,7 @@ def test_the_next_experiment_can_be_measured_as_written(done, answer):
     assert proposal["parts"][0] == "payload"
     assert proposal["parts"][1] in (*KNOWN, "none")
     assert proposal["separation"] > 2.0
-    assert proposal["sentence"] in done[1]
+    assert proposal["sentence"] in " ".join(done[1].split())
     assert proposal["study"]["experiment"][0]["name"] == planned.name
     assert all(recording.info.ended_early is None for recording in measure(study, Arm1(), threads=1))
     own = {c.loop: c.blocks for c in Arm1().default_controllers(1000.0)}

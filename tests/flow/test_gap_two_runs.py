@@ -126,7 +126,8 @@ def test_the_command_prints_writes_and_concludes(folders, capsys, tmp_path):
     table = two_runs(folders / "real", folders / "stiff", tmp_path / "gap.json", tmp_path / "report.png", Output())
     printed = capsys.readouterr().out
     assert "z_theta2 -> theta2" in printed
-    assert table.conclusion in printed
+    assert " ".join(printed.split("\n\n")[0].split()) == table.conclusion
+    assert max(map(len, printed.splitlines())) <= 80
     found = json.loads((tmp_path / "gap.json").read_text())
     assert found["format"] == "loopshape-gap-table/1"
     assert len(found["rows"]) == len(table.rows)

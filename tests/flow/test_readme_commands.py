@@ -55,7 +55,7 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         assert "theta1 and theta2, 1 to 2 Hz: coupled" in done.stdout
         assert len(list((tmp_path / "out" / "arm2" / "export").glob("*.csv"))) == 5
     else:
-        assert "\nverdict: pass\n" in done.stdout
+        assert "\nverdict: pass: " in done.stdout
 
 
 def _free_port() -> int:
