@@ -18,14 +18,16 @@ from loopshape.identify.local_models import Fits, Shape, solve, window_moments
 
 #: highest harmonic looked for
 HIGHEST = 12
-#: half a window: this share of its frequency, and so many lines at least
-WIDTH, NARROWEST = 0.1, 20
-#: orders of H and T, and of a harmonic's answer, over a window
-POLYNOMIAL, RATIONAL, ORDER = Shape(2, 0), Shape(2, 2), 2
+#: half a window: this share of its frequency, if that is not as many lines up to another share, or fewer lines at worst
+WIDTH, ENOUGH, WIDEST, LEAST = 0.1, 40, 0.4, 20
+#: what is tried for the sweep's own answer over a window, none, one or two resonances, and the order of a harmonic's
+SHAPES, ORDER = (Shape(2, 0), Shape(2, 2), Shape(4, 4)), 2
 #: a harmonic is taken that explains so many times what noise would, if all those taken leave this share at most
-CLEAR, LEAVES = 4.0, 0.67
+CLEAR, LEAVES = 5.0, 0.67
 #: one that the sweep times a polynomial of this order explains beyond this share passes with the sweep, not apart
 SMOOTH, APART = 8, 0.5
+#: a machine has a harmonic in this share at least of the windows in which it passes apart; a resonance looks so in one
+OFTEN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +57,28 @@ def harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: f
     share = np.zeros(high + 1 - low)
     found: set[int] = set()
     left, right = middle - half, middle + half
-    M = window_moments(z, middle, left[:, None], right[:, None], RATIONAL.powers)[:, 0]
+    M = window_moments(z, middle, left[:, None], right[:, None], SHAPES[-1].powers)[:, 0]
     count = right - left + 1.0
-    plain, sharp = solve(M, count, POLYNOMIAL), solve(M, count, RATIONAL)
+    fits = [(shape, solve(M, count, shape)) for shape in SHAPES]
+    windows = []
     for i, (c, h) in enumerate(zip(middle, half, strict=True)):
         k, t = np.arange(c - h, c + h + 1), np.arange(-h, h + 1) / h
-        residuals = min((_residuals(z[k], t, x, i) for x in (plain, sharp)), key=lambda r: float(np.prod(_energy(r))))
-        heard = max(0, int(k[0] / lowest) - 1)
-        part, taken = _explained(z[k, 0], inputs[:heard, k - low], residuals, t)
-        weight = np.interp(k, middle, np.eye(middle.size)[i]) if middle.size > 1 else np.ones(k.size)
+        residuals = min((_residuals(z[k], t, *x, i) for x in fits), key=lambda r: float(np.prod(_energy(r))))
+        windows.append(_Window(k, t, z[k, 0], residuals, inputs[: max(0, int(c / lowest) - 1), k - low]))
+    apart = [window.apart() for window in windows]
+    taken = [window.explained(those)[1] for window, those in zip(windows, apart, strict=True)]
+    often = {j for those in taken for j in those if _times(j, taken) >= max(2.0, OFTEN * _times(j, apart))}
+    for i, (window, those) in enumerate(zip(windows, apart, strict=True)):
+        part, chosen = window.explained([j for j in those if j in often])
+        k, weight = window.lines, np.interp(window.lines, middle, np.eye(middle.size)[i])
         added[k - low] += weight[:, None] * part
-        share[k - low] += weight * len(taken) * (ORDER + 1) / k.size
-        found.update(j + 2 for j in taken)
+        share[k - low] += weight * len(chosen) * (ORDER + 1) / k.size
+        found.update(j + 2 for j in chosen)
     return Harmonics(low, added, share, tuple(sorted(found)))
+
+
+def _times(j: int, lists: list[list[int]]) -> int:
+    return sum(j in those for those in lists)
 
 
 def _inputs(instrument: Array, low: int, high: int) -> ComplexArray:
@@ -83,53 +94,67 @@ def _inputs(instrument: Array, low: int, high: int) -> ComplexArray:
 
 def _windows(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
     """Middles and half widths of windows within [low, high], each reaching to the next one's middle."""
-    most = (high - low) // 2
-    half = [min(max(NARROWEST, int(WIDTH * low)), most)]
+
+    def width(c: int) -> int:
+        return min(max(LEAST, min(ENOUGH, int(WIDEST * c)), int(WIDTH * c)), (high - low) // 2)
+
+    half = [width(low)]
     middle = [low + half[0]]
     while middle[-1] + half[-1] < high:
         middle.append(middle[-1] + half[-1])
-        half.append(min(max(NARROWEST, int(WIDTH * middle[-1])), most))
+        half.append(width(middle[-1]))
         middle[-1] = min(middle[-1], high - half[-1])
     return np.array(middle), np.array(half)
 
 
-def _residuals(z: ComplexArray, t: Array, fits: Fits, i: int) -> ComplexArray:
+def _residuals(z: ComplexArray, t: Array, shape: Shape, fits: Fits, i: int) -> ComplexArray:
     """What the fit over window i leaves of its answers, (lines, m)."""
-    powers = t[:, None] ** np.arange(POLYNOMIAL.order + 1)
+    powers = t[:, None] ** np.arange(shape.order + 1)
     shaped = np.hstack([z[:, :1] * powers, powers]) @ fits.theta[i]
     denominator = fits.denominator[i]
     return np.asarray(z[:, 2:] - shaped / (powers[:, : denominator.size] @ denominator)[:, None])
 
 
-def _explained(
-    sweep: ComplexArray, inputs: ComplexArray, residuals: ComplexArray, t: Array
-) -> tuple[ComplexArray, list[int]]:
-    """What harmonics explain of residuals (lines, m), and which of `inputs` (harmonics, lines) these are."""
-    powers = t[:, None] ** np.arange(ORDER + 1)
-    smooth = np.linalg.qr(sweep[:, None] * np.polynomial.chebyshev.chebvander(t, SMOOTH))[0]
-    apart = [j for j, x in enumerate(inputs) if _energy(smooth.conj().T @ x) < APART * _energy(x)]
-    base = np.hstack([sweep[:, None] * powers, powers])
-    basis = np.linalg.qr(base)[0]
-    left = residuals - basis @ (basis.conj().T @ residuals)
-    start = size = _energy(left)
-    taken: list[int] = []
-    while len(taken) < len(apart):
-        spans = {j: _span(inputs[j][:, None] * powers, basis) for j in apart if j not in taken}
-        less = {j: float(np.mean(_energy(span.conj().T @ left) / size)) for j, span in spans.items()}
-        best = max(less, key=less.__getitem__)
-        free = t.size - basis.shape[1]
-        if free < 4 * powers.shape[1] or less[best] < CLEAR * powers.shape[1] / free:
-            break
-        taken.append(best)
-        basis = np.hstack([basis, spans[best]])
-        left = left - spans[best] @ (spans[best].conj().T @ left)
-        size = _energy(left)
-    if not {0, 1} & set(taken) or float(np.mean(size / start)) > LEAVES:  # no machine has higher ones alone
-        return np.zeros_like(residuals), []
-    columns = np.hstack([base, *(inputs[j][:, None] * powers for j in taken)])
-    columns /= np.sqrt(_energy(columns))
-    theta = np.linalg.lstsq(columns, residuals, rcond=None)[0]
-    return np.asarray(columns[:, base.shape[1] :] @ theta[base.shape[1] :]), taken
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Lines (n,), t over half of them, the sweep there, what a fit leaves of the answers (n, m), harmonics' inputs."""
+
+    lines: np.ndarray
+    t: Array
+    sweep: ComplexArray
+    residuals: ComplexArray
+    inputs: ComplexArray
+
+    def apart(self) -> list[int]:
+        """Which harmonics pass at another time than the sweep."""
+        smooth = np.linalg.qr(self.sweep[:, None] * np.polynomial.chebyshev.chebvander(self.t, SMOOTH))[0]
+        return [j for j, x in enumerate(self.inputs) if _energy(smooth.conj().T @ x) < APART * _energy(x)]
+
+    def explained(self, among: list[int]) -> tuple[ComplexArray, list[int]]:
+        """What harmonics explain of the residuals, and which of those named these are."""
+        powers = self.t[:, None] ** np.arange(ORDER + 1)
+        base = np.hstack([self.sweep[:, None] * powers, powers])
+        basis = np.linalg.qr(base)[0]
+        left = self.residuals - basis @ (basis.conj().T @ self.residuals)
+        start = size = _energy(left)
+        taken: list[int] = []
+        while len(taken) < len(among):
+            spans = {j: _span(self.inputs[j][:, None] * powers, basis) for j in among if j not in taken}
+            less = {j: float(np.mean(_energy(span.conj().T @ left) / size)) for j, span in spans.items()}
+            best = max(less, key=less.__getitem__)
+            free = self.t.size - basis.shape[1]
+            if free < 4 * powers.shape[1] or less[best] < CLEAR * powers.shape[1] / free:
+                break
+            taken.append(best)
+            basis = np.hstack([basis, spans[best]])
+            left = left - spans[best] @ (spans[best].conj().T @ left)
+            size = _energy(left)
+        if not {0, 1} & set(taken) or float(np.mean(size / start)) > LEAVES:  # no machine has higher ones alone
+            return np.zeros_like(self.residuals), []
+        columns = np.hstack([base, *(self.inputs[j][:, None] * powers for j in taken)])
+        columns /= np.sqrt(_energy(columns))
+        theta = np.linalg.lstsq(columns, self.residuals, rcond=None)[0]
+        return np.asarray(columns[:, base.shape[1] :] @ theta[base.shape[1] :]), taken
 
 
 def _span(columns: ComplexArray, basis: ComplexArray) -> ComplexArray:
