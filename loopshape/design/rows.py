@@ -18,6 +18,9 @@ LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
 #: quantity of the rows that keep the count of encirclements sure: -1 outside the 95 % circles, |L| < 1 beyond
 SURE = "stability"
 
+#: a ratio or a frequency counts as so much at least: a loop without a crossing has a bandwidth of zero
+LEAST = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -58,13 +61,13 @@ def wished(p: Problem, name: str, tighten: Tighten) -> Array:
     limit = LIMIT_OF[name]
     moved = np.asarray(tighten.get(name, 0.0)) * (1.0 if limit.sense == "at_least" else -1.0)
     every = np.broadcast_to(float(getattr(p.requirements, name)) + moved, p.points)
-    return every if limit.unit in ("dB", "deg") else np.maximum(every, 1e-12)
+    return every if limit.unit in ("dB", "deg") else np.maximum(every, LEAST)
 
 
 def scaled(name: str, value: Array) -> Array:
     """A limit as rows count it: ln of a magnitude or a ratio, rad of an angle."""
     unit = LIMIT_OF[name].unit
-    return rad(value) if unit == "deg" else np.log(from_db(value)) if unit == "dB" else np.log(value)
+    return rad(value) if unit == "deg" else np.log(from_db(value)) if unit == "dB" else np.log(np.maximum(value, LEAST))
 
 
 def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
