@@ -9,8 +9,7 @@ from standing import ANALYTICAL, MODELS, arm, firmness, gain_limit, rests, suppl
 
 from loopshape.core.units import Array
 from loopshape.model.arm.equilibrium import angle_deg, angle_map, pressures
-from loopshape.model.arm.operating_points import EQUILIBRIA
-from loopshape.model.arm.source import number, value
+from loopshape.model.arm.source import EQUILIBRIA, number, value
 
 POINTS = (
     "theta2_deg", "p_ab_bar", "p_a_fitted_bar", "p_b_fitted_bar", "p_a_analytical_bar", "p_b_analytical_bar",

@@ -10,9 +10,8 @@ import numpy as np
 from loopshape.core.units import TWO_PI, Array, deg, rad
 from loopshape.model.arm.equilibrium import acceleration, angle_deg, pressures
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
-from loopshape.model.arm.source import number, value
+from loopshape.model.arm.source import EQUILIBRIA, number, value
 
 Moves = Mapping[str, float]
 STIFFNESS = ("b_bar", "k0", "k1", "k2", "c0", "c1")

@@ -13,9 +13,8 @@ import numpy as np
 
 from loopshape.core.units import Array, db
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import number, value
+from loopshape.model.arm.source import EQUILIBRIA, number, value
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 

@@ -16,8 +16,8 @@ from loopshape.core.units import Array, angular, rad
 from loopshape.data.effect import EffectForm
 from loopshape.io.files import write_bytes_whole
 from loopshape.model.arm.effects import FORMS
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
+from loopshape.model.arm.source import EQUILIBRIA
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, shades, styled
 
 HERE = Path(__file__).parent

@@ -18,8 +18,8 @@ def equilibria(
     """Draw the 1-DoF arm's equilibria (figures 4.7, 4.8 of the source) and list its 24 operating points."""
     from loopshape.model.arm.equilibrium import pressures
     from loopshape.model.arm.linear import linearise
-    from loopshape.model.arm.operating_points import EQUILIBRIA
     from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.model.arm.source import EQUILIBRIA
 
     output = Output(as_json, quiet)
     vector = ARM1_PARAMETERS.vector()
@@ -42,8 +42,8 @@ def draw_equilibria(folder: Path) -> list[str]:
 
     from loopshape.cli.pictures import save
     from loopshape.model.arm.equilibrium import angle_map, pressure_map
-    from loopshape.model.arm.operating_points import EQUILIBRIA
     from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.model.arm.source import EQUILIBRIA
     from loopshape.view.equilibria import contours_by_angle, contours_by_pressures
     from loopshape.view.style import figure_of
 

@@ -1,4 +1,4 @@
-"""`loopshape export`: a run's FRFs as files for other programs."""
+"""`loopshape export`, `export-controller`, `export-excitation`: FRFs, controllers, signals for other programs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from loopshape.cli.measure import StudyFile
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 
@@ -36,3 +37,50 @@ def export(
     output.table(f"FRFs in {folder}", columns, rows)
     output.warn(lost)
     output.json({"run": str(run), "format": to, "files": [str(path) for path in paths], "warnings": list(lost)})
+
+
+def export_controller(
+    controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
+    to: Annotated[str, typer.Option(help="json, matlab, or c (a C99 header with a step function).")],
+    out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them."""
+    from loopshape.io.controller_export import export_controllers
+    from loopshape.io.controllers import read_controllers
+
+    output, controllers = Output(as_json, quiet), read_controllers(controller)
+    paths = export_controllers(out, controllers, to)
+    columns = ["file", "loop", "digest", "precision", "sections", "moved by rounding [%]"]
+    rows = [
+        [path.name, one.loop, one.digest, one.precision, len(one.blocks), 100.0 * one.moved_by_rounding()]
+        for path, one in zip(paths, controllers, strict=True)
+    ]
+    output.table(f"Controllers in {out}", columns, rows)
+    keys = ("file", "loop", "digest", "precision", "sections", "moved_by_rounding_percent")
+    told = [dict(zip(keys, [str(path), *row[1:]], strict=True)) for path, row in zip(paths, rows, strict=True)]
+    output.json({"controllers": str(controller), "format": to, "exported": told})
+
+
+def export_excitation(
+    study: StudyFile,
+    to: Annotated[str, typer.Option(help="csv, mat (MATLAB and Simulink), or c (a C99 header).")],
+    out: Annotated[Path, typer.Option(help="Folder to write into, one file an experiment.")],
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write what a study injects and where its setpoints go, sample by sample, for a rig that loads files."""
+    from loopshape.io.excitation_export import export_signals
+    from loopshape.io.study import read_study
+    from loopshape.model import registry
+    from loopshape.rig.described import DescribedRig
+    from loopshape.rig.simulated import experiment, plan
+
+    output, read = Output(as_json, quiet), read_study(study)
+    plant = DescribedRig(read.loops) if read.loops else registry.plant(read.plant)
+    made = [experiment(read, plant, planned) for planned in plan(read, plant)]
+    paths = export_signals(out, made, to)
+    rows = [(path.name, e.injection, e.samples, e.rate_hz) for path, e in zip(paths, made, strict=True)]
+    output.table(f"Signals in {out}", ("file", "injection", "samples", "Hz"), rows)
+    output.json({"study": str(study), "format": to, "exported": [str(path) for path in paths]})

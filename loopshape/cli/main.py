@@ -19,9 +19,7 @@ from loopshape.cli.effects import effects
 from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.examples import examples
-from loopshape.cli.export import export
-from loopshape.cli.export_controller import export_controller
-from loopshape.cli.export_excitation import export_excitation
+from loopshape.cli.export import export, export_controller, export_excitation
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf

@@ -14,7 +14,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.effect import Spread
 from loopshape.data.excitation import Excitation
 from loopshape.data.plant import ParameterTable
-from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.data.study import ExperimentTemplate, Study, merged_effects
 
 MOST = 10_000_000  # machines: more is a slip of the pen
 SEEDS_APART = 1_000_003  # of machines' sensor noise
@@ -109,16 +109,10 @@ class Campaign:
             study = replace(
                 self.study,
                 seed=self.study.seed + self.seed * SEEDS_APART + number,
-                effects=_both(self.study.effects, effects),
+                effects=merged_effects(self.study.effects, effects),
                 experiments=tuple(_scaled(e, amplitude) for e in self.study.experiments),
             )
             yield Machine(_name(draw if self.draws else None, amplitude, effects), draw, amplitude, study, drawn)
-
-
-def _both(own: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
-    """The study's effects with those of a set: one that both name, in whatever form, is the set's."""
-    named = {key.partition(":")[0] for key in more}
-    return {key: value for key, value in own.items() if key.partition(":")[0] not in named} | dict(more)
 
 
 def _name(draw: int | None, amplitude: float, effects: Mapping[str, float]) -> str:

@@ -59,6 +59,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
     Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)"),
 )
+LIMIT_OF = {limit.name: limit for limit in LIMITS}
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,12 @@ def _with_signals(template: ExperimentTemplate, name: str, signals: Mapping[str,
     return replace(template, name=name, excitation=first, excites_also=dict(others))
 
 
+def merged_effects(own: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
+    """A study's effects with others: one that both name, in whatever form, is the other's."""
+    named = {key.partition(":")[0] for key in more}
+    return {key: value for key, value in own.items() if key.partition(":")[0] not in named} | dict(more)
+
+
 @dataclass(frozen=True, eq=False)
 class Study:
     """A whole study. `controllers` by loop name; a loop that it leaves out keeps the plant's default.

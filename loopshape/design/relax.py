@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import nnls
 
 from loopshape.core.units import Array
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirements import LIMIT_OF, Requirements
 from loopshape.design.measures import Measures
 from loopshape.design.problem import Problem, bounds_reached
-from loopshape.design.rows import LIMIT_OF, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.rows import SURE, Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
 from loopshape.design.settle import Judge, Settled, least_rooms, settle
 from loopshape.loop.controller_bandwidth import controller_bandwidth_hz

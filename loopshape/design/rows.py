@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, db, deg, from_db, rad
-from loopshape.data.requirements import LIMITS, Limit
+from loopshape.data.requirements import LIMIT_OF
 from loopshape.design.problem import Problem
 
 #: how far limits are moved inward, in their own unit ("stability" and the bandwidth of C: in ln of a magnitude): one
 #: number, or one for each operating point
 Tighten = Mapping[str, float | Array]
-LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
 #: quantity of the rows that keep the count of encirclements sure: -1 outside the 95 % circles, |L| < 1 beyond
 SURE = "stability"
 

@@ -10,7 +10,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import LIMITS, Line, Requirements, Verdict
+from loopshape.data.requirements import LIMIT_OF, Line, Requirements, Verdict
 from loopshape.design.bound import excluded
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of
@@ -155,5 +155,4 @@ def _tuned(
 
 
 def _closer(limit: float, line: Line) -> float:
-    sense = next(one.sense for one in LIMITS if one.name == line.quantity)
-    return limit + (-1.5 if sense == "at_least" else 1.5) * line.spare
+    return limit + (-1.5 if LIMIT_OF[line.quantity].sense == "at_least" else 1.5) * line.spare

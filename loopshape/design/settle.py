@@ -9,10 +9,10 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
-from loopshape.data.requirements import Verdict
+from loopshape.data.requirements import LIMIT_OF, Verdict
 from loopshape.design.measures import Measures, measure
 from loopshape.design.problem import Problem
-from loopshape.design.rows import LIMIT_OF, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.rows import SURE, Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
 
 #: what holds a controller against all requirements and has the last word
@@ -23,8 +23,6 @@ ROUNDS, FIRM = 8, 3
 WASTE = 0.003
 #: where stability is not decided, L is kept farther from -1 by this much (ln) a round
 SURER = 0.15
-#: first of a rank where no line is missed, and stability is not decided
-UNSURE = (1, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

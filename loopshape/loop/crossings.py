@@ -34,15 +34,6 @@ def axis_crossings(f: Array, L: ComplexArray) -> tuple[Array, Array]:
     return at[order][negative], value[order][negative]
 
 
-def nearest_to_minus_one(f: Array, L: ComplexArray) -> tuple[float, float]:
-    """Least distance of L's chords from -1, and the frequency in Hz where it lies."""
-    if L.size == 1:
-        return float(abs(1.0 + L[0])), float(f[0])
-    distance, share = chords_to_minus_one(L)
-    k = int(np.argmin(distance))
-    return float(distance[k]), float(f[k] + share[k] * (f[k + 1] - f[k]))
-
-
 def chords_to_minus_one(L: ComplexArray) -> tuple[Array, Array]:
     """Distance of each chord of L (..., n) from -1, and at which share of the chord it lies, (..., n - 1) each."""
     start, step = 1.0 + L[..., :-1], np.diff(L)
@@ -50,29 +41,3 @@ def chords_to_minus_one(L: ComplexArray) -> tuple[Array, Array]:
         share = np.clip(-(start.real * step.real + start.imag * step.imag) / np.abs(step) ** 2, 0.0, 1.0)
     share = np.where(np.isfinite(share), share, 0.0)
     return np.abs(start + share * step), share
-
-
-def first_level_crossing(f: Array, size: Array, level: float, *, rising: bool) -> float:
-    """Frequency in Hz where |.| first passes a level, 0 where it starts beyond, the last line where it never does."""
-    beyond = size >= level if rising else size < level
-    if beyond[0]:
-        return 0.0
-    if not beyond.any():
-        return float(f[-1])
-    return _between(f, size, level, int(np.argmax(beyond)) - 1)
-
-
-def last_level_crossing(f: Array, size: Array, level: float) -> float:
-    """Frequency in Hz where |.| falls through a level for the last time, 0 where it is never above."""
-    above = np.flatnonzero(size >= level)
-    if not above.size:
-        return 0.0
-    if above[-1] == f.size - 1:
-        return float(f[-1])
-    return _between(f, size, level, int(above[-1]))
-
-
-def _between(f: Array, size: Array, level: float, k: int) -> float:
-    """Where ln size, linear in ln f between lines k and k + 1, passes a level."""
-    ln = np.log(size[k : k + 2] / level)
-    return float(f[k] * (f[k + 1] / f[k]) ** (ln[0] / (ln[0] - ln[1])))

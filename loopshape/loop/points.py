@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
 
 #: quantities that say how close L comes to -1
 CLOSENESS = (
@@ -37,18 +37,13 @@ class Worst:
     why: str
 
 
-def limit_of(quantity: str) -> Limit:
-    """How a quantity is compared."""
-    return next(limit for limit in LIMITS if limit.name == quantity)
-
-
 def point_outcome(margins: Margins, quantity: str, wished: float) -> str:
     """What these data say of one requirement at one operating point: "passed", "failed" or "undecided"."""
     value = getattr(margins, quantity)
     if value != value:
         return "undecided"
     low, high = margins.intervals.get(quantity, (value, value))
-    at_least = limit_of(quantity).sense == "at_least"
+    at_least = LIMIT_OF[quantity].sense == "at_least"
     if quantity in margins.bounds:
         best = margins.bounds[quantity]
         low, high = (low, max(high, best)) if at_least else (min(low, best), high)
@@ -82,7 +77,7 @@ def worst_of(loops: Sequence[Loop], verdict: Verdict | None = None) -> Worst:
     k = names.index(missed.recording)
     word = "misses" if missed.outcome == "failed" else "undecided:"
     at_hz = missed.at_hz if missed.at_hz is not None else _nearest_hz(loops[k], found[k])
-    return Worst(k, at_hz, f"{word} {limit_of(missed.quantity).label}")
+    return Worst(k, at_hz, f"{word} {LIMIT_OF[missed.quantity].label}")
 
 
 def _missed(verdict: Verdict | None) -> Line | None:

@@ -58,12 +58,6 @@ def asked(plant: Any, words: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def merged(own: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
-    """A study's effects with others: one that both name, in whatever form, is the other's."""
-    named = {key.partition(":")[0] for key in more}
-    return {key: value for key, value in own.items() if key.partition(":")[0] not in named} | dict(more)
-
-
 def _magnitude(word: str, number: str) -> float:
     try:
         return float(number)

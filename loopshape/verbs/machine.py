@@ -10,13 +10,13 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.run import Run
-from loopshape.data.study import Study
+from loopshape.data.study import Study, merged_effects
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.study import read_study
 from loopshape.model import registry
 from loopshape.rig.described import DescribedRig
-from loopshape.rig.effects import asked, merged
+from loopshape.rig.effects import asked
 from loopshape.rig.interrupts import interrupts
 from loopshape.rig.simulated import Rig, header, plan
 from loopshape.rig.simulated import measure as recordings
@@ -94,7 +94,7 @@ def _asked(file: Path, controllers: Iterable[Controller], effects: Sequence[str]
     if study.rig not in ("simulated", "target"):
         raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
     plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
-    study = replace(study, effects=merged(study.effects, asked(plant, effects)))
+    study = replace(study, effects=merged_effects(study.effects, asked(plant, effects)))
     blocks = blocks_of(controllers, study.rate_hz)
     return replace(study, controllers={**study.controllers, **blocks}), plant
 

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Margins, Requirements, Verdict
+from loopshape.data.requirements import LIMIT_OF, Margins, Requirements, Verdict
 from loopshape.loop.bands import band
-from loopshape.loop.points import NEAREST, Worst, limit_of, margins_of
+from loopshape.loop.points import NEAREST, Worst, margins_of
 from loopshape.view.contours import turns
 from loopshape.view.curves import draw_band, fit_decibels, fit_degrees, frequency_axis, shown_band_hz
 from loopshape.view.key import Entry, Key, count, curve
@@ -56,7 +56,7 @@ def worst_text(loops: Sequence[Loop], worst: Worst, verdict: Verdict | None) -> 
 
 def with_interval(margins: Margins, quantity: str, last_hz: float = np.inf) -> str:
     """A margin in words: value, unit, 95 % interval and frequency; "above" the last line where it may lie beyond."""
-    limit = limit_of(quantity)
+    limit = LIMIT_OF[quantity]
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     ends, at_hz = margins.intervals.get(quantity), margins.at_hz.get(quantity)
     places = {"dB": 2, "deg": 1}.get(limit.unit)

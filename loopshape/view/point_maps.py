@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Line, Margins, Verdict
-from loopshape.loop.points import limit_of, margins_of, point_outcome
+from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
+from loopshape.loop.points import margins_of, point_outcome
 from loopshape.view.key import varying
 from loopshape.view.labels import number, numbers, quantity
 from loopshape.view.loop_parts import number3
@@ -57,7 +57,7 @@ def point_map(loops: Sequence[Loop], verdict: Verdict, line: Line, *, ax: Axes) 
     found = [(loop, margins_of(loop, k, verdict)) for k, loop in enumerate(loops)]
     known = [(loop, m) for loop, m in found if m is not None]
     xs, ys = (sorted({loop.plant.operating_point[key] for loop in loops}) for key in keys)
-    sign = 1.0 if limit_of(line.quantity).sense == "at_least" else -1.0
+    sign = 1.0 if LIMIT_OF[line.quantity].sense == "at_least" else -1.0
     spare = np.array([sign * (getattr(m, line.quantity) - line.wished) for _, m in known])
     largest = float(np.max(np.abs(spare[np.isfinite(spare)]), initial=1e-12))
     for (loop, margins), room in zip(known, spare, strict=True):
@@ -68,7 +68,7 @@ def point_map(loops: Sequence[Loop], verdict: Verdict, line: Line, *, ax: Axes) 
             frame: dict[str, Any] = {"fill": False, "edgecolor": "black", "linewidth": 1.6, "zorder": 3.0}
             ax.add_patch(Rectangle((at[0] - 0.48, at[1] - 0.48), 0.96, 0.96, gid="worst", **frame))
     _axes(ax, keys, xs, ys)
-    limit = limit_of(line.quantity)
+    limit = LIMIT_OF[line.quantity]
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     sense = "≥" if sign > 0.0 else "≤"
     text = f"{limit.label.split(' (')[0]} {sense} {number(line.wished)}{unit}"

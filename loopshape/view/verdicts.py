@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from loopshape.core.units import Array
-from loopshape.data.requirements import Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
 from loopshape.data.verdict_words import WORDS
-from loopshape.loop.points import limit_of, point_outcome
+from loopshape.loop.points import point_outcome
 from loopshape.view.labels import bracket, number, symbol
 from loopshape.view.outcomes import MARKS, mark_entries, with_stability
 from loopshape.view.style import FULL_WIDTH_IN, LIMIT, axes_or_new, head, new_figure, styled
@@ -29,7 +29,7 @@ def margin(verdict: Verdict, line: Line, *, ax: Axes | None = None) -> Axes:
     edge. Intervals that leave the picture end at an arrow.
     """
     ax = axes_or_new(ax, (FULL_WIDTH_IN, 2.0))
-    names, limit = list(verdict.margins), limit_of(line.quantity)
+    names, limit = list(verdict.margins), LIMIT_OF[line.quantity]
     found = np.array([getattr(verdict.margins[name], line.quantity) for name in names])
     ends = np.array([_interval(verdict.margins[name], line.quantity) for name in names])
     low, high = _span(found, ends, line.wished)

@@ -8,8 +8,8 @@ from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.loop.margins import margins
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.published import angle_controller
+from loopshape.model.arm.source import EQUILIBRIA
 
 F = np.geomspace(0.01, 100.0, 3000)
 #: table 5.1; unstable on the printed model (ARM.md, section 10)

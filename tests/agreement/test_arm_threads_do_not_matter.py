@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.operating_points import EQUILIBRIA
+from loopshape.model.arm.source import EQUILIBRIA
 
 
 @pytest.fixture(scope="module")

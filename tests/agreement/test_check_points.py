@@ -9,8 +9,8 @@ from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMITS, Line, Margins, Requirements, Verdict
-from loopshape.loop.points import limit_of, margins_of, point_outcome, worst_of
+from loopshape.data.requirements import LIMIT_OF, LIMITS, Line, Margins, Requirements, Verdict
+from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.loop.verdict import check
 
 RATE = 1000.0
@@ -112,4 +112,4 @@ def test_margins_are_found_by_recording() -> None:
     found = verdict(margins(0.3), margins(0.5))
     assert margins_of(some[1], 0, found) is found.margins["r2"]
     assert margins_of(some[1], 0, None) is None
-    assert limit_of("modulus_margin").sense == "at_least"
+    assert LIMIT_OF["modulus_margin"].sense == "at_least"

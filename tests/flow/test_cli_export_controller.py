@@ -10,7 +10,7 @@ import typer
 from scipy import signal
 from typer.testing import CliRunner
 
-from loopshape.cli.export_controller import export_controller
+from loopshape.cli.export import export_controller
 from loopshape.core.errors import LoopshapeError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import LoopSetup

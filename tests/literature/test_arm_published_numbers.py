@@ -13,9 +13,8 @@ from loopshape.model.arm import parameters as k
 from loopshape.model.arm.equilibrium import pressures
 from loopshape.model.arm.linear import linearise
 from loopshape.model.arm.model import muscle
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.published import angle_controller, third_order_plant
-from loopshape.model.arm.source import value
+from loopshape.model.arm.source import EQUILIBRIA, value
 
 F = np.geomspace(0.01, 100.0, 6000)
 

@@ -5,8 +5,8 @@ import pytest
 
 from loopshape.model.arm.effects import FORMS
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import EQUILIBRIA
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 #: table 4.1 within its rounding, so that the printed model gives the source's own simulation: 5.8 and 4.7 Hz

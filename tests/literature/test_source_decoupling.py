@@ -10,9 +10,8 @@ from loopshape.core.units import db
 from loopshape.io.study import read_study
 from loopshape.model.arm.equilibrium import pressures
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import value
+from loopshape.model.arm.source import EQUILIBRIA, value
 
 FOLDER = Path(__file__).parents[2] / "experiments" / "decoupling"
 LIMIT_DB = value("figure_h_7.interaction")

@@ -5,9 +5,8 @@ import pytest
 
 from loopshape.model.arm.equilibrium import angle_deg, pressures
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import INERTIA
-from loopshape.model.arm.source import number, value
+from loopshape.model.arm.source import EQUILIBRIA, number, value
 
 SUPPLY_BAR = 1.0  # section 3.3
 

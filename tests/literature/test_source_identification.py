@@ -12,9 +12,8 @@ from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.io.study import read_study
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.published import third_order_plant
-from loopshape.model.arm.source import number, value
+from loopshape.model.arm.source import EQUILIBRIA, number, value
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm1_identification"
 

@@ -8,8 +8,8 @@ from loopshape.core.units import angular
 from loopshape.data.frf import FRF
 from loopshape.data.requirements import Requirements
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.operating_points import EQUILIBRIA
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.model.arm.source import EQUILIBRIA
 
 
 def frfs(lines: int) -> list[FRF]:

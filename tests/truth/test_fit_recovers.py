@@ -15,8 +15,7 @@ from loopshape.data.model import TransferFunction
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
 from loopshape.identify.fit.least_squares import Data, residual_tests, runs_test
-from loopshape.identify.fit.linear_start import levy
-from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder
+from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder, levy
 from loopshape.identify.frequency_response import estimate_frf
 
 F = np.geomspace(0.3, 15.0, 80)

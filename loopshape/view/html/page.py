@@ -8,13 +8,13 @@ from hashlib import sha256
 from importlib.resources import files
 
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Verdict
+from loopshape.data.requirements import LIMIT_OF, Verdict
 from loopshape.data.run_report import CheckedLoop, RunReport
 from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, Plots
 from loopshape.view.html.traces import REACH_OF, Trace, embedded, loop_traces, plant_traces
-from loopshape.view.html.words import LIMIT_OF, WORDS
+from loopshape.view.html.words import WORDS
 
 _READ = (
     "Point at a curve, or tap it: all plots of the loop mark the same line, and its values stand below. With the"

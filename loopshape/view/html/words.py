@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite, isinf, isnan
 
-from loopshape.data.requirements import LIMITS, Limit, Line
+from loopshape.data.requirements import LIMIT_OF, Limit, Line
 from loopshape.data.verdict_words import WORDS as OUTCOME_WORDS
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.labels import split_unit
 
 DASH = "\N{EN DASH}"
-LIMIT_OF: dict[str, Limit] = {limit.name: limit for limit in LIMITS}
 #: outcome -> its word
 WORDS = {**OUTCOME_WORDS, "none": "no verdict"}
 #: closed loop -> the outcome whose sign and colour it takes
