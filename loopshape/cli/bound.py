@@ -9,6 +9,7 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.tune import RequireFile
+from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.design.bound import Bound
@@ -87,23 +88,9 @@ def sentences(one: Bound) -> list[str]:
 
 def bound_json(one: Bound) -> dict[str, Any]:
     """A bound as JSON."""
-    return {
-        "loop": one.loop,
-        "answer": one.answer,
+    return named(one, "loop", "answer", "bound_hz", "ratio", "counted", "left_out", "outcome") | {
         "bandwidth_hz": one.found_hz,
-        "bound_hz": one.bound_hz,
-        "ratio": one.ratio,
         "bound_by": one.together.recording,
-        "alone": [
-            {"recording": x.recording, "bandwidth_hz": one.found[x.recording], "bound_hz": x.bound_hz}
-            for x in one.alone
-        ],
-        "reached": {
-            "recording": one.reached.recording,
-            "bandwidth_hz": one.reached.bandwidth_hz,
-            "parameters": one.reached.parameters,
-        },
-        "counted": list(one.counted),
-        "left_out": list(one.left_out),
-        "outcome": one.outcome,
+        "alone": [named(x, "recording", "bound_hz") | {"bandwidth_hz": one.found[x.recording]} for x in one.alone],
+        "reached": named(one.reached, "recording", "bandwidth_hz", "parameters"),
     }

@@ -189,11 +189,10 @@ def report(
     rows = []
     for one in frfs:
         lines = one.select(one.trusted) if one.trusted.any() else one
-        std = np.sqrt(0.5 * lines.variance[:, 0, 0]) / np.abs(lines.siso)
         share = distortion_share(lines)
         low, high = one.trusted_band_hz
         count = int(one.trusted.sum())
-        spread = float(20.0 * np.log10(1.0 + np.median(std)))
+        spread = float(20.0 * np.log10(1.0 + np.median(lines.modulus_std[:, 0, 0])))
         where = point(one.operating_point, one.parameters)
         rows.append([one.recording, one.loop, where, low, high, count, spread] + ([share] if told else []))
     if rows:

@@ -96,7 +96,7 @@ def _report(out: Path, frfs: list[FRF], paths: tuple[Path, ...], output: Output)
     columns = ["recording", "loop", "outputs", "inputs", "trusted from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     rows = []
     for one in frfs:
-        std = np.sqrt(0.5 * one.variance[:, 0, 0]) / np.maximum(np.abs(one.response[:, 0, 0]), 1e-300)
+        std = one.modulus_std[:, 0, 0]
         spread = float(20.0 * np.log10(1.0 + np.median(std)))
         low, high = one.trusted_band_hz
         names = [", ".join(one.outputs), ", ".join(one.inputs)]

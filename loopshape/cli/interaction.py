@@ -10,6 +10,7 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
+from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -164,17 +165,5 @@ def _json(one: Interaction) -> dict[str, Any]:
 
 
 def _band(v: BandVerdict) -> dict[str, Any]:
-    return {
-        "loops": list(v.loops),
-        "from_hz": v.band_hz[0],
-        "to_hz": v.band_hz[1],
-        "verdict": v.verdict,
-        "lines": v.lines,
-        "at_hz": v.at_hz,
-        "low_db": v.low_db,
-        "estimate_db": v.estimate_db,
-        "high_db": v.high_db,
-        "coupled_hz": list(v.coupled_hz),
-        "averages_factor": v.averages_factor,
-        "sentence": v.sentence,
-    }
+    names = ("loops", "verdict", "lines", "at_hz", "low_db", "estimate_db", "high_db", "coupled_hz", "averages_factor")
+    return named(v, *names, "sentence") | {"from_hz": v.band_hz[0], "to_hz": v.band_hz[1]}

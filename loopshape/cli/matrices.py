@@ -33,7 +33,7 @@ def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
     rows = []
     for one in frfs:
         lines = one.select(one.trusted) if one.trusted.any() else one
-        std = np.sqrt(0.5 * lines.variance) / np.maximum(np.abs(lines.response), 1e-300)
+        std = lines.modulus_std
         low, high = one.trusted_band_hz
         where = point(one.operating_point, one.parameters)
         count = int(one.trusted.sum())

@@ -9,6 +9,7 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
+from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -240,37 +241,20 @@ def _show(plan: Plan, output: Output) -> None:
     output.warn(plan.notes)
 
 
+_PLAN = (
+    "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
+    "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std", "notes",
+    "sentence",
+)  # fmt: skip
+
+
 def answer(plan: Plan) -> dict[str, Any]:
     """The plan as JSON; every std is relative, 0.01 being 1 % of |G|."""
-    e = plan.excitation
-    return {
-        "format": "loopshape-plan/1",
-        "loop": plan.loop,
-        "recording": plan.recording,
-        "injection": plan.injection,
-        "met": plan.met,
-        "reached": plan.reached,
-        "crossover_hz": plan.crossover_hz,
+    signal = named(plan.excitation, "period_s", "periods", "ramp_s", "amplitude")
+    return {"format": "loopshape-plan/1", **named(plan, *_PLAN), **signal} | {
         "wished_std": plan.wish.std,
         "std_at_crossover": plan.at_crossover,
         "std_before": plan.before,
         "std_known_to": plan.sure,
-        "short_by": plan.short_by,
-        "needed_s": plan.needed_s,
-        "needed_amplitude": plan.needed_amplitude,
-        "binds": plan.binds,
-        "period_s": e.period_s,
-        "periods": e.periods,
-        "realisations": plan.realisations,
-        "ramp_s": e.ramp_s,
-        "duration_s": plan.duration_s,
-        "amplitude": e.amplitude,
-        "peak_input": plan.peak_input,
-        "peak_output": plan.peak_output,
-        "lines_hz": plan.lines_hz,
-        "line_amplitude": plan.line_amplitude,
-        "std": plan.std,
         "distortion_std": plan.floor,
-        "notes": list(plan.notes),
-        "sentence": plan.sentence,
     }

@@ -10,6 +10,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
+from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.design.schedule import Schedule
@@ -81,25 +82,12 @@ def _report(one: Schedule, output: Output) -> None:
         output.say(f"the search alone found nothing better than the robust controller at {', '.join(kept)}")
 
 
+_POINT = (
+    "recording", "operating_point", "own_hz", "robust_hz", "cost_hz", "ratio", "bound_hz", "tuned", "feasible",
+)  # fmt: skip
+
+
 def schedule_json(one: Schedule) -> dict[str, Any]:
     """A schedule as JSON."""
-    return {
-        "loop": one.loop,
-        "robust_hz": one.robust_hz,
-        "own_hz": one.own_hz,
-        "points": [
-            {
-                "recording": p.recording,
-                "operating_point": dict(p.operating_point),
-                "own_hz": p.own_hz,
-                "robust_hz": p.robust_hz,
-                "cost_hz": p.cost_hz,
-                "ratio": p.ratio,
-                "bound_hz": p.bound_hz,
-                "tuned": p.tuned,
-                "feasible": p.feasible,
-                "blocks": [block.to_table() for block in p.own.blocks],
-            }
-            for p in one.points
-        ],
-    }
+    points = [named(p, *_POINT) | {"blocks": [block.to_table() for block in p.own.blocks]} for p in one.points]
+    return named(one, "loop", "robust_hz", "own_hz") | {"points": points}

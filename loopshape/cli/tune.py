@@ -11,6 +11,7 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts
+from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -161,17 +162,11 @@ def _known(value: float) -> float | str:
 def tuning_json(tuning: Tuning) -> dict[str, Any]:
     """A tuning as JSON."""
     why = tuning.shortfall
-    return {
+    names = ("feasible", "outcome", "converged", "bandwidth_hz", "rejection_db", "bounds_reached", "moved")
+    return named(tuning, *names) | {
         "loop": tuning.controller.loop,
-        "feasible": tuning.feasible,
-        "outcome": tuning.outcome,
-        "converged": tuning.converged,
-        "bandwidth_hz": tuning.bandwidth_hz,
-        "rejection_db": tuning.rejection_db,
         "blocks": [block.to_table() for block in tuning.controller.blocks],
-        "binding": [{"quantity": b.quantity, "recording": b.recording, "at_hz": b.at_hz} for b in tuning.binding],
-        "bounds_reached": list(tuning.bounds_reached),
-        "moved": list(tuning.moved),
+        "binding": [named(b, "quantity", "recording", "at_hz") for b in tuning.binding],
         "shortfall": None if why is None else asdict(why) | {"certified": why.certified},
         "verdict": tuning.verdict.to_dict(),
     }

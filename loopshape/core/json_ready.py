@@ -10,6 +10,11 @@ from typing import Any
 from loopshape.core.errors import WrongUseError
 
 
+def named(noun: Any, *names: str) -> dict[str, Any]:
+    """Fields and properties of a noun by name, for JSON."""
+    return {name: getattr(noun, name) for name in names}
+
+
 def json_ready(value: Any, unknown: str | None = "nan") -> Any:
     """The value in words that JSON knows, nan as `unknown`; refuses what has none (complex numbers, functions)."""
     if hasattr(value, "tolist"):  # numpy's arrays and numbers

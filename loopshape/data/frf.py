@@ -218,6 +218,16 @@ class FRF:
         diagonal = np.real(np.einsum("fii->fi", self.covariance))
         return diagonal.reshape(len(diagonal), len(self.inputs), len(self.outputs)).transpose(0, 2, 1)
 
+    @property
+    def relative_std(self) -> Array:
+        """sqrt(E|d|²)/|G| of each element, (nf, ny, nu)."""
+        return np.asarray(np.sqrt(self.variance) / np.maximum(np.abs(self.response), 1e-300))
+
+    @property
+    def modulus_std(self) -> Array:
+        """Relative std of |G|, which is that of its phase in rad, for a circular error: sqrt(E|d|²/2)/|G|, as above."""
+        return np.asarray(np.sqrt(0.5 * self.variance) / np.maximum(np.abs(self.response), 1e-300))
+
     def select(self, lines: np.ndarray) -> FRF:
         """The same FRF on a mask or index of lines."""
         changes = {n: getattr(self, n)[lines] for n in (*_ARRAYS, "trusted") if getattr(self, n) is not None}

@@ -108,7 +108,7 @@ def first_record(recording: Recording, loop: LoopSetup, settings: Settings | Non
         to_output=mine.response[:, 0, 0],
         noise=noise,
         averages=count,
-        std=relative_std(frf),
+        std=frf.modulus_std[:, 0, 0],
         input_rest=float(s.u.mean()),
         input_noise=input_noise,
         input_caused=float(np.sqrt(max(float(np.var(s.u)) - input_noise**2, 0.0))),
@@ -125,11 +125,6 @@ def _moved(answers: Answers) -> np.ndarray:
     """
     variance = np.einsum("nii->ni", answers.covariance).real[:, :2]
     return np.asarray((variance < (KNOWN * np.abs(answers.response[:, :2, 0])) ** 2).all(axis=1))
-
-
-def relative_std(frf: FRF) -> Array:
-    """Relative std (nf,) of |G|, which is that of its phase in radians: sqrt(E|d|²/2)/|G|, for a circular error."""
-    return np.asarray(np.sqrt(0.5 * frf.variance[:, 0, 0]) / np.abs(frf.siso))
 
 
 def between(at_hz: Array, f: Array, response: ComplexArray) -> ComplexArray:

@@ -82,7 +82,7 @@ def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
     assert S.held_by is not None
     f = S.frequency_hz
     apart = np.abs(db((1.0 + S.held_by.response(f) * fit.model.response(f)) * S.siso))
-    std = db(1.0 + np.sqrt(S.variance[:, 0, 0]) / np.abs(S.siso))
+    std = db(1.0 + S.relative_std[:, 0, 0])
     k = int(np.argmax(np.maximum(apart - 2.0 * std, 0.0)))
     if apart[k] - 2.0 * std[k] < FIT_APART_DB:
         return step

@@ -115,8 +115,7 @@ def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
 
 def _beyond(frf: FRF, lines: FRF) -> FRF | None:
     """Lines above the judged ones that are known to 30 %: a check must not overlook what they show."""
-    relative = np.sqrt(frf.variance[:, 0, 0]) / np.abs(frf.siso)
-    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
+    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (frf.relative_std[:, 0, 0] < KNOWN_BEYOND)
     return frf.select(rows) if rows.any() else None
 
 

@@ -114,7 +114,7 @@ def frf_change(without: FRF, changed: FRF) -> FrfChange:
     """Two FRFs (1 x 1) on the lines that both know well."""
     shared = np.intersect1d(without.frequency_hz, changed.frequency_hz)
     one, two = (x.select(np.isin(x.frequency_hz, shared)) for x in (without, changed))
-    noise = [np.sqrt(x.variance[:, 0, 0]) / np.abs(x.siso) for x in (one, two)]
+    noise = [x.relative_std[:, 0, 0] for x in (one, two)]
     known = (noise[0] < KNOWN) & (noise[1] < KNOWN)
     return FrfChange(one.frequency_hz[known], one.siso[known], two.siso[known], np.hypot(*noise)[known])
 

@@ -24,7 +24,7 @@ SURE = 0.05
 
 def known_lines(frf: FRF) -> np.ndarray:
     """Trusted lines (nf,) of a 1 x 1 FRF whose phase is known, by their own error and the median of five lines'."""
-    relative = _relative(frf)
+    relative = frf.relative_std[:, 0, 0]
     return np.asarray(frf.trusted & (relative <= KNOWN) & (median_filter(relative, 5, mode="nearest") <= KNOWN))
 
 
@@ -62,7 +62,7 @@ def plant_phase_deg(loop: Loop) -> tuple[Array, np.ndarray]:
     is not known in (-270, 90].
     """
     known = known_lines(loop.plant)
-    phase = continuous_deg(loop.plant.siso, _relative(loop.plant), known)
+    phase = continuous_deg(loop.plant.siso, loop.plant.relative_std[:, 0, 0], known)
     first = phase[np.flatnonzero(known)[0]] if known.any() else phase[0]
     about = -90.0 if loop.integrators is None else -90.0 * loop.integrators - 45.0
     return np.asarray(phase + (float(nearest_branch(first, about)) - first)), known
@@ -100,7 +100,3 @@ def draw_dots(ax: Axes, x: Array, y: Array, rows: np.ndarray, **look: Any) -> No
     seen = np.isfinite(x) & np.isfinite(y)
     if np.all(rows) and seen.any():
         ax.update_datalim(np.column_stack([x[seen], y[seen]]))
-
-
-def _relative(frf: FRF) -> Array:
-    return np.asarray(np.sqrt(frf.variance[:, 0, 0]) / np.maximum(np.abs(frf.siso), 1e-300))

@@ -291,3 +291,10 @@ def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
         run = ls.measure(study, tmp_path / "run", port=port, arm=True)
         assert len(run.recordings) == 1
         assert ls.stop(port).startswith("vented")
+
+
+def test_an_error_that_is_stated_is_the_error_that_the_frf_has():
+    f_hz = np.geomspace(1.0, 100.0, 20)
+    P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.02)
+    np.testing.assert_allclose(P.relative_std, 0.02, rtol=1e-12)
+    np.testing.assert_allclose(P.modulus_std, 0.02 / np.sqrt(2.0), rtol=1e-12)  # half the power lies along |P|

@@ -45,7 +45,7 @@ def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
 
 def _response(one: FRF) -> list[Cell | Content]:
     lines = one.select(one.trusted) if one.trusted.any() else one
-    std = np.sqrt(0.5 * lines.variance[:, 0, 0]) / np.maximum(np.abs(lines.response[:, 0, 0]), 1e-300)
+    std = lines.modulus_std[:, 0, 0]
     spread = float(db(1.0 + np.median(std)))
     low, high = one.trusted_band_hz
     return [

@@ -112,7 +112,7 @@ def relative_reach(lines: FRF, responses: Mapping[str, ComplexArray]) -> dict[st
     With a circular error of P the real part alone has half its variance. dL/L = dP/P, dS/S = -T dP/P, dT/T = S dP/P;
     CS and PS follow as S and T do. It misleads where it comes near to 1.
     """
-    own = NORMAL_95 * np.sqrt(0.5 * lines.variance[:, 0, 0]) / np.maximum(np.abs(lines.siso), 1e-300)
+    own = NORMAL_95 * lines.modulus_std[:, 0, 0]
     found = {"P": own}
     if "S" in responses:
         found |= {"S": np.abs(responses["T"]) * own, "T": np.abs(responses["S"]) * own}
