@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from loopshape.data.frf import FRF as FRF
     from loopshape.data.gap_report import GapReport as GapReport
     from loopshape.data.interaction import Interaction as Interaction
+    from loopshape.data.machine import Input as Input
+    from loopshape.data.machine import Model as Model
+    from loopshape.data.machine import ModelParameter as ModelParameter
+    from loopshape.data.machine import Output as Output
+    from loopshape.data.machine import Port as Port
     from loopshape.data.model import Fit as Fit
     from loopshape.data.prediction import Comparison as Comparison
     from loopshape.data.prediction import Prediction as Prediction
@@ -76,10 +81,15 @@ _HOME = {
     "FRF": "data.frf",
     "Fit": "data.model",
     "GapReport": "data.gap_report",
+    "Input": "data.machine",
     "Interaction": "data.interaction",
     "LoopshapeError": "core.errors",
     "Margins": "data.requirements",
+    "Model": "data.machine",
+    "ModelParameter": "data.machine",
     "Outcome": "data.requirements",
+    "Output": "data.machine",
+    "Port": "data.machine",
     "Prediction": "data.prediction",
     "Recording": "data.recording",
     "Requirements": "data.requirements",

@@ -27,6 +27,9 @@ def gap(
     next_study: Annotated[
         Path | None, typer.Option("--next", help="Write the experiment that would part the leading two (TOML).")
     ] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="A machine of your own (model.toml); the Python file that it names is run.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Leave the closed-loop gap table out.")] = False,
     details: Details = False,
     as_json: AsJson = False,
@@ -41,7 +44,7 @@ def gap(
         two_runs(run, sim, save_answer, report, output, details=details)
         return
     files = {"save_answer": save_answer, "report": report, "next_study": next_study}
-    diagnose_run(run, output, **files, quick=quick, details=details)
+    diagnose_run(run, output, **files, quick=quick, details=details, model=model)
 
 
 def diagnose_run(
@@ -53,26 +56,19 @@ def diagnose_run(
     next_study: Path | None = None,
     quick: bool = False,
     details: bool = False,
+    model: Path | None = None,
 ) -> GapReport:
     """Diagnose a run folder, print what was found, and write what was asked for.
 
     Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
     """
-    from loopshape.core.errors import WrongUseError
-    from loopshape.diagnose.diagnose import diagnose
     from loopshape.io.run_folder import read_run
-    from loopshape.model.registry import diagnosable
+    from loopshape.verbs.chain import gap as run_gap
 
     check_files(save_answer, report, next_study)
     run = read_run(folder)
-    if run.plant is None:
-        raise WrongUseError(
-            f"{folder / 'run.toml'} names no plant, so there is no model to compare with",
-            "no key plant",
-            "name one (plant = ...), or give a second run: loopshape gap RUN_REAL RUN_SIM",
-        )
     with output.progress("gap", 9) as step:
-        found = diagnose(diagnosable(run.plant), run, folder.name, table=not quick, say=step)
+        found = run_gap(run, model=model, table=not quick, name=folder.name, say=step)
     _headline(found, output)
     if details:
         show(found, output)

@@ -55,6 +55,8 @@ def tables(
 
 def _cannot(plant: Followable, run: Run) -> str:
     """Why a run cannot be replayed; empty where it can."""
+    if not plant.loops:
+        return f"{plant.name} is followed with measured inputs, not driven in closed loop"
     if [loop.name for loop in run.loops] != list(plant.loops):
         return f"{plant.name} has the loops {', '.join(plant.loops)}"
     if any(loop.controller is None or loop.reference is None for loop in run.loops):

@@ -6,7 +6,7 @@ A plant is a FRF, or several where one controller serves several operating point
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,8 @@ from loopshape.verbs.files import read
 
 if TYPE_CHECKING:
     from loopshape.data.gap_report import GapReport
+    from loopshape.data.machine import Model
+    from loopshape.data.plant import Followable
     from loopshape.data.prediction import Prediction
     from loopshape.design.bound import Bound
     from loopshape.loop.remeasured import Remeasured
@@ -168,20 +170,45 @@ def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, toleran
     return remeasure(run if isinstance(run, Run) else read(run), tuple(predictions), tolerance_db=tolerance_db)
 
 
-def gap(run: Run | str | Path, *, table: bool = True) -> GapReport:
+def gap(
+    run: Run | str | Path,
+    *,
+    model: Model | str | Path | None = None,
+    table: bool = True,
+    name: str | None = None,
+    say: Callable[[str], None] = lambda step: None,
+) -> GapReport:
     """Where a simulation leaves the machine, which effect causes it, and how far the gap shrinks with it added.
 
-    The run names its plant's model (`plant` in run.toml: an arm, or the servo axis); "none" and "unknown" are
-    answers. `table` false leaves out the table of closed loops, which takes the longest. Raises WrongUseError for a
-    run without a plant.
+    `model` is a machine of your own, or the path of its `model.toml`, whose Python file is run. Without it the run
+    names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none" and "unknown" are answers. `table`
+    false leaves out the table of closed loops, which takes the longest. Raises WrongUseError for a run without a
+    plant, and for a model whose channels are mapped with a wrong sign or unit.
     """
     from loopshape.diagnose.diagnose import diagnose
-    from loopshape.model.registry import diagnosable
 
     whole = run if isinstance(run, Run) else read(run)
-    if whole.plant is None:
-        raise WrongUseError("the run names no plant, so there is no model to compare with", "no key plant", "name one")
-    return diagnose(diagnosable(whole.plant), whole, "run" if isinstance(run, Run) else Path(run).name, table=table)
+    plant = _followable(whole, model)
+    return diagnose(plant, whole, name or ("run" if isinstance(run, Run) else Path(run).name), table=table, say=say)
+
+
+def _followable(run: Run, model: Model | str | Path | None) -> Followable:
+    """The user's machine, or the plant that the run names."""
+    from loopshape.data.machine import Model
+    from loopshape.io.machine import read_model
+    from loopshape.model.own.plant import OwnMachine
+    from loopshape.model.registry import diagnosable
+
+    if model is not None:
+        return OwnMachine(model if isinstance(model, Model) else read_model(Path(model)))
+    if run.plant is None:
+        raise WrongUseError(
+            "the run names no plant, so there is no model to compare with",
+            "no key plant in run.toml",
+            "name one (plant = ...), give a model of your own (--model model.toml), "
+            "or a second run: loopshape gap RUN_REAL RUN_SIM",
+        )
+    return diagnosable(run.plant)
 
 
 def _plants(P: Plants) -> tuple[FRF, ...]:

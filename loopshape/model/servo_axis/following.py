@@ -20,6 +20,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from loopshape.core.errors import BadSignalError
+from loopshape.core.noise import noise_rms
 from loopshape.core.units import TWO_PI, Array
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
@@ -190,17 +191,3 @@ def drift_floor_m(f: Followed, vector: Array, force_n: float) -> float:
     c = constants(vector)
     _, gain = observer_gains(SLOW_HZ, 1.0 / f.rate_hz)
     return max(f.noise_m, force_n / (c[MASS] * gain * f.rate_hz))
-
-
-def noise_rms(values: Array) -> float:
-    """White noise's rms from third differences, in which a smooth signal vanishes; the median of blocks (Rice 1984).
-
-    Not below the noise of rounding to the smallest step that occurs.
-    """
-    third = np.diff(values, 3)
-    n = third.size // 50 * 50
-    squares = np.mean((third[:n] ** 2).reshape(-1, 50), axis=1)
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 1e-9 * np.ptp(values)] if np.ptp(values) > 0.0 else np.array([1e-9])
-    rounding = float(np.min(steps)) / np.sqrt(12.0)
-    return max(float(np.sqrt(np.median(squares) / 20.0)), rounding, 1e-12)

@@ -1,0 +1,152 @@
+"""A user's machine: a simulator with named parameters, inputs, outputs and places where forces act.
+
+The simulator is an ODE right-hand side `motion(t, x, u, p)`: time in s, states x (nx,), inputs u (nu,), parameters p by
+name (`p.mass`), to the nx derivatives. Effects are composed around it and never inside it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from loopshape.core.errors import WrongUseError
+
+NO_EFFECT = "none"
+
+
+@dataclass(frozen=True)
+class ModelParameter:
+    """One number of the simulator: `tolerance` is its manufacturing tolerance, as a share of the value.
+
+    `effect` names what a value beyond the tolerance means, as `kind@place` ("payload@arm"); "none" makes it no
+    hypothesis. A parameter whose nominal value is 0 (a payload, a tilt) needs the `range` in which to look for it.
+    """
+
+    name: str
+    value: float
+    unit: str = "1"
+    tolerance: float = 0.0
+    effect: str = ""
+    range: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.effect:
+            object.__setattr__(self, "effect", f"parameter_error@{self.name}")
+        if not 0.0 <= self.tolerance < 1.0:
+            raise WrongUseError(f"the tolerance of {self.name} is a share from 0 to 1", f"{self.tolerance:g}")
+        if self.effect != NO_EFFECT and self.value == 0.0 and self.range is None:
+            raise WrongUseError(
+                f"parameter {self.name} is 0, so nothing tells how far it may be off", "no range",
+                'give range = [low, high], or effect = "none"',
+            )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Input:
+    """What drives the simulator, and the recorded column: input = `factor` * column; `tolerance` is that of its gain.
+
+    Without a column it is 0 in every recording: a place where effects alone act.
+    """
+
+    name: str
+    column: str | None = None
+    factor: float = 1.0
+    tolerance: float = 0.0
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A state that a sensor reads, and the recorded column: output = `factor` * column."""
+
+    name: str
+    state: str
+    column: str
+    factor: float = 1.0
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Port:
+    """A place where a force acts: it is added to `input`, and depends on the states `position` and `speed`.
+
+    With the name of the parameter that is the inertia on the motor's side (`motor_inertia`), a flexible coupling and
+    play between motor and load can be tried here as well.
+    """
+
+    name: str
+    input: str
+    position: str
+    speed: str
+    motor_inertia: str | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A simulator, what it is fed with, and what it gives; see `docs/machine.md`.
+
+    `window_s` is how long the simulation is left to itself before it is set to the recording again. `without` names
+    kinds of effects that this machine cannot have.
+    """
+
+    name: str
+    motion: Callable[..., Any]
+    states: tuple[str, ...]
+    parameters: tuple[ModelParameter, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    ports: tuple[Port, ...] = ()
+    window_s: float = 1.0
+    without: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name in ("states", "parameters", "inputs", "outputs", "ports", "without"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not (self.states and self.inputs and self.outputs):
+            raise WrongUseError("a model has states, inputs and outputs", f"{self.name}: one of them is empty")
+        if not self.window_s > 0.0:
+            raise WrongUseError("window_s is a time above 0", f"{self.window_s:g}")
+        self._names()
+        self._references()
+
+    def _names(self) -> None:
+        for what in ("parameters", "inputs", "outputs", "ports"):
+            _once([one.name for one in getattr(self, what)], f"{what} of {self.name}")
+        _once(self.states, f"states of {self.name}")
+
+    def _references(self) -> None:
+        for port in self.ports:
+            _known(port.input, [i.name for i in self.inputs], f"input of port {port.name}")
+            for state in (port.position, port.speed):
+                _known(state, self.states, f"state of port {port.name}")
+            if port.motor_inertia is not None:
+                _known(port.motor_inertia, [p.name for p in self.parameters], f"motor_inertia of port {port.name}")
+        for output in self.outputs:
+            _known(output.state, self.states, f"state of output {output.name}")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of a recording that are needed."""
+        return tuple(i.column for i in self.inputs if i.column) + tuple(o.column for o in self.outputs)
+
+    def values(self) -> dict[str, float]:
+        """Nominal values by name."""
+        return {p.name: p.value for p in self.parameters}
+
+    def __repr__(self) -> str:
+        """One line: its name and what it has."""
+        parts = ", ".join(f"{len(getattr(self, k))} {k}" for k in ("states", "parameters", "inputs", "outputs"))
+        return f"Model {self.name}: {parts}, force ports {', '.join(p.name for p in self.ports) or 'none'}"
+
+
+def _once(names: Iterable[str], what: str) -> None:
+    if double := [name for name, count in Counter(names).items() if count > 1]:
+        raise WrongUseError(f"{what} have different names", f"{double[0]!r} twice")
+
+
+def _known(name: str, known: Iterable[str], what: str) -> None:
+    if name not in known:
+        raise WrongUseError(f"the {what} is not known", f"{name!r}", f"use one of {', '.join(known)}")

@@ -1,0 +1,99 @@
+"""A user's machine: `model.toml`, and the Python file beside it that holds the right-hand side.
+
+The Python file is run: it is loaded only when a user names the model (`--model`), never because a run does.
+"""
+
+from __future__ import annotations
+
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.machine import Input, Model, ModelParameter, Output, Port
+from loopshape.io.files import inside, reading
+from loopshape.io.words import Words, read_words, said_in
+
+FORMAT = "loopshape-model/1"
+_KEYS = ("format", "name", "file", "function", "states", "window_s", "without", "parameter", "input", "output", "port")
+
+
+def read_model(path: Path) -> Model:
+    """The model that a file describes, its Python file loaded from the same folder.
+
+    Refuses unknown and missing keys, names that do not fit together, a Python file outside the folder, one that does
+    not run, and one without the function.
+    """
+    words = read_words(path, FORMAT)
+    words.only(*_KEYS)
+    words.need("file", "function", "states", "parameter", "input", "output")
+    with said_in(path.name):
+        return Model(
+            name=words.text("name", path.stem),
+            motion=_function(path.parent, words.text("file"), words.text("function")),
+            states=words.list_of_texts("states"),
+            parameters=tuple(_parameter(w) for w in words.tables("parameter")),
+            inputs=tuple(_input(w) for w in words.tables("input")),
+            outputs=tuple(_output(w) for w in words.tables("output")),
+            ports=tuple(_port(w) for w in words.tables("port")),
+            window_s=words.positive("window_s", 1.0),
+            without=words.list_of_texts("without"),
+        )
+
+
+def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
+    """The function of this name in a Python file of the folder; the file is run."""
+    path = inside(folder, file, "the Python file of a model")
+    with reading(path, "the Python file of a model"):
+        path.read_bytes()
+    try:
+        found = runpy.run_path(str(path)).get(name)
+    except Exception as error:  # a user's code may raise anything
+        raise UnreadableInputError(
+            f"{file} does not run", f"{type(error).__name__}: {error}", f"run it with python {file}"
+        ) from error
+    if not callable(found):
+        raise WrongUseError(f"{file} has no function {name}", repr(found), "write it, or correct the key function")
+    return found
+
+
+def _parameter(w: Words) -> ModelParameter:
+    w.only("name", "value", "unit", "tolerance", "effect", "range")
+    ends = w.list_of_numbers("range") if "range" in w.table else None
+    if ends is not None and not (len(ends) == 2 and ends[0] < ends[1]):
+        raise WrongUseError(f"{w.where}: a range is two rising numbers", f"{list(ends)}")
+    return ModelParameter(
+        w.text("name"),
+        w.number("value"),
+        w.text("unit", "1"),
+        w.number("tolerance", 0.0),
+        w.maybe_text("effect") or "",
+        None if ends is None else (ends[0], ends[1]),
+    )
+
+
+def _factor(w: Words) -> float:
+    """The unit's and the sign's factor; 0 is refused."""
+    value = w.number("factor", 1.0)
+    if value == 0.0:
+        raise WrongUseError(
+            f"{w.where}: a factor is not 0", "0", "negative turns the sign, 0.01745329 makes deg to rad"
+        )
+    return value
+
+
+def _input(w: Words) -> Input:
+    w.only("name", "column", "factor", "tolerance", "unit")
+    return Input(w.text("name"), w.maybe_text("column"), _factor(w), w.number("tolerance", 0.0), w.text("unit", "1"))
+
+
+def _output(w: Words) -> Output:
+    w.only("name", "state", "column", "factor", "unit")
+    return Output(w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"))
+
+
+def _port(w: Words) -> Port:
+    w.only("name", "input", "position", "speed", "motor_inertia", "unit")
+    inertia = w.maybe_text("motor_inertia")
+    return Port(w.text("name"), w.text("input"), w.text("position"), w.text("speed"), inertia, w.text("unit", "1"))

@@ -1,0 +1,1 @@
+"""A user's own machine: a simulator with generic effects composed around it, followed in short windows."""

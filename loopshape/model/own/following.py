@@ -1,0 +1,206 @@
+"""A recording followed in short windows (multiple shooting): each starts from a state estimated with the fit.
+
+In every window the simulator is driven by the measured inputs alone. Its initial state is what fits the measured
+outputs best: two steps of Gauss-Newton, by slopes taken at the very parameters that are judged (Bock 1983). What no
+initial state explains is the residual, averaged over short blocks. The first tenth of a window is not compared: there
+delays look for what was before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError
+from loopshape.core.noise import noise_rms
+from loopshape.core.units import Array
+from loopshape.data.recording import Recording
+from loopshape.model.own import kernel
+from loopshape.model.own.composed import Composed
+from loopshape.model.own.signals import actuated, sensed
+
+FASTEST_HZ, SLOWEST_HZ = 500.0, 500.0  # ticks of the simulation: faster recordings are thinned, slower ones divided
+LEAD = 0.1  # share of a window
+BLOCKS = 100  # compared values a window
+RIPPLE = 0.002  # share of the motion within a window that a good model leaves
+_PRIOR = 1.0 / 9.0  # an initial state lies within three ranges of the first guess
+_STEP = 1e-4  # of a state's range, for slopes
+_ROUNDS = 4
+_MOST = 1e5  # floors: a simulation that is further off has run away
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A recording ready to be followed.
+
+    `u` (n, nu) inputs, `y` (n, ny) outputs in the model's units; windows begin at rows `first` (windows,), last
+    `length` ticks, of which `lead` are not compared; `start` (windows, nx) are initial states, `ranges` (nx,) how far
+    states move, `floor` (ny,) what noise leaves of a compared value.
+    """
+
+    name: str
+    tick_s: float
+    u: Array
+    y: Array
+    first: np.ndarray
+    length: int
+    lead: int
+    block: int
+    start: Array
+    ranges: Array
+    floor: Array
+
+    @property
+    def measured(self) -> Array:
+        """Measured outputs (windows, blocks, ny)."""
+        return self.blocks(self.y[self.first[:, None] + np.arange(self.length)])
+
+    def blocks(self, values: Array) -> Array:
+        """Means over blocks (windows, blocks, ny) of values (windows, length, ny)."""
+        kept = values[:, self.lead :]
+        return np.asarray(kept.reshape(kept.shape[0], -1, self.block, kept.shape[2]).mean(axis=2))
+
+
+def followed(c: Composed, recording: Recording, longest_s: float | None) -> Followed:
+    """A recording, or its first `longest_s`, with first guesses of initial states.
+
+    What is measured, or a slope of it, starts from a parabola through the first samples: a wrong model must not move
+    it. What is not seen starts from what fits the nominal model.
+    """
+    model, keep = c.model, max(1, int(recording.rate_hz // FASTEST_HZ))
+    rows = len(recording.column(model.outputs[0].column)) // keep * keep
+    if longest_s is not None:
+        rows = min(rows, round(longest_s * recording.rate_hz) // keep * keep)
+    tick_s = keep / recording.rate_hz
+    u, y = _inputs(c, recording, rows, keep), _outputs(c, recording, rows)
+    noise = np.array([noise_rms(y[:, k]) for k in range(y.shape[1])])
+    y = np.ascontiguousarray(y[::keep])
+    block = max(1, round(model.window_s / tick_s / BLOCKS))
+    lead = max(2, round(LEAD * model.window_s / tick_s))
+    window = max(4, round(model.window_s / tick_s / block)) * block
+    first = np.arange(0, len(y) - lead - window + 1, window)
+    if not first.size:
+        raise BadSignalError(
+            f"recording {recording.info.file} is shorter than a window of the model",
+            f"{rows / recording.rate_hz:.3g} s", f"give window_s below {model.window_s:g}",
+        )  # fmt: skip
+    start, ranges = _guessed(c, y, first, lead, tick_s)
+    f = Followed(recording.info.name, tick_s, u, y, first, lead + window, lead, block, start, ranges, noise)
+    f = replace(f, floor=_floor(f, noise))
+    for _ in range(_ROUNDS * bool(c.hidden)):
+        change = _step(c, f, {})[:, c.hidden]
+        f.start[:, c.hidden] += change
+    return f
+
+
+def _inputs(c: Composed, recording: Recording, rows: int, keep: int) -> Array:
+    """Inputs (n, nu) of the model: means over the ticks that are put together, since each is held."""
+    out = np.zeros((rows // keep, len(c.model.inputs)))
+    for k, i in enumerate(c.model.inputs):
+        if i.column is not None:
+            out[:, k] = i.factor * recording.column(i.column)[:rows].reshape(-1, keep).mean(axis=1)
+    return out
+
+
+def _outputs(c: Composed, recording: Recording, rows: int) -> Array:
+    return np.stack([o.factor * recording.column(o.column)[:rows] for o in c.model.outputs], axis=1)
+
+
+def _floor(f: Followed, noise: Array) -> Array:
+    """Rms (ny,) that noise, rounding and an ordinary model leave in the mean of a block."""
+    motion = f.measured.std(axis=1).mean(axis=0)
+    steps = np.array([_step_of(f.y[:, k]) for k in range(f.y.shape[1])])
+    return np.asarray(np.sqrt(noise**2 / f.block + steps**2 / 12.0 + (RIPPLE * motion) ** 2))
+
+
+def _step_of(values: Array) -> float:
+    """The step to which a sensor rounds; 0 where values do not repeat."""
+    levels = np.unique(values)
+    return float(np.min(np.diff(levels))) if 1 < levels.size < 0.5 * values.size else 0.0
+
+
+def _guessed(c: Composed, y: Array, first: np.ndarray, lead: int, tick_s: float) -> tuple[Array, Array]:
+    """Initial states (windows, nx) and ranges (nx,): measured states, slopes of them, 0 for what is not seen."""
+    model = c.model
+    start, ranges = np.zeros((first.size, len(model.states))), np.ones(len(model.states))
+    rows = first[:, None] + np.arange(lead)
+    for k, o in enumerate(model.outputs):
+        place = model.states.index(o.state)
+        line = np.polynomial.polynomial.polyfit(np.arange(lead) * tick_s, y[rows, k].T, 2)
+        start[:, place], ranges[place] = line[0], max(float(np.ptp(y[:, k])), 1e-12)
+        speed = c.speeds.get(place)
+        if speed is not None:
+            start[:, speed] = line[1]
+            ranges[speed] = max(
+                float(np.ptp(np.diff(y[:: max(lead // 4, 1), k]))) / (max(lead // 4, 1) * tick_s), 1e-12
+            )
+    return start, ranges
+
+
+def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array) -> Array:
+    """Outputs (k, blocks, ny) from extended initial states x0 (k, extended), k a multiple of the windows."""
+    u = np.column_stack([actuated(f.u[:, j], c.actuator(j, m), f.tick_s) for j in range(f.u.shape[1])])
+    nx = len(c.model.states)
+    out = np.empty((len(x0), f.length, nx))
+    first = np.tile(f.first, len(x0) // len(f.first))
+    steps = max(1, int(np.ceil(f.tick_s * SLOWEST_HZ)))
+    c.run(x0, first, np.ascontiguousarray(u), c.values(m), c.forces(m), c.places, nx, f.tick_s, steps, out)
+    states = [out[:, :, c.model.states.index(o.state)] for o in c.model.outputs]
+    read = [sensed(values, c.sensor(k, m), f.tick_s) for k, values in enumerate(states)]
+    return f.blocks(np.stack(read, axis=2))
+
+
+def extended(c: Composed, f: Followed, start: Array) -> Array:
+    """Initial states with those of the ports behind: motors stand where their loads do."""
+    out = np.zeros((len(start), start.shape[1] + kernel.PER_PORT * len(c.model.ports)))
+    out[:, : start.shape[1]] = start
+    for j in range(len(c.model.ports)):
+        at = start.shape[1] + kernel.PER_PORT * j
+        out[:, at + kernel.MOTOR] = start[:, c.places[j, kernel.POSITION]]
+        out[:, at + kernel.MOTOR_SPEED] = start[:, c.places[j, kernel.SPEED]]
+    return out
+
+
+def off(f: Followed, y: Array) -> Array:
+    """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
+    times = len(y) // len(f.first)
+    lacking = (np.tile(f.measured, (times, 1, 1)) - y) / f.floor
+    return np.clip(np.nan_to_num(lacking, nan=_MOST, posinf=_MOST, neginf=-_MOST), -_MOST, _MOST).reshape(len(y), -1)
+
+
+def shot(c: Composed, f: Followed, m: Mapping[str, float]) -> tuple[Array, Array, Array, np.ndarray]:
+    """Lacking (windows, values), slopes (windows, values, states) over the floor, x0, and which states are free."""
+    x0 = extended(c, f, f.start)
+    free = c.free_states(m)
+    ranges = c.extended_ranges(f.ranges)
+    moved = np.tile(x0, (1 + free.size, 1))
+    n = len(x0)
+    for k, place in enumerate(free):
+        moved[(1 + k) * n : (2 + k) * n, place] += _STEP * ranges[place]
+    lacking = off(f, simulated(c, f, m, moved)).reshape(1 + free.size, n, -1)
+    return lacking[0], np.moveaxis((lacking[0] - lacking[1:]) / _STEP, 0, 2), x0, free
+
+
+def _solved(slopes: Array, lacking: Array) -> Array:
+    """Changes (windows, states) in ranges that explain what is lacking (windows, values) best."""
+    h = np.einsum("wvi,wvj->wij", slopes, slopes) + _PRIOR * np.eye(slopes.shape[2])
+    return np.asarray(np.linalg.solve(h, np.einsum("wvi,wv->wi", slopes, lacking)[:, :, None])[:, :, 0])
+
+
+def _step(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
+    """Change of the extended initial states that fits best, by straight lines."""
+    lacking, slopes, x0, free = shot(c, f, m)
+    change = np.zeros_like(x0)
+    change[:, free] = _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
+    return change
+
+
+def explained(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
+    """Simulated outputs (windows, blocks, ny) from the initial states that fit best under moved parameters."""
+    lacking, slopes, x0, free = shot(c, f, m)
+    x0[:, free] += _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
+    lacking = off(f, simulated(c, f, m, x0))
+    lacking = lacking - np.einsum("wvi,wi->wv", slopes, _solved(slopes, lacking))
+    return f.measured - lacking.reshape(f.measured.shape) * f.floor

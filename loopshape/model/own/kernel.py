@@ -1,0 +1,120 @@
+"""Many short simulations of one right-hand side, with forces of effects at its ports, on bare arrays.
+
+Fixed-step Runge-Kutta of order 4 (Kutta 1901). The state is extended by three numbers a port: deflection of the
+friction's bristles (Dahl 1968), position and speed of the motor where a coupling stands between motor and load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+
+from loopshape.core.units import Array
+
+PER_PORT = 3
+BRISTLE, MOTOR, MOTOR_SPEED = 0, 1, 2
+
+
+#: what acts at a port, a row of an array (nports, fields); zeros are no effect, an inertia of zero is a rigid joint
+FIELDS = (
+    "viscous", "coulomb", "coulomb_speed", "bristle", "stribeck", "stribeck_speed", "stiffness", "hardening", "rest",
+    "offset", "coupling", "coupling_damping", "play", "inertia",
+)  # fmt: skip
+(
+    VISCOUS, COULOMB, COULOMB_SPEED, BRISTLES, STRIBECK, STRIBECK_SPEED, STIFFNESS, HARDENING, REST,
+    OFFSET, COUPLING, COUPLING_DAMPING, PLAY, INERTIA,
+) = range(len(FIELDS))  # fmt: skip
+#: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
+DRIVEN, POSITION, SPEED = 0, 1, 2
+
+_njit = numba.njit(nogil=True, error_model="numpy")
+
+
+@_njit
+def _friction(f: Array, j: int, v: float, z: float) -> tuple[float, float]:
+    """Force of dry friction against a speed v, and the derivative of the bristles' deflection."""
+    level = f[j, COULOMB]
+    if level == 0.0:
+        return 0.0, 0.0
+    if f[j, BRISTLES] > 0.0:
+        return level * z / f[j, BRISTLES], v - abs(v) * z / f[j, BRISTLES]
+    if f[j, STRIBECK] != 0.0:
+        level *= 1.0 + f[j, STRIBECK] * np.exp(-((v / f[j, STRIBECK_SPEED]) ** 2))
+    return level * np.tanh(v / f[j, COULOMB_SPEED]), 0.0
+
+
+@_njit
+def _resisting(f: Array, j: int, q: float, v: float) -> float:
+    """Springs, further damping and a constant, against the motion."""
+    d = q - f[j, REST]
+    return f[j, VISCOUS] * v + f[j, STIFFNESS] * d * (1.0 + f[j, HARDENING] * d * d) - f[j, OFFSET]
+
+
+@_njit
+def _coupled(f: Array, j: int, twist: float, slip: float) -> float:
+    """Force through a coupling with play."""
+    half = 0.5 * f[j, PLAY]
+    if abs(twist) <= half:
+        return 0.0
+    return f[j, COUPLING] * (twist - np.sign(twist) * half) + f[j, COUPLING_DAMPING] * slip
+
+
+@_njit
+def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[no-untyped-def]
+    """Derivatives dx of the extended state x under inputs u (nu,); `drive` is a buffer (nu,)."""
+    for i in range(drive.size):
+        drive[i] = u[i]
+    for j in range(places.shape[0]):
+        q, v, k, a = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN]
+        if f[j, INERTIA] > 0.0:
+            through = _coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
+            dx[k + MOTOR] = x[k + MOTOR_SPEED]
+            dx[k + MOTOR_SPEED] = (drive[a] - through) / f[j, INERTIA]
+            drive[a] = through
+        else:
+            dx[k + MOTOR] = 0.0
+            dx[k + MOTOR_SPEED] = 0.0
+        dry, dx[k + BRISTLE] = _friction(f, j, v, x[k + BRISTLE])
+        drive[a] -= dry + _resisting(f, j, q, v)
+    moved = motion(t, x, drive, p)
+    for i in range(nx):
+        dx[i] = moved[i]
+
+
+@_njit
+def windows(motion, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
+    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu)."""
+    wide = x0.shape[1]
+    k1, k2, k3, k4, mid = np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide)
+    drive, h = np.empty(u.shape[1]), tick_s / steps
+    for w in range(x0.shape[0]):
+        x = x0[w].copy()
+        for n in range(out.shape[1]):
+            for i in range(nx):
+                out[w, n, i] = x[i]
+            for j in range(places.shape[0]):
+                if f[j, INERTIA] > 0.0:
+                    out[w, n, places[j, POSITION]] = x[nx + PER_PORT * j + MOTOR]
+            row = u[first[w] + n]
+            t = (first[w] + n) * tick_s
+            for s in range(steps):
+                _derivative(motion, t + s * h, x, row, p, f, places, nx, drive, k1)
+                for i in range(wide):
+                    mid[i] = x[i] + 0.5 * h * k1[i]
+                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k2)
+                for i in range(wide):
+                    mid[i] = x[i] + 0.5 * h * k2[i]
+                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k3)
+                for i in range(wide):
+                    mid[i] = x[i] + h * k3[i]
+                _derivative(motion, t + (s + 1) * h, mid, row, p, f, places, nx, drive, k4)
+                for i in range(wide):
+                    x[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+
+
+def compiled(motion: Callable[..., Any]) -> Callable[..., Any]:
+    """The right-hand side compiled by numba, or as it is where numba's plain functions run."""
+    return motion if isinstance(motion, numba.core.dispatcher.Dispatcher) else numba.njit(nogil=True)(motion)

@@ -1,0 +1,71 @@
+"""What actuators make of commands and sensors of the truth: delay, lag, gain, limits, as arrays in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import lfilter
+
+from loopshape.core.units import Array
+
+SECOND_ORDER = 2.0
+#: number of an actuator or a sensor -> its neutral value, unit
+ACTUATOR = {
+    "delay_ms": (0.0, "ms"), "lag_ms": (0.0, "ms"), "lag_order": (1.0, "1"), "gain": (0.0, "1"),
+    "limit": (np.inf, ""), "knee": (0.0, "1"), "dead": (0.0, ""), "jump": (0.0, ""),
+}  # fmt: skip
+SENSOR = {
+    "delay_ms": (0.0, "ms"), "lag_ms": (0.0, "ms"), "lag_order": (1.0, "1"), "gain": (0.0, "1"), "offset": (0.0, ""),
+}  # fmt: skip
+
+
+def delayed(values: Array, ticks: float) -> Array:
+    """Values (..., n) a number of ticks later, linearly between ticks; before the first the first stands."""
+    whole, part = int(np.floor(ticks)), float(ticks - np.floor(ticks))
+    return (1.0 - part) * _shifted(values, whole) + part * _shifted(values, whole + 1)
+
+
+def _shifted(values: Array, n: int) -> Array:
+    if n == 0:
+        return values
+    n = min(n, values.shape[-1])
+    return np.concatenate([np.repeat(values[..., :1], n, axis=-1), values[..., : values.shape[-1] - n]], axis=-1)
+
+
+def lagged(values: Array, ticks: float, order: float) -> Array:
+    """Values (..., n) behind one first-order lag, or two equal ones, of `ticks` altogether; settled at the first."""
+    times = (0.5 * ticks, 0.5 * ticks) if order == SECOND_ORDER else (ticks,)
+    for each in times:
+        pole = np.exp(-1.0 / max(each, 1e-6))
+        values, _ = lfilter([1.0 - pole], [1.0, -pole], values, axis=-1, zi=pole * values[..., :1])
+    return values
+
+
+def _late(values: Array, m: Mapping[str, float], tick_s: float) -> Array:
+    if m["lag_ms"] > 0.0:
+        values = lagged(values, 1e-3 * m["lag_ms"] / tick_s, m["lag_order"])
+    return delayed(values, 1e-3 * m["delay_ms"] / tick_s) if m["delay_ms"] > 0.0 else values
+
+
+def actuated(command: Array, m: Mapping[str, float], tick_s: float) -> Array:
+    """What an actuator gives (n,) for its command (n,)."""
+    if m["dead"] > 0.0:
+        command = np.sign(command) * np.maximum(np.abs(command) - m["dead"], 0.0)
+    if m["jump"] > 0.0:
+        command = np.where(np.abs(command) < m["jump"], 0.0, command)
+    command = _late((1.0 + m["gain"]) * command, m, tick_s)
+    return _limited(command, m["limit"], m["knee"]) if np.isfinite(m["limit"]) else command
+
+
+def _limited(values: Array, limit: float, knee: float) -> Array:
+    """Values cut at a limit, or bent towards it: a knee near 0 is sharp, 1 is round everywhere."""
+    if knee <= 0.0:
+        return np.clip(values, -limit, limit)
+    share = np.minimum(np.abs(values) / limit, 1e3)
+    return np.asarray(values / (1.0 + share ** (1.0 / knee)) ** knee)
+
+
+def sensed(truth: Array, m: Mapping[str, float], tick_s: float) -> Array:
+    """What a sensor reads (..., n) of the truth (..., n)."""
+    return (1.0 + m["gain"]) * _late(truth, m, tick_s) + m["offset"]

@@ -1,0 +1,78 @@
+"""A machine of no example: a winch. A geared drum carries an off-centre load on a spring-loaded lever.
+
+The truth is integrated by scipy's Radau or LSODA at tight tolerance, its friction is a sharp arctangent and its
+controller a PD of the test's own; nothing of the package takes part.
+"""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from loopshape.data.machine import Input, Model, ModelParameter, Output, Port
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+
+RATE_HZ, SECONDS = 500.0, 8
+INERTIA, DAMPING, SPRING, WEIGHT = 0.020, 0.05, 0.8, 0.30
+STEP_RAD = 2e-4
+
+
+def motion(t, x, u, p):
+    """Lever angle and speed from the drum's torque: inertia, damping, a spring, an off-centre weight."""
+    torque = u[0] - p.damping * x[1] - p.spring * x[0] - p.weight * np.sin(x[0])
+    return x[1], torque / (p.inertia + 0.03 * p.load)
+
+
+MODEL = Model(
+    "winch",
+    motion,
+    ("angle", "speed"),
+    (
+        ModelParameter("inertia", INERTIA, "kg m2", 0.03, "none"),
+        ModelParameter("damping", DAMPING, "N m s/rad", 0.10, "none"),
+        ModelParameter("spring", SPRING, "N m/rad", 0.03, "none"),
+        ModelParameter("weight", WEIGHT, "N m", 0.03, "none"),
+        ModelParameter("load", 0.0, "kg", effect="payload@lever", range=(0.0, 1.0)),
+    ),
+    (Input("drum", "torque_nm", unit="N m"),),
+    (Output("encoder", "angle", "lever_rad", unit="rad"),),
+    (Port("bearing", "drum", "angle", "speed", unit="N m"),),
+    window_s=0.8,
+)
+
+
+def reference(k, t):
+    """Sums of sines of random size and phase, and a slow wander, (n,) in rad."""
+    rng = np.random.default_rng(k)
+    hz = rng.uniform(0.2, 6.0, 7)
+    parts = [0.25 / (1.0 + f) * np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in hz]
+    return np.sum(parts, axis=0) + 0.3 * np.sin(2 * np.pi * 0.11 * t + k)
+
+
+def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, role="estimation"):
+    """One recording: the lever follows a reference under a PD law that sees the sensor."""
+    n, rng = round(SECONDS * RATE_HZ), np.random.default_rng(100 + k)
+    t = np.arange(n) / RATE_HZ
+    r = reference(k, t)
+    late = round(delay_s * RATE_HZ)
+    state, true, read, torque = np.zeros(2), np.zeros(n), np.zeros(n), np.zeros(n)
+
+    def slope(_, x, u):
+        dry = coulomb * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
+        own = u - 1.04 * DAMPING * x[1] - 0.985 * SPRING * x[0] - 1.01 * WEIGHT * np.sin(x[0])
+        return [x[1], (own - dry) / (1.01 * inertia)]
+
+    for i in range(n):
+        true[i] = state[0]
+        seen = true[max(i - late, 0)] + 5e-5 * rng.standard_normal()
+        read[i] = STEP_RAD * np.round(seen / STEP_RAD)
+        speed = (read[i] - read[max(i - 4, 0)]) * RATE_HZ / 4
+        torque[i] = 4.0 * (r[i] - read[i]) - 0.15 * speed
+        state = solve_ivp(slope, (0, 1 / RATE_HZ), state, "LSODA", args=(torque[i],), rtol=1e-7, atol=1e-9).y[:, -1]
+    info = RecordingInfo(f"r{k}.parquet", "noise", "reference", role=role, operating_point={"lever_rad": 0.1 * k})
+    return Recording(info, RATE_HZ, {"torque_nm": torque, "lever_rad": read})
+
+
+def run_of(count=3, **effect):
+    """Recordings for estimation, and one of validation."""
+    own = [recorded(k, **effect) for k in range(count)]
+    return Run(RATE_HZ, (), (*own, recorded(9, role="validation", **effect)))

@@ -1,0 +1,122 @@
+"""A machine that stands in no example, with one effect simulated by another engine: named, none, or unknown."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import own_machine
+import pytest
+from scipy.integrate import solve_ivp
+
+import loopshape as ls
+from loopshape.core.errors import WrongUseError
+from loopshape.data.recording import Recording
+from loopshape.model.own.catalogue import PortScale, Scales, forms
+from loopshape.model.own.following import simulated
+from loopshape.model.own.plant import OwnMachine
+from loopshape.model.own.signals import delayed, lagged
+
+
+@cache
+def run(**effect):
+    return own_machine.run_of(**effect)
+
+
+def diagnosed(**effect):
+    return ls.gap(run(**effect), model=own_machine.MODEL, table=False)
+
+
+def test_dry_friction_is_named_with_its_place_and_size():
+    found = diagnosed(coulomb=0.03)
+    first = found.ranking[0]
+    assert found.verdict == first.effect == "coulomb_friction@bearing"
+    assert found.where.block == "bearing"
+    assert first.magnitude == pytest.approx(0.03, rel=0.1)
+    assert first.interval[0] < 0.03 < first.interval[1]
+    assert found.gap.before > 20.0
+    assert found.gap.after < 1.0
+
+
+@pytest.mark.long
+def test_a_healthy_machine_within_its_tolerances_has_no_gap():
+    found = diagnosed()
+    assert found.verdict == "none"
+    assert found.gap.after < 1.0
+
+
+@pytest.mark.long
+def test_an_effect_that_is_in_no_list_is_unknown():
+    found = diagnosed(drag=0.02)
+    assert found.verdict == "unknown"
+    assert found.probability > 0.6
+
+
+@pytest.mark.long
+def test_a_payload_is_named():
+    found = diagnosed(inertia=0.028)
+    assert found.verdict == "payload@lever"
+    assert found.ranking[0].magnitude == pytest.approx(0.008 / 0.03, rel=0.15)
+
+
+@pytest.mark.long
+def test_a_delay_is_named_and_its_two_places_cannot_be_told_apart():
+    found = diagnosed(delay_s=0.006)
+    assert {r.effect for r in found.ranking[:2]} == {"actuator_delay@drum", "sensor_delay@encoder"}
+    assert set(found.ambiguity) == {"actuator_delay@drum", "sensor_delay@encoder"}
+    assert [r.magnitude for r in found.ranking[:2]] == pytest.approx([6.0, 6.0], rel=0.05)
+
+
+def scaled(factors):
+    """The healthy run with columns multiplied."""
+
+    def changed(r):
+        return Recording(r.info, r.rate_hz, {k: factors.get(k, 1.0) * r.column(k) for k in r.columns})
+
+    return replace(run(), recordings=tuple(changed(r) for r in run().recordings))
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"torque_nm": -1.0}, "encoder moves against what drum should do: a sign is wrong; received gain -0\\.9"),
+        ({"lever_rad": -1.0}, "encoder moves against what drum should do: a sign is wrong"),
+        ({"lever_rad": 57.29578}, "a unit is wrong; received a ratio as between degrees and radians"),
+        ({"torque_nm": 1000.0}, "a unit is wrong; received a ratio as between a factor of a thousand"),
+    ],
+)
+def test_a_wrong_sign_or_unit_is_found_before_anything_is_fitted(factors, words):
+    steps = []
+    with pytest.raises(WrongUseError, match=words):
+        ls.gap(scaled(factors), model=own_machine.MODEL, table=False, say=steps.append)
+    assert steps == ["software"]
+
+
+def test_a_saturation_that_the_recording_refutes_is_no_hypothesis():
+    scales = Scales(1.0, {"drum": (9.0, 1.2)}, {"encoder": 0.5}, {"bearing": PortScale(1.0, 1.0, -0.5, 0.5)})
+    limits = [f.free[0] for f in forms(own_machine.MODEL, scales) if f.effect == "actuator_saturation@drum"]
+    assert len(limits) == 2
+    assert all(limit.low == 1.2 for limit in limits)
+
+
+def test_the_kernel_is_the_simulation_of_another_engine():
+    prepared = OwnMachine(own_machine.MODEL)
+    f = prepared.prepare(run().recordings[0], run(), 4.0)
+    values = prepared.composed.values({})
+    x0 = np.array([[0.3, -1.0, 0.0, 0.0, 0.0]])
+    f = replace(f, first=f.first[:1])
+    mine = simulated(prepared.composed, f, {"port.bearing.stiffness": 0.4, "port.bearing.rest": 0.1}, x0)
+
+    def slope(t, x):
+        u = f.u[min(int(t / f.tick_s + 1e-9), len(f.u) - 1)] - 0.4 * (x[0] - 0.1)
+        return own_machine.motion(t, x, u, values)
+
+    t = np.arange(f.length) * f.tick_s
+    theirs = solve_ivp(slope, (0.0, t[-1]), x0[0, :2], t_eval=t, rtol=1e-8, atol=1e-10, max_step=f.tick_s)
+    np.testing.assert_allclose(mine, f.blocks(theirs.y[0][None, :, None]), atol=2e-6)
+
+
+def test_delays_and_lags_are_late_by_what_they_say():
+    ramp = np.arange(400.0)
+    assert delayed(ramp, 3.25)[100] == pytest.approx(96.75)
+    for order in (1.0, 2.0):
+        assert lagged(ramp, 5.0, order)[300] == pytest.approx(295.0, abs=0.6)
