@@ -172,7 +172,7 @@ class GapReport:
             "verdict": self.verdict,
             "ranking": [r.to_dict() for r in self.ranking],
             "ambiguity_set": list(self.ambiguity),
-            "where": asdict(self.where),
+            "where": asdict(self.where) | {"place": self.where.block},
             "gap": None if self.gap is None else self.gap.to_dict(),
             "submodels": [asdict(s) for s in self.submodels],
             "next_experiment": None if self.proposal is None else self.proposal.to_dict(),

@@ -78,7 +78,7 @@ def scaled(factors):
 @pytest.mark.parametrize(
     ("factors", "words"),
     [
-        ({"torque_nm": -1.0}, "encoder moves against what drum should do: a sign is wrong; received gain -0\\.9"),
+        ({"torque_nm": -1.0}, "encoder moves against what drum should do: a sign is wrong; received gain -1"),
         ({"lever_rad": -1.0}, "encoder moves against what drum should do: a sign is wrong"),
         ({"lever_rad": 57.29578}, "a unit is wrong; received a ratio as between degrees and radians"),
         ({"torque_nm": 1000.0}, "a unit is wrong; received a ratio as between a factor of a thousand"),
@@ -106,17 +106,19 @@ def test_the_kernel_is_the_simulation_of_another_engine():
     f = replace(f, first=f.first[:1])
     mine = simulated(prepared.composed, f, {"port.bearing.stiffness": 0.4, "port.bearing.rest": 0.1}, x0)
 
-    def slope(t, x):
-        u = f.u[min(int(t / f.tick_s + 1e-9), len(f.u) - 1)] - 0.4 * (x[0] - 0.1)
-        return own_machine.motion(t, x, u, values)
+    def slope(t, x, u):
+        return own_machine.motion(t, x, u - 0.4 * (x[0] - 0.1), values)
 
-    t = np.arange(f.length) * f.tick_s
-    theirs = solve_ivp(slope, (0.0, t[-1]), x0[0, :2], t_eval=t, rtol=1e-8, atol=1e-10, max_step=f.tick_s)
-    np.testing.assert_allclose(mine, f.blocks(theirs.y[0][None, :, None]), atol=2e-6)
+    states = [x0[0, :2]]
+    for k in range(f.length - 1):
+        done = solve_ivp(slope, (0.0, f.tick_s), states[-1], args=(f.u[k],), rtol=1e-9, atol=1e-11)
+        states.append(done.y[:, -1])
+    theirs = f.blocks(np.array(states)[None, :, :1])
+    np.testing.assert_allclose(mine, theirs, atol=1e-8)
 
 
 def test_delays_and_lags_are_late_by_what_they_say():
     ramp = np.arange(400.0)
     assert delayed(ramp, 3.25)[100] == pytest.approx(96.75)
     for order in (1.0, 2.0):
-        assert lagged(ramp, 5.0, order)[300] == pytest.approx(295.0, abs=0.6)
+        assert lagged(ramp, 5.0, order)[300] == pytest.approx(295.0, abs=1e-6)

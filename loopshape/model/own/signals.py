@@ -37,7 +37,7 @@ def lagged(values: Array, ticks: float, order: float) -> Array:
     """Values (..., n) behind one first-order lag, or two equal ones, of `ticks` altogether; settled at the first."""
     times = (0.5 * ticks, 0.5 * ticks) if order == SECOND_ORDER else (ticks,)
     for each in times:
-        pole = np.exp(-1.0 / max(each, 1e-6))
+        pole = each / (1.0 + each)  # so that a ramp is late by `each` exactly
         values, _ = lfilter([1.0 - pole], [1.0, -pole], values, axis=-1, zi=pole * values[..., :1])
     return values
 
