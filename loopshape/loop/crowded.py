@@ -1,9 +1,8 @@
 """Several resonances within a few lines of each other, followed together: poles over one polynomial, fitted jointly.
 
-Where neither noise nor one pole explains a stretch of lines, poles are added one after the other, each where it
-explains most of what is left, and all are moved together by Gauss and Newton's steps, the residues following (Golub
-and Pereyra, SIAM Journal on Numerical Analysis 10, 1973), until noise alone is left. What is left then bounds a pole
-sharper still.
+Where neither noise nor one pole explains a stretch of lines, poles are added one after the other, each where it explains
+most of what is left, and all are moved together by Gauss and Newton's steps, the residues following (Golub and Pereyra,
+SIAM Journal on Numerical Analysis 10, 1973), until noise alone is left. What is left then bounds a pole sharper still.
 """
 
 from __future__ import annotations
@@ -46,9 +45,9 @@ _ASIDE = np.array([-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5])
 class Crowd:
     """Resonances between lines `first` .. `last` that explain them together, and what may hide beside them.
 
-    m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a power
-    of f: nc ways that the lines allow, the likeliest first. `hidden` (last - first,), Hz times P, bounds the residue of
-    a pole sharper than the lines in each gap: 0 where noise alone is left.
+    m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a power of
+    f: nc ways that the lines allow, the likeliest first. `hidden` (last - first,), Hz times P, bounds the residue of a
+    pole sharper than the lines in each gap: 0 where noise alone is left.
     """
 
     first: int
@@ -84,36 +83,45 @@ def crowds(
 
 
 @lru_cache(maxsize=256)
-def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, rough: bytes, unstable: bool) -> tuple[Crowd, ...]:
+def _remembered(
+    f: bytes, P: bytes, variance: bytes, freedom: float, rough: bytes, unstable: bool
+) -> tuple[Crowd, ...]:
     lines = np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance)
     runs = stretches(lines[0], np.frombuffer(rough, dtype=bool))
-    return tuple(_crowd(*lines, run[:2], run[2:], freedom, unstable) for run in runs)
+    made = (_crowd(*lines, run[:2], run[2:], freedom, unstable) for run in runs)
+    return tuple(one for one in made if one is not None)
 
 
 def stretches(f: Array, rough: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
-    """First and last line of each run of rough gaps, and with `BESIDE` aside, an octave at most, ten in all."""
+    """First and last line of each run of rough gaps, and those with `BESIDE` more aside, an octave at most."""
     gaps = np.flatnonzero(rough)
     for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > BESIDE) + 1):
         if run.size:
             first, last = int(run[0]), int(run[-1]) + 1
             low, high = np.searchsorted(f, [0.5 * f[first], 2.0 * f[last]])
-            low, high = max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), rough.size)
-            low = max(min(low, high + 1 - 2 * HALF), 0)
-            yield first, last, low, min(max(high, low - 1 + 2 * HALF), rough.size)
+            yield first, last, max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), rough.size)
 
 
 def _crowd(
     f: Array, P: ComplexArray, variance: Array, inner: tuple[int, int], ends: tuple[int, int], freedom: float,
     unstable: bool,
-) -> Crowd:  # fmt: skip
+) -> Crowd | None:  # fmt: skip
     first, last = ends
     order = int(np.clip(ORDER + (last - first - 12) // 4, ORDER, STEEPEST))
     window = window_over(f, P, variance + (FLOOR * np.abs(P)) ** 2, first, last, order)
-    fit = _Fit(window, f[inner[0]], f[inner[1]], unstable)
-    z, explained = fit.grown(last - first - order, 2.0 * min(freedom, 1e9))
-    noise = max(fit.misfit(z) / max(last - first - order - 2 * z.size, 1), 1.0)
-    hidden = fit.one_of_several(z) if explained else np.maximum(fit.unexplained(z, noise), fit.one_of_several(z))
-    pole, residue = fit.allowed(z, noise)
+    fit, z = _Fit(window, f[inner[0]], f[inner[1]], unstable), np.zeros(0, dtype=complex)
+    misfit, spare, hidden = fit.misfit(z), last - first - order, np.zeros(last - first)
+    while z.size < MOST and spare >= SPARE + 2:
+        z, spare = fit.with_one_more(z), spare - 2
+        misfit = fit.misfit(z)
+        if misfit < spare * float(f_distribution.isf(FALSE_ALARM, 2 * spare, 2.0 * min(freedom, 1e9))):
+            break
+    else:
+        hidden = fit.unexplained(z, max(misfit / max(spare, 1), 1.0))
+    if not z.size:
+        return None
+    hidden = np.maximum(hidden, fit.one_of_several(z))
+    pole, residue = fit.allowed(z, max(misfit / spare, 1.0))
     return Crowd(first, last, window, pole, residue, fit.polynomial(pole, residue), hidden)
 
 
@@ -147,15 +155,6 @@ class _Fit:
         powers = (2.0 * x / x[-1] - 1.0)[:, None] ** np.arange(window.basis.shape[2]) * window.weight[0][:, None]
         poles = np.einsum("cm,cmw->cw", r, 1.0 / (1j * (self.f - z[:, :, None]))) * window.weight[0]
         return np.asarray(np.linalg.lstsq(powers, (window.data[0] - poles).T, rcond=None)[0].T)
-
-    def grown(self, spare: int, freedom: float) -> tuple[ComplexArray, bool]:
-        """The fewest poles that leave no more than noise, and whether any do; polynomials leave `spare` lines."""
-        z = np.zeros(0, dtype=complex)
-        while z.size < MOST and spare >= (SPARE + 2 if z.size else 3):
-            z, spare = self.with_one_more(z), spare - 2
-            if self.misfit(z) < spare * float(f_distribution.isf(FALSE_ALARM, 2 * spare, freedom)):
-                return z, True
-        return z, False
 
     def with_one_more(self, z: ComplexArray) -> ComplexArray:
         """The best poles (m + 1,) that grow from z (m,)."""
@@ -218,7 +217,7 @@ class _Fit:
         return np.where((self.f[1:] > self.low) & (self.f[:-1] < self.high), bound, 0.0)
 
     def one_of_several(self, z: ComplexArray) -> Array:
-        """Largest residue (gaps,) of sharp poles within `SAME` gaps of each other, which lines cannot count."""
+        """Largest residue (gaps,) of sharp poles nearer to each other than `SAME` gaps: lines do not count such poles."""
         size = np.abs(self.residues(z) * self.window.reference(z.real[None])[0])
         gap, hidden = np.interp(z.real, self.f[:-1], self.gaps), np.zeros(self.gaps.size)
         sharp = np.abs(z.imag) < SAME * gap

@@ -93,8 +93,8 @@ def _past_crowds(loop: Loop, path: Path) -> tuple[int, np.ndarray, Obstacle | No
             unclear = _unexplained(float(f[crowd.first + hidden[0]]), float(f[crowd.first + hidden[-1] + 1]))
         elif unclear is None and least != most:
             low, high = float(f[crowd.first]), float(f[crowd.last])
-            reason = f"resonances between {low:.4g} and {high:.4g} Hz, close together, may or may not encircle -1"
-            unclear = Obstacle(f"{reason}: measure finer there", (low, high))
+            reason = f"resonances between {low:.4g} and {high:.4g} Hz, closer together than the lines tell apart, may or"
+            unclear = Obstacle(f"{reason} may not encircle -1: measure finer there", (low, high))
     return turns, followed, unclear
 
 
@@ -136,7 +136,7 @@ def _crowds(loop: Loop) -> tuple[Crowd, ...]:
     """Resonances close together, on the lines as measured: a narrow one taken out may have been several."""
     f, (variance, freedom), unstable = loop.frequency_hz, _spread(loop), may_be_oscillatory(loop)
     seen = f, without_narrow(loop), variance, freedom
-    rough = np.where(scattered(*seen, unstable=unstable), 0.0, roughness(*seen, unstable=unstable)) > 0.0
+    rough = (roughness(*seen, unstable=unstable) > 0.0) & ~scattered(*seen, unstable=unstable)
     if not rough.any():
         return ()
     narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
