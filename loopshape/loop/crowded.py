@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
 from loopshape.loop.windows import HALF, ORDER, Windows, window_over
 
 #: less damping than this no resonance is taken to have, as half width over frequency
@@ -22,21 +22,15 @@ SHARPEST = 1e-4
 #: lines beside a stretch on either side; most poles in one; complex degrees of freedom that a fit must leave
 BESIDE, MOST, SPARE = HALF + 2, 6, 4
 #: lines are taken to err by this share of |P| at least: what the polynomial rounds off
-FLOOR = 1e-5
-#: highest order of the polynomial over many lines; poles wider than so many gaps are resolved by the lines
-STEEPEST, RESOLVED = 6, 2.0
+FLOOR = 1e-4
 #: chance that noise leaves more than it should
 FALSE_ALARM = 1e-3
 #: half widths in gaps, and places in a gap, where the next pole is looked for; steps of all together
 _WIDTHS, _PLACES, _STEPS = (0.03, 0.1, 0.3, 1.0, 3.0), np.linspace(0.05, 0.95, 10), 40
-#: two sharp poles within so many gaps of each other may be three
-SAME = 0.5
 #: starts that are followed for each further pole
 _STARTS = 3
 #: poles that the lines allow lie within so many standard deviations; draws of them, and their seed
 REACH, DRAWS, SEED = 3.0, 60, 20073
-#: what a fit rounds off, as a share of residue and half width
-UNEXACT = 0.01
 #: how far in gaps each pole is moved while the others stay
 _ASIDE = np.array([-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5])
 
@@ -87,50 +81,44 @@ def _remembered(
     f: bytes, P: bytes, variance: bytes, freedom: float, rough: bytes, unstable: bool
 ) -> tuple[Crowd, ...]:
     lines = np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance)
-    runs = stretches(lines[0], np.frombuffer(rough, dtype=bool))
-    made = (_crowd(*lines, run[:2], run[2:], freedom, unstable) for run in runs)
+    made = (_crowd(*lines, *ends, freedom, unstable) for ends in stretches(np.frombuffer(rough, dtype=bool)))
     return tuple(one for one in made if one is not None)
 
 
-def stretches(f: Array, rough: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
-    """First and last line of each run of rough gaps, and those with `BESIDE` more aside, an octave at most."""
+def stretches(rough: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and last line of each run of rough gaps, with `BESIDE` lines on either side; those that meet are one."""
     gaps = np.flatnonzero(rough)
     for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > BESIDE) + 1):
         if run.size:
-            first, last = int(run[0]), int(run[-1]) + 1
-            low, high = np.searchsorted(f, [0.5 * f[first], 2.0 * f[last]])
-            yield first, last, max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), rough.size)
+            yield max(int(run[0]) - BESIDE + 1, 0), min(int(run[-1]) + BESIDE, rough.size)
 
 
 def _crowd(
-    f: Array, P: ComplexArray, variance: Array, inner: tuple[int, int], ends: tuple[int, int], freedom: float,
-    unstable: bool,
-) -> Crowd | None:  # fmt: skip
-    first, last = ends
-    order = int(np.clip(ORDER + (last - first - 12) // 4, ORDER, STEEPEST))
-    window = window_over(f, P, variance + (FLOOR * np.abs(P)) ** 2, first, last, order)
-    fit, z = _Fit(window, f[inner[0]], f[inner[1]], unstable), np.zeros(0, dtype=complex)
-    misfit, spare, hidden = fit.misfit(z), last - first - order, np.zeros(last - first)
+    f: Array, P: ComplexArray, variance: Array, first: int, last: int, freedom: float, unstable: bool
+) -> Crowd | None:
+    window = window_over(f, P, variance + (FLOOR * np.abs(P)) ** 2, first, last)
+    left = window.rest(window.data[:, :, None])[0, :, 0]
+    fit, z = _Fit(window, left, unstable), np.zeros(0, dtype=complex)
+    misfit, spare = float(np.sum(np.abs(left) ** 2)), last - first - ORDER
     while z.size < MOST and spare >= SPARE + 2:
         z, spare = fit.with_one_more(z), spare - 2
         misfit = fit.misfit(z)
         if misfit < spare * float(f_distribution.isf(FALSE_ALARM, 2 * spare, 2.0 * min(freedom, 1e9))):
+            hidden = np.zeros(last - first)
             break
     else:
         hidden = fit.unexplained(z, max(misfit / max(spare, 1), 1.0))
     if not z.size:
         return None
-    hidden = np.maximum(hidden, fit.one_of_several(z))
     pole, residue = fit.allowed(z, max(misfit / spare, 1.0))
     return Crowd(first, last, window, pole, residue, fit.polynomial(pole, residue), hidden)
 
 
 class _Fit:
-    """Poles z (m,) over the polynomial of one window; those off `low` .. `high` Hz are no sharper than two gaps."""
+    """Poles z (m,) over the polynomial of one window, whose lines `left` (w,) are what the polynomial leaves."""
 
-    def __init__(self, window: Windows, low: float, high: float, unstable: bool) -> None:
-        self.window, self.low, self.high, self.unstable = window, low, high, unstable
-        self.left = window.rest(window.data[:, :, None])[0, :, 0]
+    def __init__(self, window: Windows, left: ComplexArray, unstable: bool) -> None:
+        self.window, self.left, self.unstable = window, left, unstable
         self.f = window.around[0]
         self.gaps = np.diff(self.f)
 
@@ -152,33 +140,31 @@ class _Fit:
     def polynomial(self, z: ComplexArray, r: ComplexArray) -> ComplexArray:
         """Coefficients (nc, order + 1) of what poles z with residues r (nc, m) leave, in powers of x in [-1, 1]."""
         window, x = self.window, np.log(self.f / self.f[0])
-        powers = (2.0 * x / x[-1] - 1.0)[:, None] ** np.arange(window.basis.shape[2]) * window.weight[0][:, None]
+        powers = (2.0 * x / x[-1] - 1.0)[:, None] ** np.arange(ORDER + 1) * window.weight[0][:, None]
         poles = np.einsum("cm,cmw->cw", r, 1.0 / (1j * (self.f - z[:, :, None]))) * window.weight[0]
         return np.asarray(np.linalg.lstsq(powers, (window.data[0] - poles).T, rcond=None)[0].T)
 
     def with_one_more(self, z: ComplexArray) -> ComplexArray:
         """The best poles (m + 1,) that grow from z (m,)."""
         Q, every = self._beside(z), self._everywhere()
-        column = _off(Q, self._columns(every.ravel()))
+        column = self._columns(every)
+        column = column - Q @ (Q.conj().T @ column)
         drop = np.abs(column.conj().T @ self.left) ** 2 / np.maximum(np.sum(np.abs(column) ** 2, axis=0), 1e-300)
-        drop = drop.reshape(every.shape)
-        best = every[range(len(every)), np.argmax(drop, axis=1)]  # of each width
-        found = [self._improved(np.append(z, best[k])) for k in np.argsort(-drop.max(axis=1))[:_STARTS]]
+        drop, every = drop.reshape(-1, len(_WIDTHS)), every.reshape(-1, len(_WIDTHS))
+        best = every[np.argmax(drop, axis=0), range(len(_WIDTHS))]  # of each width
+        found = [self._improved(np.append(z, best[k])) for k in np.argsort(-drop.max(axis=0))[:_STARTS]]
         return min(found, key=self.misfit)
 
     def _everywhere(self) -> ComplexArray:
-        """Poles (widths, n) of each half width at places in all gaps."""
-        widths = np.array(_WIDTHS + tuple(-w for w in _WIDTHS if self.unstable))
-        centre = (self.f[:-1, None] + self.gaps[:, None] * _PLACES).ravel()
-        return self.possible(centre + 1j * widths[:, None] * np.repeat(self.gaps, _PLACES.size))
+        """Places in all gaps, each with all half widths: (n,)."""
+        centre = self.f[:-1, None] + self.gaps[:, None] * _PLACES
+        width = np.repeat(self.gaps[:, None], _PLACES.size, axis=1)
+        return np.asarray((centre[..., None] + 1j * width[..., None] * np.array(_WIDTHS)).ravel())
 
     def possible(self, z: ComplexArray) -> ComplexArray:
         """Poles within the window, no sharper than any resonance is, and stable where the plant is."""
         centre = np.clip(z.real, self.f[0], self.f[-1])
-        gap = np.interp(centre, self.f[:-1], self.gaps)
-        aside = (centre < self.low - gap) | (centre > self.high + gap)
-        sharpest = np.where(aside, RESOLVED * gap, SHARPEST * centre)
-        size = np.maximum(np.abs(z.imag) if self.unstable else z.imag, sharpest)
+        size = np.maximum(np.abs(z.imag) if self.unstable else z.imag, SHARPEST * centre)
         return np.asarray(centre + 1j * np.where(self.unstable & (z.imag < 0.0), -size, size))
 
     def _bent(self, z: ComplexArray) -> ComplexArray:
@@ -200,7 +186,7 @@ class _Fit:
             else:
                 return z
             z, best, gained = tried, now, best - now
-            if gained < 1e-3 * max(1.0, best):
+            if gained < 1e-3 * max(1.0, 1e-3 * best):
                 return z
         return z
 
@@ -213,29 +199,14 @@ class _Fit:
         size = np.maximum(np.sum(np.abs(column) ** 2, axis=0), 1e-300)
         bound = np.abs(column.conj().T @ rest) / size + REACH * np.sqrt(0.5 * noise / size)
         scale = np.abs(self.window.reference(centre.reshape(1, -1)))[0]
-        bound = (bound * scale).reshape(-1, _PLACES.size).max(axis=1)
-        return np.where((self.f[1:] > self.low) & (self.f[:-1] < self.high), bound, 0.0)
-
-    def one_of_several(self, z: ComplexArray) -> Array:
-        """Largest residue (gaps,) of sharp poles nearer to each other than `SAME` gaps: lines do not count such poles."""
-        size = np.abs(self.residues(z) * self.window.reference(z.real[None])[0])
-        gap, hidden = np.interp(z.real, self.f[:-1], self.gaps), np.zeros(self.gaps.size)
-        sharp = np.abs(z.imag) < SAME * gap
-        near = (np.abs(z.real[:, None] - z.real) < SAME * gap) & sharp & sharp[:, None] & ~np.eye(z.size, dtype=bool)
-        for k in np.flatnonzero(near.any(axis=1)):
-            at = int(np.clip(np.searchsorted(self.f, z[k].real) - 1, 0, hidden.size - 1))
-            hidden[at] = max(hidden[at], size[k])
-        return hidden
+        return np.asarray((bound * scale).reshape(-1, _PLACES.size).max(axis=1))
 
     def allowed(self, z: ComplexArray, noise: float) -> tuple[ComplexArray, ComplexArray]:
-        """Poles and residues (nc, m) that the lines allow: z, what the fit rounds off, draws, each pole moved alone."""
+        """Poles and residues (nc, m) that the lines allow: z, draws about it, and each pole moved alone."""
         most = self.misfit(z) + noise * (REACH**2 + 2.0 * z.size)
         every = [self.possible(one) for one in (*self._drawn(z, noise), *self._one_moved(z))]
         kept = [z, *(one for one in every if self.misfit(one) < most)]
         pairs = [(one, r) for one in kept for r in self._residues_drawn(one, noise)]
-        r, rounded = self.residues(z), UNEXACT * np.exp(0.25j * TWO_PI * np.arange(4))
-        pairs += [(z, r * (1.0 + share)) for share in rounded]
-        pairs += [(self.possible(z + share * np.abs(z.imag)), r) for share in rounded]
         return np.array([one for one, _ in pairs]), np.array([r for _, r in pairs])
 
     def _drawn(self, z: ComplexArray, noise: float) -> ComplexArray:

@@ -12,7 +12,7 @@ from loopshape.data.loop import Loop
 from loopshape.identify.pooling import FREEDOM, pooled_variance
 from loopshape.loop.between import Path, measured, turns_past, turns_past_crowd, without_narrow
 from loopshape.loop.crossings import chords_to_minus_one
-from loopshape.loop.crowded import BESIDE, SHARPEST, Crowd, crowds
+from loopshape.loop.crowded import SHARPEST, Crowd, crowds
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.holes import hole
 from loopshape.loop.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
@@ -135,15 +135,9 @@ def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
 def _crowds(loop: Loop) -> tuple[Crowd, ...]:
     """Resonances close together, on the lines as measured: a narrow one taken out may have been several."""
     f, (variance, freedom), unstable = loop.frequency_hz, _spread(loop), may_be_oscillatory(loop)
-    seen = f, without_narrow(loop), variance, freedom
-    rough = (roughness(*seen, unstable=unstable) > 0.0) & ~scattered(*seen, unstable=unstable)
-    if not rough.any():
-        return ()
-    narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
-    known = np.concatenate([[pole.centre_hz[0] for pole in _hidden(loop)], narrow])
-    gaps = np.clip(np.searchsorted(f, known) - 1, 0, rough.size - 1)
-    beside = np.convolve(rough, np.ones(2 * BESIDE + 1), "same")[: rough.size] > 0.0
-    rough[gaps[beside[gaps]]] = True
+    rest = without_narrow(loop)
+    rough = roughness(f, rest, variance, freedom, unstable=unstable) > 0.0
+    rough &= ~scattered(f, rest, variance, freedom, unstable=unstable)
     return crowds(f, measured(loop).siso, variance, freedom, rough, unstable=unstable)
 
 

@@ -15,7 +15,7 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify.pole_terms import CAREFUL, ROUNDED
-from loopshape.loop.crowded import SHARPEST, UNEXACT
+from loopshape.loop.crowded import SHARPEST
 from loopshape.loop.windows import HALF, LEFT, Windows, windows_of
 
 #: chance of a pole where there is none, over all gaps of a record
@@ -29,10 +29,12 @@ SURE = 2.2
 #: lines from f to so many times f and more are no neighbours whom one polynomial should follow
 WIDEST = 4.0
 #: what is left of lines counts where it is more than this share of |P|
-ROUGH = 0.005
+ROUGH = 0.02
 #: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
 #: more than noise, and in deviations this share of what the rough one leaves at least
 MOSTLY, ALONG, COMPARABLE = 0.75, 60, 0.1
+#: what a polynomial beside a pole rounds off of it, as a share of residue and half width
+UNEXACT = 0.01
 #: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
 _PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
 

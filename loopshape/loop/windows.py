@@ -64,14 +64,12 @@ def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
     return _of_rows(f, P, variance, rows, np.arange(f.size - 1))
 
 
-def window_over(f: Array, P: ComplexArray, variance: Array, first: int, last: int, order: int) -> Windows:
-    """One window of lines `first` .. `last` with a polynomial of an `order`; its gap is the first."""
-    return _of_rows(f, P, variance, np.arange(first, last + 1)[None, :], np.array([first]), order)
+def window_over(f: Array, P: ComplexArray, variance: Array, first: int, last: int) -> Windows:
+    """One window of lines `first` .. `last`; its gap is the first."""
+    return _of_rows(f, P, variance, np.arange(first, last + 1)[None, :], np.array([first]))
 
 
-def _of_rows(
-    f: Array, P: ComplexArray, variance: Array, rows: np.ndarray, gap: np.ndarray, order: int = ORDER
-) -> Windows:
+def _of_rows(f: Array, P: ComplexArray, variance: Array, rows: np.ndarray, gap: np.ndarray) -> Windows:
     std = np.sqrt(variance + (_FLOOR * np.abs(P)) ** 2)
     std = np.maximum(std, 1e-300)
     around, ln_f = f[rows], np.log(f)
@@ -81,7 +79,7 @@ def _of_rows(
     weight = np.abs(reference) / std[rows]
     x = np.log(around / around[:, :1])
     x = 2.0 * x / x[:, -1:] - 1.0
-    basis = np.linalg.qr(np.stack([x**s for s in range(order + 1)], axis=-1) * weight[:, :, None])[0]
+    basis = np.linalg.qr(np.stack([x**s for s in range(ORDER + 1)], axis=-1) * weight[:, :, None])[0]
     ends = np.maximum(std[1:], std[:-1])[gap], np.minimum(np.abs(P[1:]), np.abs(P[:-1]))[gap]
     data = P[rows] / reference * weight
     return Windows(around, weight, data, basis, power, middle, f[:-1][gap], np.diff(f)[gap], *ends)
