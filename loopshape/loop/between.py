@@ -18,7 +18,6 @@ from loopshape.data.smoothed import Dense
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.smoothing import SEED, drawn_errors
 from loopshape.loop.crossings import chords_to_minus_one
-from loopshape.loop.crowded import Crowd
 from loopshape.loop.sampling import SHARPEST, HiddenPole
 
 #: draws of the errors of lines that were not smoothed
@@ -141,21 +140,6 @@ def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int,
     bulge = bulges(own, loop.controller.response(own) * smooth[0])[gap]
     sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
     return first, last, int(turns.min()), int(turns.max()), sure
-
-
-def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Array]:
-    """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
-
-    Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,).
-    """
-    own = loop.frequency_hz[crowd.first : crowd.last + 1]
-    at = np.concatenate([_places(own, z[:, None]) for z in crowd.pole_hz.T], axis=1)
-    at.sort(axis=1)
-    L = loop.controller.response(at) * crowd.response(at)
-    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
-    turns = np.rint((turn(1.0 + L) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
-    first = np.searchsorted(at[0], own[:-1])
-    return int(turns.min()), int(turns.max()), np.minimum.reduceat(chords_to_minus_one(L[0])[0], first)
 
 
 def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:

@@ -10,12 +10,11 @@ import numpy as np
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.loop import Loop
 from loopshape.identify.pooling import FREEDOM, pooled_variance
-from loopshape.loop.between import Path, measured, turns_past, turns_past_crowd, without_narrow
+from loopshape.loop.between import Path, measured, turns_past, without_narrow
 from loopshape.loop.crossings import chords_to_minus_one
-from loopshape.loop.crowded import SHARPEST, Crowd, crowds
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.holes import hole
-from loopshape.loop.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
+from loopshape.loop.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
 #: a count is not given where the chance that the lines' errors make it wrong is above this
 WRONG = 0.005
@@ -23,6 +22,8 @@ WRONG = 0.005
 REACH_95 = float(np.sqrt(-np.log(0.05)))
 #: a band to measure goes on beyond the lines in question by this factor
 ASIDE = 1.05
+#: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
+TAILS = 3.0
 #: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
 SCATTER = 2.0
 #: a place between lines that is known so many times worse than they are is a matter of finer lines
@@ -62,11 +63,9 @@ class Sampling:
 
 def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
-    f = loop.frequency_hz
-    turns, followed, unclear = _past_crowds(loop, path)
+    f, turns, unclear = loop.frequency_hz, 0, None
+    followed = np.zeros(max(f.size - 1, 0), dtype=bool)
     for pole in _hidden(loop):
-        if followed[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
-            continue
         first, last, least, most, sure = turns_past(pole, loop, path)
         turns += least
         followed[first:last] = True
@@ -79,41 +78,26 @@ def sampling(loop: Loop, path: Path) -> Sampling:
     return Sampling(turns, followed, unclear or _rough(loop, path))
 
 
-def _past_crowds(loop: Loop, path: Path) -> tuple[int, np.ndarray, Obstacle | None]:
-    """Turns past resonances that stand close together, gaps (nf - 1,) where they do, what is unclear of them."""
-    f, C, unclear = loop.frequency_hz, np.abs(loop.C), None
-    turns, followed = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
-    for crowd in _crowds(loop):
-        least, most, near = turns_past_crowd(crowd, loop, path)
-        gaps, turns = slice(crowd.first, crowd.last), turns + least
-        followed[gaps] = True
-        larger = np.maximum(C[crowd.first + 1 : crowd.last + 1], C[gaps])
-        hidden = np.flatnonzero(larger * crowd.hidden > SHARPEST * f[gaps] * near)
-        if unclear is None and hidden.size:
-            unclear = _unexplained(float(f[crowd.first + hidden[0]]), float(f[crowd.first + hidden[-1] + 1]))
-        elif unclear is None and least != most:
-            low, high = float(f[crowd.first]), float(f[crowd.last])
-            reason = f"resonances between {low:.4g} and {high:.4g} Hz, closer together than the lines tell apart, may or"
-            unclear = Obstacle(f"{reason} may not encircle -1: measure finer there", (low, high))
-    return turns, followed, unclear
-
-
 def _rough(loop: Loop, path: Path) -> Obstacle | None:
-    """Gaps about which lines that scatter all along lie so near -1 that their error, a disk about them, holds it."""
+    """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1.
+
+    Where the lines scatter all along that is their error, and L lies within a disk of it.
+    """
     f, seen = loop.frequency_hz, (loop.frequency_hz, without_narrow(loop), *_spread(loop))
-    scatter = scattered(*seen, unstable=may_be_oscillatory(loop))
-    if not scatter.any():
+    rough = roughness(*seen, unstable=may_be_oscillatory(loop))
+    if not rough.any():
         return None
-    rough = np.where(scatter, roughness(*seen, unstable=may_be_oscillatory(loop)), 0.0)
+    reach = np.where(scattered(*seen, unstable=may_be_oscillatory(loop)), SCATTER, TAILS)
     chords, C = chords_to_minus_one(path.L)[0], np.abs(loop.C)
     near = np.minimum.reduceat(chords, np.flatnonzero(path.line)[:-1])
-    gaps = np.flatnonzero(SCATTER * np.maximum(C[1:], C[:-1]) * rough > near)
-    return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
-
-
-def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
-    reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
-    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz))
+    gaps = np.flatnonzero(reach * np.maximum(C[1:], C[:-1]) * rough > near)
+    if not gaps.size:
+        return None
+    low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])
+    reason = (
+        f"neither noise nor one resonance explains the lines between {low:.4g} and {high:.4g} Hz: measure finer there"
+    )
+    return Obstacle(reason, (low, high))
 
 
 def may_be_oscillatory(loop: Loop) -> bool:
@@ -130,15 +114,6 @@ def _spread(loop: Loop) -> tuple[Array, float]:
 def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
     rest = without_narrow(loop)
     return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
-
-
-def _crowds(loop: Loop) -> tuple[Crowd, ...]:
-    """Resonances close together, on the lines as measured: a narrow one taken out may have been several."""
-    f, (variance, freedom), unstable = loop.frequency_hz, _spread(loop), may_be_oscillatory(loop)
-    rest = without_narrow(loop)
-    rough = roughness(f, rest, variance, freedom, unstable=unstable) > 0.0
-    rough &= ~scattered(f, rest, variance, freedom, unstable=unstable)
-    return crowds(f, measured(loop).siso, variance, freedom, rough, unstable=unstable)
 
 
 def unseen_resonance(loop: Loop) -> tuple[float, float]:

@@ -15,11 +15,12 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify.pole_terms import CAREFUL, ROUNDED
-from loopshape.loop.crowded import SHARPEST
 from loopshape.loop.windows import HALF, LEFT, Windows, windows_of
 
 #: chance of a pole where there is none, over all gaps of a record
 FALSE_ALARM = 1e-3
+#: less damping than this no resonance is taken to have, as half width over frequency
+SHARPEST = 1e-4
 #: wider than this a pole is resolved by the lines, in gaps
 RESOLVED = 2.0
 #: how far from the best fit a pole is still allowed, in standard deviations
@@ -159,8 +160,7 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
             continue
         z = _improved(window, left, _start(window, left, reach=HALF - 0.5))
         rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
-        if rest > enough or abs(z.imag) < RESOLVED * window.gap[0]:
-            rough[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
+        rough[k] = np.sqrt(rest / LEFT) * window.std[0] if rest > enough else 0.0
     return rough
 
 
