@@ -121,6 +121,8 @@ class Followable(Plant, Protocol):
     #: equation -> channels of `residuals` that a free disturbance there would explain whole, since each submodel
     #: follows what was measured everywhere else
     places: Mapping[str, tuple[str, ...]]
+    #: whether temperature and prices of a diagnosis were calibrated on machines like it
+    calibrated: bool
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
         """This plant with the run's own nominal numbers, and the run and recordings as it wants to follow them."""

@@ -115,6 +115,21 @@ def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
     return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
 
 
+def refuted(before: float, after: float) -> bool:
+    """Whether recordings that no fit saw refute an explanation: it leaves more of their gap than `unknown` would."""
+    return after > max(_EXPLAINED, UNKNOWN_LEAVES * before)
+
+
+def mostly_unknown(probabilities: Mapping[str, float]) -> dict[str, float]:
+    """The same where the leading explanation is refuted: named ones keep a tenth, `unknown` has the rest."""
+    out = {n: p if n == "none" else _REFUTED_KEEPS * p for n, p in probabilities.items() if n != "unknown"}
+    out["unknown"] = 1.0 - sum(out.values())
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+_REFUTED_KEEPS = 0.1
+
+
 def pair_bases(none: Candidate, singles: Mapping[str, Candidate], quiet: float, most: int) -> list[Candidate]:
     """Single effects on which a second may build: the best few, if the best helps and leaves a gap worth it."""
     found = [c for name, c in singles.items() if name != "none"]

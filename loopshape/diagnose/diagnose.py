@@ -134,11 +134,13 @@ def diagnose(
     say("held-out recordings")
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
-    healed = a.verdict not in ("none", "unknown")
     every = shrink.levels(plant, run, usable, many)
+    held = [shrink.chosen(level, "validation") for level in every] if validation else []
+    if held and not plant.calibrated and decide.refuted(held[0].size, held[1].size):
+        a = replace(a, probabilities=decide.mostly_unknown(a.probabilities))
+    healed = a.verdict not in ("none", "unknown")
     gap = None
     if validation:
-        held = [shrink.chosen(level, "validation") for level in every]
         after = held[1] if healed else held[0]
         files = [r.info.file for r in validation]
         gap = shrink.summary(held[0], after, (rival.name, held[2]) if rival and healed else None, files)

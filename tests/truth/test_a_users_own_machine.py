@@ -52,6 +52,16 @@ def test_an_effect_that_is_in_no_list_is_unknown():
 
 
 @pytest.mark.long
+def test_what_recordings_that_were_held_out_refute_is_unknown():
+    # fitted to a payload; the recording for validation is of the machine without it, with dry friction instead
+    fitted = [r for r in run(inertia=0.028).recordings if r.info.role == "estimation"]
+    other = [r for r in run(coulomb=0.03).recordings if r.info.role == "validation"]
+    found = ls.gap(replace(run(), recordings=(*fitted, *other)), model=own_machine.MODEL, table=False)
+    assert found.verdict == "unknown"
+    assert found.ranking[1].effect == "payload@lever"
+
+
+@pytest.mark.long
 def test_a_payload_is_named():
     found = diagnosed(inertia=0.028)
     assert found.verdict == "payload@lever"

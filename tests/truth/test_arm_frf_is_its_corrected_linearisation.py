@@ -27,16 +27,20 @@ def measured(arm):
     return out
 
 
-def share_within(frf, model):
-    """Share of lines whose error lies within the FRF's 95 % circle."""
+#: of the response: the linearisation leaves friction out, which makes 1 deg of phase at 0.3 Hz, whatever the estimator
+FRICTION = 0.02
+
+
+def share_within(frf, model, own_error=0.0):
+    """Share of lines whose error lies within the FRF's 95 % circle about a model known to a share of itself."""
     error = np.abs(frf.siso - model)
-    return np.mean(error < np.sqrt(-np.log(0.05) * frf.variance[:, 0, 0]))
+    return np.mean(error < np.sqrt(-np.log(0.05) * frf.variance[:, 0, 0]) + own_error * np.abs(model))
 
 
-def test_nine_lines_in_ten_lie_within_their_95_percent(measured):
+def test_nine_lines_in_ten_lie_within_their_95_percent_and_what_the_linearisation_leaves_out(measured):
     for frf, recording, run in measured:
         assert frf.frequency_hz.size > 150
-        assert share_within(frf, expected_angle_response(frf, recording, run.loop("p_ab"))) > 0.9
+        assert share_within(frf, expected_angle_response(frf, recording, run.loop("p_ab")), FRICTION) > 0.9
 
 
 def test_the_bare_linearisation_does_not_agree(measured, arm_constants):

@@ -44,6 +44,7 @@ class Arm1:
     effects = FORMS
     spread = SPREAD
     trace_channel = "theta2 [deg]"
+    calibrated = True
     places: Mapping[str, tuple[str, ...]] = {
         "flow A": ("p_a",),
         "flow B": ("p_b",),

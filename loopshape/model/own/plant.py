@@ -33,6 +33,7 @@ class OwnMachine:
     loops: tuple[str, ...] = ()
     solvers: tuple[str, ...] = ("edges",)
     channels: tuple[Channel, ...] = ()
+    calibrated = False
 
     def __init__(self, model: Model, effects: tuple[EffectForm, ...] = (), composed: Composed | None = None) -> None:
         self.model, self.effects = model, effects

@@ -44,6 +44,7 @@ class ServoAxis:
     channels: tuple[Channel, ...] = (Channel("position", "m"), Channel("force", "n"))
     needs: tuple[str, ...] = ("force_n", "position_m")
     trace_channel = "force [N]"
+    calibrated = True
     places: Mapping[str, tuple[str, ...]] = {}  # one equation, one channel: it is the place
 
     def __init__(
