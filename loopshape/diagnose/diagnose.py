@@ -45,7 +45,7 @@ class Attribution:
 
     @property
     def leading(self) -> Candidate:
-        """The candidate of the verdict; for unknown, the best effect; for none, the healthy arm."""
+        """The candidate of the verdict; for unknown, the best effect; for none, the healthy machine."""
         if self.verdict in self.scored:
             return self.scored[self.verdict]
         return next(c for n, c in self.scored.items() if n != "none")
@@ -65,7 +65,7 @@ def attribute_effect(
     plant, run, names = plant.readied(run, names)
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads, independent=independent)
     brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S, independent)
-    say("healthy arm")
+    say("healthy machine")
     rough = attribute.healthy(brief)
     healthy = attribute.again(evidence, rough, rounds=2)
     none = decide.candidate(evidence, healthy)

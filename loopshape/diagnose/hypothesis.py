@@ -16,7 +16,7 @@ from loopshape.data.plant import Followable
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """No form is the healthy arm. Numbers phi: what the forms free, in order, then the spread in -1..1."""
+    """No form is the healthy machine. Numbers phi: what the forms free, in order, then the spread in -1..1."""
 
     plant: Followable
     forms: tuple[EffectForm, ...] = ()
