@@ -113,11 +113,14 @@ def killed_after(seconds):
 
 
 def is_old_or_new(folder, before, after):
-    """Every file is that from before or that of the whole command; none is missing but what the command removes."""
+    """Every file is that from before or that of the whole command; none is missing but what the command removes, and
+    what of a run that replaces another still lies whole beside it."""
     found = tree(folder)
     for name, content in found.items():
         assert content in (before.get(name), after.get(name)) or name.endswith("run.toml"), name
-    assert {name for name in before if name in after} <= set(found)
+    waiting = {path.name for path in folder.rglob(".*/*")}
+    missing = {name for name in before if name in after} - set(found)
+    assert {Path(name).name for name in missing} <= waiting, missing
     for run in folder.glob("*/run.toml"):
         assert [one for one in verify(run.parent) if one.sound is False and one.what != "FRFs"] == []  # yet to be made
 
