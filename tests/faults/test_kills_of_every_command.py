@@ -10,6 +10,7 @@ import shutil
 import signal
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from bench import command
@@ -121,6 +122,8 @@ def is_old_or_new(folder, before, after):
     waiting = {path.name for path in folder.rglob(".*/*")}
     missing = {name for name in before if name in after} - set(found)
     assert {Path(name).name for name in missing} <= waiting, missing
+    if "run.toml" in waiting:  # neither the old run nor the new one, until the same call puts it in order
+        return
     for run in folder.glob("*/run.toml"):
         assert [one for one in verify(run.parent) if one.sound is False and one.what != "FRFs"] == []  # yet to be made
 
@@ -147,7 +150,8 @@ def test_a_kill_before_a_step_of_writing(name, step, place, undisturbed):
 @pytest.mark.parametrize("name", WRITING)
 def test_kills_before_steps_of_writing(name, place, undisturbed):
     steps = undisturbed(name)[3]
-    for step in sorted({round(k * (steps - 1) / 4) for k in range(5)}):
+    some = sorted({round(k * (steps - 1) / 4) for k in range(5)})
+    for step in range(steps) if name == "import --replace" else some:  # which alone moves several files, one by one
         assert kill_and_go_on(name, place, undisturbed, lambda step=step: killed_before(step)), (
             f"step {step} of {steps}"
         )
