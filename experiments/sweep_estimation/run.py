@@ -23,7 +23,7 @@ COLUMNS = (
     "median_error", "best_peer_error", "over_best", "peer", "coverage",
 )  # fmt: skip
 #: length in s, rate in Hz, records of each
-LENGTHS = ((10.0, 1000.0, 4), (20.0, 1000.0, 4), (60.0, 1000.0, 2), (180.0, 1000.0, 1), (1200.0, 250.0, 1))
+LENGTHS = ((10.0, 1000.0, 16), (20.0, 1000.0, 12), (60.0, 1000.0, 6), (180.0, 1000.0, 3), (1200.0, 250.0, 2))
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.core.kernels.local_sums import influence, moments
+from loopshape.core.kernels.local_sums import influence, moments, shifted
 from loopshape.core.units import Array, ComplexArray
 
 #: what keeps equations regular that say the same twice, relative to their own size
@@ -168,18 +168,33 @@ def _denominator(W: ComplexArray) -> ComplexArray:
 
 
 def influences(
-    z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, order: int, fits: Fits, gates: Array
-) -> tuple[ComplexArray, ComplexArray, Array]:
-    """What residuals move responses by: squares (n, m, m), sums in other gates (n, gates, m), effective lines (n,).
+    z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, order: int, fits: Fits
+) -> tuple[ComplexArray, Array]:
+    """What residuals move responses by: squares (n, m, m), and effective lines (n,).
 
     Fits over one window [left, right] at each of `lines` (n,); see `kernels.local_sums.influence`.
     """
     n, m = fits.response.shape
-    total, gated = np.zeros((n, m, m), dtype=complex), np.zeros((n, gates.size, m), dtype=complex)
-    effective = np.empty(n)
+    total, effective = np.zeros((n, m, m), dtype=complex), np.empty(n)
+    influence(z, lines, left, right, order, *_parts(fits), total, effective)
+    return total, effective
+
+
+def at_gates(
+    z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, order: int, fits: Fits, gates: Array
+) -> tuple[ComplexArray, ComplexArray]:
+    """What residuals would move responses by at other times, (n, gates, m), and of what fits take away, (n, gates, q).
+
+    Fits over one window [left, right] at each of `lines` (n,); see `kernels.local_sums.shifted`.
+    """
+    n, q, m = fits.theta.shape
+    moves, columns = np.zeros((n, gates.size, m), dtype=complex), np.zeros((n, gates.size, q), dtype=complex)
+    shifted(z, lines, left, right, order, *_parts(fits), gates, moves, columns)
+    return moves, columns
+
+
+def _parts(fits: Fits) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """What the kernels take of fits."""
     parts = (fits.inverse, fits.theta, fits.denominator, fits.bends, fits.pull)
     inverse, theta, denominator, bends, pull = (np.ascontiguousarray(x, dtype=complex) for x in parts)
-    influence(
-        z, lines, left, right, order, inverse, theta, denominator, bends, pull, gates, total, gated, effective
-    )  # fmt: skip
-    return total, gated, effective
+    return inverse, theta, denominator, bends, pull

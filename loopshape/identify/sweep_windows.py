@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.identify.local_models import Fits, Shape, influences, solve, window_moments
+from loopshape.identify.local_models import TINY, Fits, Shape, at_gates, solve, window_moments
 
 #: half widths tried, in lines, each square larger than the last by two
 HALVES = np.array([5, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512, 724, 1024, 1448, 2048, 2896, 4096])
@@ -37,22 +37,26 @@ PAYS = 0.2
 SEPARATE = 2.0
 #: and up to which a denominator is fitted beside it
 PLAIN = 1.02
-#: turns over a window before the sweep passes (an answer that rings on is no noise), and what is clearly louder there
+#: from how much power just before the sweep passes, over the record's, noise is clearly louder there
 LOUD = 2.0
-BEFORE = np.arange(-8.0, -1.0)
-#: what Hann's taper makes of the power of noise that a quadratic's kernel weighs
-TAPERED = 2.63
+#: times at which noise is heard, in cycles over the window from when the sweep passes
+GATES = np.arange(-10.0, 11.0)
+#: with a taper the inner ones: before (far, near) and after (near, far) the sweep passes, and how many each part holds
+PARTS = (slice(0, 6), slice(6, 8), slice(11, 13), slice(13, 19))
+HELD = np.array([6.0, 2.0, 2.0, 6.0])
+#: degrees of freedom of what the far ones show: of white noise each shows two, pooled over lines (150 records)
+HEARD = 2.0 * (HELD[0] + HELD[3])
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and by how much in power noise
-    is louder while the sweep passes than over the record (n,): 1 where that is not clear."""
+    """Of n lines: ends of each window (n,), both included, which has a denominator (n,), and the power of noise
+    (n, m, m) about when the sweep passes where that is clearly louder than the record's, else 0."""
 
     left: np.ndarray
     right: np.ndarray
     rational: np.ndarray
-    louder: Array
+    passing: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +81,7 @@ class Transient:
 def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int) -> tuple[Chosen, Transient]:
     """Windows within [low, high] for `lines` (n,) of z (nf, 2 + m): an instrument, 1, and answers, outputs first."""
     few = lines[::EVERY]
-    transient, louder, loud, separate = _reference(z, few, low, high, outputs)
+    transient, passing, loud, separate = _reference(z, few, low, high, outputs)
     left, right = _windows(few, low, high)
     M = window_moments(z, few, left, right, RATIONAL.powers)
     count, ridge = (right - left + 1).astype(float), transient.ridge(left, right)
@@ -92,7 +96,7 @@ def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
     nearest = np.minimum(np.searchsorted(0.5 * (few[1:] + few[:-1]), lines), few.size - 1)
     half = (0.5 * (right - left)[rows, taken]).astype(int)[nearest]
     middle = np.clip(lines, low + half, high - half)
-    return Chosen(middle - half, middle + half, rational[nearest], louder[nearest]), transient.select(nearest)
+    return Chosen(middle - half, middle + half, rational[nearest], passing[nearest]), transient.select(nearest)
 
 
 def _windows(lines: np.ndarray, low: int, high: int) -> tuple[np.ndarray, np.ndarray]:
@@ -105,7 +109,7 @@ def _windows(lines: np.ndarray, low: int, high: int) -> tuple[np.ndarray, np.nda
 
 def _best(fits: Fits, outputs: int, shape: Shape, loud: Array, widest: np.ndarray) -> tuple[np.ndarray, Array]:
     """Window (n,) that one shape takes at each line, and the logarithm of its relative variance, smoothed."""
-    value, noise = _sought(fits, outputs)
+    value, noise = _sought(fits.response, fits.scatter, outputs)
     noise = np.maximum(_pooled(noise), loud[:, None])
     first = min(TOO_FEW if shape.poles else 0, value.shape[1] - 1)
     gain = fits.gain[..., : value.shape[-1]]
@@ -117,14 +121,15 @@ def _best(fits: Fits, outputs: int, shape: Shape, loud: Array, widest: np.ndarra
     return best, _pooled(np.log((noise * gain)[rows, best] / size).mean(axis=-1))
 
 
-def _sought(fits: Fits, outputs: int) -> tuple[ComplexArray, Array]:
-    """What is sought of fits (..., k) and its noise: the plant where one input is among the answers, else these."""
-    H, power = fits.response, fits.power
+def _sought(H: ComplexArray, scatter: ComplexArray, outputs: int) -> tuple[ComplexArray, Array]:
+    """What is sought of answers H (..., m) and its noise, by theirs (..., m, m): the plant where one input is among the
+    answers, else these."""
+    power = np.maximum(np.einsum("...xx->...x", scatter).real, TINY)
     if H.shape[-1] != outputs + 1:
         return H, power
     u = np.where(np.abs(H[..., outputs:]) > 1e-30, H[..., outputs:], 1e-30)
     P = H[..., :outputs] / u
-    cross = np.real(P.conj() * fits.scatter[..., :outputs, outputs])
+    cross = np.real(P.conj() * scatter[..., :outputs, outputs])
     left = power[..., :outputs] + np.abs(P) ** 2 * power[..., outputs:] - 2.0 * cross
     floor = 1e-14 * (np.abs(H[..., :outputs]) ** 2 + 1e-60)
     return P, np.maximum(left, floor) / np.abs(u) ** 2
@@ -146,53 +151,74 @@ def _pooled(x: Array) -> Array:
     return np.asarray(uniform_filter1d(x, 2 * POOL + 1, axis=0, mode="nearest"))
 
 
+def _pooled_powers(x: ComplexArray) -> ComplexArray:
+    return np.asarray(_pooled(x.real) + 1j * _pooled(x.imag))
+
+
 def _reference(
     z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
-) -> tuple[Transient, Array, Array, np.ndarray]:
-    """From fits over a fixed share of the frequency: the transient, by how much noise is louder (n,) while the sweep
-    passes, what is sought's noise (n, k) there, zero where it is not clearly louder, and which lines (n,) tell a
-    transient from the response."""
+) -> tuple[Transient, ComplexArray, Array, np.ndarray]:
+    """From fits over a fixed share of the frequency: the transient, the noise's power (n, m, m) about when the sweep
+    passes and what is sought's noise (n, k) there, both zero where it is not clearly louder, and which lines (n,) tell
+    a transient from the response."""
     half = np.minimum(np.maximum(8, (0.1 * lines).astype(int)), (high - low) // 2)
     middle = np.clip(lines, low + half, high - half)
     left, right = middle - half, middle + half
     M = window_moments(z, lines, left[:, None], right[:, None], RATIONAL.powers)[:, 0]
     count = right - left + 1.0
-    fits, without = solve(M, count, POLYNOMIAL), solve(M, count, RESTING)
+    fits, without, sharp = (solve(M, count, shape) for shape in (POLYNOMIAL, RESTING, RATIONAL))
     separate = fits.gain[:, 0] / without.gain[:, 0]
-    sharp = solve(M, count, RATIONAL)
-    both = ((fits, POLYNOMIAL), (sharp, RATIONAL))
-    parts = zip(*(_around(z, lines, left, right, *x, outputs) for x in both), strict=True)
-    better = np.all(sharp.power < PAYS * fits.power, axis=1, keepdims=True)
-    before, after, power, noise = (_pooled(np.asarray(np.where(better, b, a))) for a, b in parts)
-    ratio, later = before[:, 0] / power[:, 0], after[:, 0] / power[:, 0]
-    clear = (ratio > LOUD) & (separate < SEPARATE)
-    louder = np.where(clear, np.maximum(ratio, later), 1.0)
-    loud = np.where(clear, louder, 0.0)[:, None] * noise
-    return _expected(fits, lines, half, separate), louder, loud, separate < PLAIN
+    better = np.all(sharp.power < PAYS * fits.power, axis=1)[:, None, None]
+    heard, sharply = (_heard(z, lines, left, right, *x) for x in ((fits, POLYNOMIAL), (sharp, RATIONAL)))
+    heard, record = np.where(better[:, None], sharply, heard), np.where(better, sharp.scatter, fits.scatter)
+    passing = _passing(_pooled_powers(heard), _pooled_powers(record))
+    clear = (_trace(passing) > 0.0) & (separate < SEPARATE)
+    passing[~clear] = 0.0
+    loud = np.where(clear[:, None], _sought(fits.response, passing, outputs)[1], 0.0)
+    return _expected(fits, lines, half, separate), passing, loud, separate < PLAIN
 
 
-def _around(
-    z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, fits: Fits, shape: Shape, outputs: int
-) -> tuple[Array, Array, Array, Array]:
-    """Noise power over all answers (n, 1) just before and after the sweep passes, over the record, and of what is
-    sought (n, k)."""
-    total, gated, _ = influences(z, lines, left, right, shape.order, fits, np.concatenate([BEFORE, -BEFORE]))
-    share = fits.power / np.maximum(np.einsum("nii->ni", total).real, 1e-300)
-    before, after = (
-        (share * _tapered(part)).sum(axis=1, keepdims=True)
-        for part in (gated[:, : BEFORE.size], gated[:, BEFORE.size :])
-    )
-    return before, after, fits.power.sum(axis=1, keepdims=True), _sought(fits, outputs)[1]
+def _heard(
+    z: ComplexArray, lines: np.ndarray, left: np.ndarray, right: np.ndarray, fits: Fits, shape: Shape
+) -> ComplexArray:
+    """The noise's power (n, parts, m, m) in each of `PARTS`.
 
-
-def _tapered(gated: ComplexArray) -> Array:
-    """Mean power (n, m) in neighbouring gates (n, gates, m) with Hann's taper over the window's lines.
-
-    What a polynomial rounds off of a resonance stands where the sweep passes, is far above the noise there, and without
-    a taper leaks into every other gate.
+    Of noise that comes with the sweep a fit takes away more than of noise at other times: each part is measured by
+    what it would show of white noise of power 1 once the fit has taken its share.
     """
-    tapered = gated[:, 1:-1] - 0.5 * (gated[:, :-2] + gated[:, 2:])
-    return np.asarray((np.abs(tapered) ** 2).mean(axis=1) / TAPERED)
+    moves, columns = at_gates(z, lines, left, right, shape.order, fits, GATES)
+    heard, taken = _tapered(moves), _tapered(columns)
+    own = np.einsum("ngq,nq->ng", columns[:, GATES >= 0.0], fits.inverse[:, 0].conj()).real
+    white = (1.5 * own[:, 0] - 2.0 * own[:, 1] + 0.5 * own[:, 2])[:, None]  # of Hann's taper squared
+    white = white - np.einsum("ngq,nqp,ngp->ng", taken, fits.inverse, taken.conj()).real
+    more = np.sqrt(np.maximum(fits.gain / fits.inverse[:, :1, 0].real, 1.0))  # by the denominator
+    power = np.stack([np.einsum("ngx,ngy->nxy", heard[:, p], heard[:, p].conj()) for p in PARTS], axis=1)
+    unit = np.stack([white[:, p].sum(axis=1) for p in PARTS], axis=1)
+    return np.asarray(power / unit[..., None, None] / (more[:, None, :, None] * more[:, None, None, :]))
+
+
+def _passing(heard: ComplexArray, record: ComplexArray) -> ComplexArray:
+    """The noise's power (n, m, m) about when the sweep passes, of `heard` (n, parts, m, m): zero where it is not
+    clearly louder just before than over the record (n, m, m). An answer that rings on afterwards is no noise.
+
+    What a polynomial rounds off of a resonance stands where the sweep passes and shows in the near parts, not in the
+    far ones: where the near ones hold clearly more, the far ones count alone.
+    """
+    power, held = _trace(heard), np.tile(HELD, (heard.shape[0], 1))
+    held[power[:, 1] + power[:, 2] > LOUD * (power[:, 0] + power[:, 3]), 1:3] = 0.0
+    before = (held * power)[:, :2].sum(axis=1) / held[:, :2].sum(axis=1)
+    around = np.einsum("np,npxy->nxy", held, heard) / held.sum(axis=1)[:, None, None]
+    around[before <= LOUD * _trace(record)] = 0.0
+    return np.asarray(around)
+
+
+def _tapered(gates: ComplexArray) -> ComplexArray:
+    """Inner gates (n, gates - 2, x) of (n, gates, x), with Hann's taper over the window's lines."""
+    return np.asarray(gates[:, 1:-1] - 0.5 * (gates[:, :-2] + gates[:, 2:]))
+
+
+def _trace(power: ComplexArray) -> Array:
+    return np.asarray(np.einsum("...xx->...", power).real)
 
 
 def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) -> Transient:
@@ -206,7 +232,7 @@ def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) 
     T = fits.theta[own, POLYNOMIAL.order + 1 :]
     power = _pooled((np.abs(T) ** 2).sum(axis=-1) / fits.power[own].sum(axis=-1)[:, None] * per_line)
     covariance = T[..., :, None] * T[..., None, :].conj() * per_line[..., None, None]
-    covariance = _pooled(covariance.real) + 1j * _pooled(covariance.imag)
+    covariance = _pooled_powers(covariance)
     nearest = np.clip(np.searchsorted(own, np.arange(lines.size)), 0, own.size - 1)
     growth = np.maximum(1.0, (lines[own[nearest]] / lines) ** 2)
     return Transient(power[nearest] * growth[:, None], covariance[nearest] * growth[:, None, None, None])

@@ -20,14 +20,13 @@ from loopshape.identify.averages import smoothed
 from loopshape.identify.local_models import Fits, influences, solve, window_moments
 from loopshape.identify.settings import Settings
 from loopshape.identify.sweep_harmonics import harmonics
-from loopshape.identify.sweep_windows import HALVES, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
+from loopshape.identify.sweep_windows import HALVES, HEARD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
 from loopshape.identify.transforms import FLOOR, fast_length
 
 #: lines lie this share of their frequency apart, or are the record's own
 DENSE = 150
 #: lines on each side over which a line's noise is pooled
 POOL = 5
-NO_GATES = np.zeros(0)
 #: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
 OVERLAP = 0.7
 
@@ -162,12 +161,15 @@ def _estimated(
         response[rows], gain[rows] = fits.response, fits.inverse[:, 0, 0].real
         power[rows] = M[:, 0].conj() / count[:, None, None]
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
-        total[rows], _, effective[rows] = influences(z, lines[rows], left, right, shape.order, fits, NO_GATES)
+        total[rows], effective[rows] = influences(z, lines[rows], left, right, shape.order, fits)
     noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
-    louder = chosen.louder * gain / left_of_noise
+    passing = np.einsum("nxx->n", chosen.passing).real > 0.0
+    noise[passing] = chosen.passing[passing]
+    gain = gain / left_of_noise
     width = chosen.right - chosen.left + 1.0
     freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
-    return response, np.asarray(noise * louder[:, None, None] + held), power, float(np.median(freedom))
+    freedom = np.where(passing, np.minimum(freedom, HEARD), freedom)
+    return response, np.asarray(noise * gain[:, None, None] + held), power, float(np.median(freedom))
 
 
 def _held(fits: Fits, ridge: Array, transient: Transient, half: Array) -> ComplexArray:

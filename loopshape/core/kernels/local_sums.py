@@ -69,16 +69,56 @@ def influence(
     denominator: ComplexArray,
     bends: ComplexArray,
     pull: ComplexArray,
-    gates: Array,
     total: ComplexArray,
-    gated: ComplexArray,
     effective: Array,
 ) -> None:
     """Sums of what each line's residual moves a response by, for one window at each of `lines` (n,), as `Fits` has it.
 
     z (nf, 2 + m) are an instrument, 1 and answers. Into `total` (n, m, m) go squares, each residual over the root of
-    one less its leverage (HC2: MacKinnon and White 1985); into `gated` (n, gates, m) sums turned by `gates` cycles over
-    the window, which is the same window some time earlier or later; into `effective` (n,) how many residuals that is.
+    one less its leverage (HC2: MacKinnon and White 1985), into `effective` (n,) how many residuals that is.
+    """
+    rows, q, m = theta.shape
+    b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
+    moved = np.empty(m, dtype=np.complex128)
+    change = np.empty(denominator.shape[1], dtype=np.complex128)
+    for i in range(rows):
+        width = right[i] - left[i] + 1
+        second, fourth = 0.0, 0.0
+        for j in range(left[i], right[i] + 1):
+            t = (j - lines[i]) * 2.0 / (width - 1)
+            _columns(z[j, 0], t, order + 1, b)
+            root = 1.0 / np.sqrt(max(1.0 - _leverage(inverse[i], b, width, a), 1e-3))
+            _moved(z[j], t, root, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
+            for x in range(m):
+                for y in range(m):
+                    total[i, x, y] += moved[x] * np.conj(moved[y])
+            weight = a[0].real ** 2 + a[0].imag ** 2
+            second += weight
+            fourth += weight * weight
+        effective[i] = second * second / fourth
+
+
+@compiled
+def shifted(
+    z: ComplexArray,
+    lines: Array,
+    left: Array,
+    right: Array,
+    order: int,
+    inverse: ComplexArray,
+    theta: ComplexArray,
+    denominator: ComplexArray,
+    bends: ComplexArray,
+    pull: ComplexArray,
+    gates: Array,
+    moves: ComplexArray,
+    columns: ComplexArray,
+) -> None:
+    """What residuals would move each response by, had the sweep passed earlier or later; arguments as for `influence`.
+
+    Turned by `gates` (g,) cycles over the window, a response's weights are those of another time: into `moves`
+    (n, g, m) go their sums with the residuals, into `columns` (n, g, q) those with the fitted columns, which are what
+    a fit takes away of noise at that time.
     """
     rows, q, m = theta.shape
     b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
@@ -89,23 +129,18 @@ def influence(
         width = right[i] - left[i] + 1
         turns[:] = np.exp(2j * np.pi * gates / width)
         cycles[:] = 1.0
-        second, fourth = 0.0, 0.0
         for j in range(left[i], right[i] + 1):
             t = (j - lines[i]) * 2.0 / (width - 1)
             _columns(z[j, 0], t, order + 1, b)
-            root = 1.0 / np.sqrt(max(1.0 - _leverage(inverse[i], b, width, a), 1e-3))
-            _moved(z[j], t, root, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
-            for x in range(m):
-                for y in range(m):
-                    total[i, x, y] += moved[x] * np.conj(moved[y])
-                for g in range(gates.size):
-                    gated[i, g, x] += moved[x] * cycles[g]
+            _weight(inverse[i], b, a)
+            _moved(z[j], t, 1.0, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
             for g in range(gates.size):
+                for x in range(m):
+                    moves[i, g, x] += moved[x] * cycles[g]
+                weight = a[0] * cycles[g]
+                for k in range(q):
+                    columns[i, g, k] += weight * b[k]
                 cycles[g] *= turns[g]
-            weight = a[0].real ** 2 + a[0].imag ** 2
-            second += weight
-            fourth += weight * weight
-        effective[i] = second * second / fourth
 
 
 @compiled_in_line
@@ -115,6 +150,14 @@ def _columns(instrument: complex, t: float, terms: int, b: ComplexArray) -> None
     for s in range(terms):
         b[s], b[terms + s] = instrument * power, power
         power *= t
+
+
+@compiled_in_line
+def _weight(inverse: ComplexArray, b: ComplexArray, a: ComplexArray) -> None:
+    """What N(0) answers to a line's residual, into a[0]."""
+    a[0] = 0.0
+    for n in range(b.size):
+        a[0] += inverse[0, n] * np.conj(b[n])
 
 
 @compiled_in_line
