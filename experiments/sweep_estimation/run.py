@@ -27,7 +27,7 @@ LENGTHS = ((10.0, 1000.0, 16), (20.0, 1000.0, 12), (60.0, 1000.0, 6), (180.0, 10
 
 
 def main() -> None:
-    """Write the table; two minutes of one core."""
+    """Write the table; four minutes of one core."""
     with (HERE / "sweeps.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)

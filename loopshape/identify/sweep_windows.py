@@ -32,7 +32,7 @@ SOUND = 2
 EVERY, POOL = 3, 3
 POLYNOMIAL, RATIONAL, RESTING = Shape(2, 0), Shape(2, 2), Shape(2, 0, transient=False)
 #: share of the polynomial's variance below which a rational is taken: it bends to noise, which no variance shows
-PAYS = 0.2
+PAYS = 0.5
 #: variance that a transient may add before its lines count as inseparable from it
 SEPARATE = 2.0
 #: and up to which a denominator is fitted beside it
