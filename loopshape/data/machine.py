@@ -7,7 +7,7 @@ name (`p.mass`), to the nx derivatives. Effects are composed around it and never
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,8 @@ class ModelParameter:
     """One number of the simulator: `tolerance` is its manufacturing tolerance, as a share of the value.
 
     `effect` names what a value beyond the tolerance means, as `kind@place` ("payload@arm"); "none" makes it no
-    hypothesis. A parameter whose nominal value is 0 (a payload, a tilt) needs the `range` in which to look for it.
+    hypothesis. A parameter whose nominal value is 0 (a payload, a tilt) needs the `range` in which to look for it;
+    `range` is of changes. `shaped_by` names a parameter that may change with it (where on the arm the payload sits).
     """
 
     name: str
@@ -30,6 +31,7 @@ class ModelParameter:
     tolerance: float = 0.0
     effect: str = ""
     range: tuple[float, float] | None = None
+    shaped_by: str = ""
 
     def __post_init__(self) -> None:
         if not self.effect:
@@ -73,7 +75,7 @@ class Port:
     """A place where a force acts: it is added to `input`, and depends on the states `position` and `speed`.
 
     With the name of the parameter that is the inertia on the motor's side (`motor_inertia`), a flexible coupling and
-    play between motor and load can be tried here as well.
+    play between motor and load can be tried here as well; `motor_damping` is the damping that may be on that side.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Port:
     speed: str
     motor_inertia: str | None = None
     unit: str = ""
+    motor_damping: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +92,8 @@ class Model:
     """A simulator, what it is fed with, and what it gives; see `docs/machine.md`.
 
     `window_s` is how long the simulation is left to itself before it is set to the recording again. `without` names
-    kinds of effects that this machine cannot have.
+    kinds of effects that this machine cannot have. `derived` makes of the parameters' values, in order, what `motion`
+    gets as p; without it p has the parameters by name.
     """
 
     name: str
@@ -101,6 +105,7 @@ class Model:
     ports: tuple[Port, ...] = ()
     window_s: float = 1.0
     without: tuple[str, ...] = field(default=())
+    derived: Callable[[tuple[float, ...]], Any] | None = None
 
     def __post_init__(self) -> None:
         for name in ("states", "parameters", "inputs", "outputs", "ports", "without"):
@@ -118,12 +123,15 @@ class Model:
         _once(self.states, f"states of {self.name}")
 
     def _references(self) -> None:
+        for p in self.parameters:
+            _known(p.shaped_by or p.name, [o.name for o in self.parameters], f"parameter that shapes {p.name}")
         for port in self.ports:
             _known(port.input, [i.name for i in self.inputs], f"input of port {port.name}")
             for state in (port.position, port.speed):
                 _known(state, self.states, f"state of port {port.name}")
-            if port.motor_inertia is not None:
-                _known(port.motor_inertia, [p.name for p in self.parameters], f"motor_inertia of port {port.name}")
+            for key in ("motor_inertia", "motor_damping"):
+                if (named := getattr(port, key)) is not None:
+                    _known(named, [p.name for p in self.parameters], f"{key} of port {port.name}")
         for output in self.outputs:
             _known(output.state, self.states, f"state of output {output.name}")
 
@@ -140,6 +148,22 @@ class Model:
         """One line: its name and what it has."""
         parts = ", ".join(f"{len(getattr(self, k))} {k}" for k in ("states", "parameters", "inputs", "outputs"))
         return f"Model {self.name}: {parts}, force ports {', '.join(p.name for p in self.ports) or 'none'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """A MuJoCo model and what belongs to it: an `MjSpec`, tolerances by kind and name, columns and factors by name.
+
+    Kinds of `spread`: mass (of a body), damping and armature (of a joint), motor_constant (of an actuator).
+    """
+
+    name: str
+    spec: Any
+    spread: Mapping[str, Mapping[str, float]]
+    actuators: Mapping[str, tuple[str, float]]
+    sensors: Mapping[str, tuple[str, float]]
+    window_s: float = 1.0
+    without: tuple[str, ...] = ()
 
 
 def _once(names: Iterable[str], what: str) -> None:

@@ -1,4 +1,4 @@
-"""A user's machine: `model.toml`, and the Python file beside it that holds the right-hand side.
+"""A user's machine: `model.toml`, and beside it the Python file with the right-hand side, or a MuJoCo model.
 
 The Python file is run: it is loaded only when a user names the model (`--model`), never because a run does.
 """
@@ -11,21 +11,25 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.machine import Input, Model, ModelParameter, Output, Port
-from loopshape.io.files import inside, reading
+from loopshape.data.machine import Input, Mechanism, Model, ModelParameter, Output, Port
+from loopshape.io.files import inside, reading, short
 from loopshape.io.words import Words, read_words, said_in
 
 FORMAT = "loopshape-model/1"
 _KEYS = ("format", "name", "file", "function", "states", "window_s", "without", "parameter", "input", "output", "port")
+_MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators")
+_SPREAD = ("mass", "damping", "armature", "motor_constant")
 
 
-def read_model(path: Path) -> Model:
-    """The model that a file describes, its Python file loaded from the same folder.
+def read_model(path: Path) -> Model | Mechanism:
+    """The model that a file describes, its Python file or MuJoCo model loaded from the same folder.
 
-    Refuses unknown and missing keys, names that do not fit together, a Python file outside the folder, one that does
-    not run, and one without the function.
+    Refuses unknown and missing keys, names that do not fit together, a file outside the folder, Python that does not
+    run or lacks the function, and a MuJoCo model that does not compile.
     """
     words = read_words(path, FORMAT)
+    if "mujoco" in words.table:
+        return _mechanism(path, words)
     words.only(*_KEYS)
     words.need("file", "function", "states", "parameter", "input", "output")
     with said_in(path.name):
@@ -40,6 +44,52 @@ def read_model(path: Path) -> Model:
             window_s=words.positive("window_s", 1.0),
             without=words.list_of_texts("without"),
         )
+
+
+def _mechanism(path: Path, words: Words) -> Mechanism:
+    words.only(*_MUJOCO)
+    words.need("sensors", "actuators")
+    spread = words.inner("spread")
+    spread.only(*_SPREAD)
+    with said_in(path.name):
+        return Mechanism(
+            name=words.text("name", path.stem),
+            spec=_specification(path.parent, words.text("mujoco")),
+            spread={kind: spread.numbers(kind) for kind in spread.table},
+            actuators=_columns(words.inner("actuators")),
+            sensors=_columns(words.inner("sensors")),
+            window_s=words.positive("window_s", 1.0),
+            without=words.list_of_texts("without"),
+        )
+
+
+def _columns(w: Words) -> dict[str, tuple[str, float]]:
+    """Column and factor by name."""
+    out = {}
+    for name in w.table:
+        own = w.inner(name)
+        own.only("column", "factor")
+        out[name] = (own.text("column"), _factor(own))
+    return out
+
+
+def _specification(folder: Path, file: str) -> Any:
+    """The MuJoCo model as an `MjSpec` that compiles."""
+    path = inside(folder, file, "the MuJoCo model")
+    with reading(path, "the MuJoCo model"):
+        path.read_bytes()
+    try:
+        import mujoco
+    except ImportError:
+        raise WrongUseError(
+            "a MuJoCo model needs the package mujoco", "it is not installed", "pip install loopshape[mujoco]"
+        ) from None
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+    except ValueError as error:
+        raise UnreadableInputError(f"{file} does not compile in MuJoCo", short(str(error))) from error
+    return spec
 
 
 def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
@@ -59,7 +109,7 @@ def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
 
 
 def _parameter(w: Words) -> ModelParameter:
-    w.only("name", "value", "unit", "tolerance", "effect", "range")
+    w.only("name", "value", "unit", "tolerance", "effect", "range", "shaped_by")
     ends = w.list_of_numbers("range") if "range" in w.table else None
     if ends is not None and not (len(ends) == 2 and ends[0] < ends[1]):
         raise WrongUseError(f"{w.where}: a range is two rising numbers", f"{list(ends)}")
@@ -70,6 +120,7 @@ def _parameter(w: Words) -> ModelParameter:
         w.number("tolerance", 0.0),
         w.maybe_text("effect") or "",
         None if ends is None else (ends[0], ends[1]),
+        w.maybe_text("shaped_by") or "",
     )
 
 
@@ -94,6 +145,7 @@ def _output(w: Words) -> Output:
 
 
 def _port(w: Words) -> Port:
-    w.only("name", "input", "position", "speed", "motor_inertia", "unit")
-    inertia = w.maybe_text("motor_inertia")
-    return Port(w.text("name"), w.text("input"), w.text("position"), w.text("speed"), inertia, w.text("unit", "1"))
+    w.only("name", "input", "position", "speed", "motor_inertia", "motor_damping", "unit")
+    inertia, damping = w.maybe_text("motor_inertia"), w.maybe_text("motor_damping")
+    where = (w.text("input"), w.text("position"), w.text("speed"))
+    return Port(w.text("name"), *where, inertia, w.text("unit", "1"), damping)

@@ -13,8 +13,11 @@ import loopshape as ls
 from loopshape.core.errors import LoopshapeError
 from loopshape.io.machine import read_model
 from loopshape.io.run_folder import write_run
+from loopshape.model.own.mechanism import machine
 
 PAGE = (Path(__file__).parents[2] / "docs/machine.md").read_text()
+XML = re.search(r"```xml\n(.*?)```", PAGE, re.S).group(1)
+XML_WORDS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)[1]
 CODE = re.search(r"```python\n(.*?)```", PAGE, re.S).group(1)
 WORDS = re.search(r"```toml\n(.*?)```", PAGE, re.S).group(1)
 COMMAND = re.search(r"```console\nloopshape (.*?)\n```", PAGE, re.S).group(1)
@@ -42,6 +45,53 @@ def test_the_example_runs_and_names_the_friction(folder):
     assert sum(r["probability"] for r in found["ranking"]) == pytest.approx(1.0)
     assert found["gap"]["shrink"] > 0.9
     assert (folder / "gap.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.fixture
+def winch(folder):
+    (folder / "winch.xml").write_text(XML)
+    (folder / "model.toml").write_text(XML_WORDS)
+    return folder
+
+
+def test_the_mujoco_example_is_short():
+    assert XML.count("\n") + XML_WORDS.count("\n") <= 40
+
+
+@pytest.mark.long
+def test_the_mujoco_example_runs_and_names_the_friction(winch):
+    pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
+    write_run(winch / "runs/winch", own_machine.run_of(coulomb=0.03))
+    assert loopshape(*COMMAND.split(), "--save-answer", "gap.json") == 0
+    found = json.loads((winch / "gap.json").read_text())
+    assert found["verdict"] == "coulomb_friction@bearing"
+    assert found["ranking"][0]["magnitude"] == pytest.approx(0.03, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("winch.xml", 'contype="0"', 'margin="1" contype="1"', "is a tree of hinges and slides; received"),
+        ("winch.xml", "</body>", "</body><body><freejoint/><geom size='1'/></body>", "are hinges and slides"),
+        ("winch.xml", "<motor", "<position", "actuator drum of model is a motor at a joint"),
+        ("winch.xml", 'joint="bearing"/></sensor>', 'joint="gone"/></sensor>', "winch.xml does not compile in MuJoCo"),
+        ("winch.xml", "jointpos", "jointactuatorfrc", "sensor encoder reads the position or the speed of a joint"),
+        ("model.toml", "encoder =", "coder =", "sensor coder stands in model"),
+        ("model.toml", "mass =", "weight =", "unknown key; received 'weight'"),
+        ("model.toml", '"winch.xml"', '"../winch.xml"', "the MuJoCo model"),
+        ("model.toml", "lever = 0.03", "hoist = 0.03", "tolerances name what the model has; received mass of 'hoist'"),
+        ("model.toml", "drum =", "crab =", "actuators of model.toml stand in the model; received 'crab'"),
+    ],
+)
+def test_a_mujoco_model_that_does_not_fit_is_refused_in_a_sentence(winch, file, old, new, words):
+    pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
+    text = (winch / file).read_text()
+    assert old in text
+    if "contype" in old:
+        text = text.replace("<body name", '<geom type="plane" size="9 9 1" pos="0 0 0.1"/><body name')
+    (winch / file).write_text(text.replace(old, new))
+    with pytest.raises(LoopshapeError, match=re.escape(words)):
+        machine(read_model(winch / "model.toml"))
 
 
 @pytest.mark.parametrize(

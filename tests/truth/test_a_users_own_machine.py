@@ -12,7 +12,8 @@ import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.data.recording import Recording
 from loopshape.model.own.catalogue import PortScale, Scales, forms
-from loopshape.model.own.following import simulated
+from loopshape.model.own.composed import Composed
+from loopshape.model.own.following import explained, simulated
 from loopshape.model.own.plant import OwnMachine
 from loopshape.model.own.signals import delayed, lagged
 
@@ -125,6 +126,46 @@ def test_the_kernel_is_the_simulation_of_another_engine():
         states.append(done.y[:, -1])
     theirs = f.blocks(np.array(states)[None, :, :1])
     np.testing.assert_allclose(mine, theirs, atol=1e-8)
+
+
+@pytest.mark.parametrize(("play", "off"), [(0.0, 1e-5), (0.01, 5e-4)])  # (2 ms * 120 rad/s)^5 / 120; a blurred contact
+def test_a_joint_with_a_spring_or_play_is_the_simulation_of_another_engine(play, off):
+    f = replace(prepared_of(0), first=np.array([0]))
+    composed = Composed(own_machine.MODEL)
+    at, inertia = "port.bearing.", 0.006
+    m = {
+        "change.inertia": -inertia, at + "inertia": inertia, at + "coupling": 60.0, at + "coupling_damping": 0.02,
+        at + "coupling_hardening": 40.0, at + "play": play, at + "motor_damping": 0.03,
+        at + "viscous": 0.02, at + "viscous_speed": 0.7, at + "viscous_power": 0.6,
+    }  # fmt: skip
+    x0 = np.array([[0.3, -1.0, 0.0, 0.31, -0.9]])
+    mine = simulated(composed, f, m, x0)
+
+    def slope(t, x, u):
+        twist, slip = x[2] - x[0], x[3] - x[1]
+        bent = np.sign(twist) * max(abs(twist) - 0.5 * play, 0.0)
+        force = 0.0 if bent == 0.0 else 60.0 * bent * (1 + 40.0 * bent**2) + 0.02 * slip
+        drag = 0.02 * x[1] * (abs(x[1]) / 0.7) ** 0.6
+        loads = own_machine.motion(t, x[:2], force - drag + np.zeros(1), composed.values(m))
+        return [*np.ravel(loads), x[3], (u[0] - 0.03 * x[3] - force) / inertia]
+
+    states = [x0[0, [0, 1, 3, 4]]]
+    for k in range(f.length - 1):
+        done = solve_ivp(slope, (0.0, f.tick_s), states[-1], args=(f.u[k],), rtol=1e-8, atol=1e-10, max_step=5e-4)
+        states.append(done.y[:, -1])
+    theirs = f.blocks(np.array(states)[None, :, 2:3])
+    np.testing.assert_allclose(mine, theirs, atol=off)
+
+
+def prepared_of(k):
+    return OwnMachine(own_machine.MODEL).prepare(run().recordings[k], run(), 4.0)
+
+
+def test_a_hypothesis_that_runs_away_is_no_crash():
+    f = prepared_of(0)
+    wild = {"change.inertia": -0.0199, "port.bearing.inertia": 1e-4, "port.bearing.coupling": 1e9}
+    values = explained(Composed(own_machine.MODEL), f, wild | {"port.bearing.coupling_hardening": 1e12})
+    assert np.all(np.isfinite(values))
 
 
 def test_delays_and_lags_are_late_by_what_they_say():

@@ -51,8 +51,8 @@ def forms(model: Model, s: Scales) -> tuple[EffectForm, ...]:
     own = [f for i in model.inputs if i.column is not None for f in _actuator(i, s)]
     own += [f for o in model.outputs for f in _sensor(o, s)]
     own += [f for p in model.ports for f in _port(p, s)]
-    own += [f for p in model.ports if p.motor_inertia for f in _coupling(p, model.values()[p.motor_inertia], s)]
-    own += [f for p in model.parameters if p.effect != NO_EFFECT for f in _parameter(p)]
+    own += [f for p in model.ports if p.motor_inertia for f in _coupling(p, model.values(), s)]
+    own += [f for p in model.parameters if p.effect != NO_EFFECT for f in _parameter(p, model)]
     return tuple(f for f in own if f.effect.split("@")[0] not in model.without)
 
 
@@ -118,34 +118,56 @@ def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
     yield _form("coulomb_friction", p.name, "bristles", p.unit, (level, bend), source="Dahl 1968")
     yield _form("coulomb_friction", p.name, "higher at break-away", p.unit, (level, slow, share, fall),
                 source="Stribeck 1902")  # fmt: skip
+    bias = Free(f"{at}.asymmetry", -0.6, 0.6, (0.1,))
+    yield _form("coulomb_friction", p.name, "of each direction", p.unit, (level, slow, bias))
+    power = Free(f"{at}.viscous_power", -0.8, 1.5, (-0.3, 0.6))
     yield _form("viscous_error", p.name, "viscous", f"{p.unit} per speed".strip(), (viscous,))
+    yield _form("viscous_error", p.name, "power of the speed", f"{p.unit} per speed".strip(), (viscous, power),
+                {f"{at}.viscous_speed": x.speed})  # fmt: skip
     yield _form("cable_stiffness", p.name, "linear", f"{p.unit} per travel".strip(), (stiff, rest))
     yield _form("cable_stiffness", p.name, "hardening", f"{p.unit} per travel".strip(), (stiff, rest, hard))
     yield _form("force_offset", p.name, "constant", p.unit, (constant,))
 
 
-def _coupling(p: Port, inertia: float, s: Scales) -> Iterator[EffectForm]:
-    at, x = f"{PORT}.{p.name}", s.port[p.name]
+def _coupling(p: Port, values: Mapping[str, float], s: Scales) -> Iterator[EffectForm]:
+    """A spring, or play, between motor and load; the nominal damping acts at the load, or at the motor."""
+    at, x, inertia = f"{PORT}.{p.name}", s.port[p.name], values[str(p.motor_inertia)]
     per_hz2 = (2.0 * np.pi) ** 2 * inertia
     rigid = {f"{at}.inertia": inertia, f"{CHANGE}.{p.motor_inertia}": -inertia * (1.0 - 1e-6)}
+    sides = {"": rigid}
+    if p.motor_damping and (damping := values[p.motor_damping]) > 0.0:
+        sides[", damped at the motor"] = rigid | {
+            f"{at}.motor_damping": damping, f"{CHANGE}.{p.motor_damping}": -damping * (1.0 - 1e-6)
+        }  # fmt: skip
     stiff = Free(f"{at}.coupling", per_hz2, 1e4 * per_hz2, tuple(per_hz2 * hz**2 for hz in _HZ), 0.05)
-    damping = Free(f"{at}.coupling_damping", 0.0, 30.0 * inertia, (0.5 * inertia,))
-    yield _form("joint_flexibility", p.name, "spring between motor and load", f"{p.unit} per travel".strip(),
-                (stiff, damping), rigid, source="two inertias")  # fmt: skip
+    loss = Free(f"{at}.coupling_damping", 0.0, 30.0 * inertia, (0.5 * inertia,))
+    bend = x.force / per_hz2 / _HZ[-1] ** 2
+    hard = Free(f"{at}.coupling_hardening", 0.0, 10.0 / bend**2, (0.1 / bend**2,))
     widths = tuple(share * x.travel for share in (0.003, 0.01, 0.03))
-    hard = {f"{at}.coupling": 2e3 * per_hz2, f"{at}.coupling_damping": 200.0 * inertia}
     play = Free(f"{at}.play", 0.0, 0.2 * x.travel, widths)
-    yield _form("backlash", p.name, "play before a stiff spring", "", (play,),
-                rigid | hard, source="dead zone of a coupling")  # fmt: skip
+    stop = {f"{at}.coupling": 2e3 * per_hz2, f"{at}.coupling_damping": 200.0 * inertia}
+    unit = f"{p.unit} per travel".strip()
+    for side, fixed in sides.items():
+        yield _form("joint_flexibility", p.name, f"spring{side}", unit, (stiff, loss), fixed, source="two inertias")
+        yield _form("backlash", p.name, f"play before a stiff spring{side}", "", (play,), fixed | stop,
+                    source="dead zone of a coupling")  # fmt: skip
+    yield _form("joint_flexibility", p.name, "hardening spring", unit, (stiff, loss, hard), rigid)
 
 
-def _parameter(p: ModelParameter) -> Iterator[EffectForm]:
-    """Absolute change of a parameter beyond its tolerance."""
+def _parameter(p: ModelParameter, model: Model) -> Iterator[EffectForm]:
+    """Absolute change of a parameter beyond its tolerance, alone and with the one that shapes it."""
     kind, _, place = p.effect.partition("@")
+    free, least = _changed(p), BEYOND * p.tolerance * abs(p.value)
+    yield _form(kind, place, f"change of {p.name}", p.unit, (free,), usual=(least, _LARGE))
+    if p.shaped_by:
+        other = next(o for o in model.parameters if o.name == p.shaped_by)
+        yield _form(kind, place, f"change of {p.name} and {other.name}", p.unit, (free, _changed(other)),
+                    usual=(least, _LARGE))  # fmt: skip
+
+
+def _changed(p: ModelParameter) -> Free:
     low, high = p.range if p.range is not None else sorted((-0.8 * p.value, 4.0 * p.value))
     starts = tuple(v for v in (0.05 * low, 0.3 * low, 0.05 * high, 0.3 * high) if v != 0.0)
     if p.range is None:
         starts = (-0.15 * p.value, 0.15 * p.value)
-    least = BEYOND * p.tolerance * abs(p.value)
-    yield _form(kind, place, f"change of {p.name}", p.unit, (Free(f"{CHANGE}.{p.name}", low, high, starts),),
-                usual=(least, _LARGE))  # fmt: skip
+    return Free(f"{CHANGE}.{p.name}", low, high, starts)

@@ -76,10 +76,10 @@ class Composed:
         return namedtuple("Parameters", [p.name for p in self.model.parameters] or ["none"])
 
     def values(self, m: Mapping[str, float]) -> Any:
-        """The simulator's parameters, by name."""
-        names = [p.name for p in self.model.parameters]
+        """The simulator's parameters, by name, or what the model derives of them."""
         nominal = self.model.values()
-        return self._tuple(*([float(m.get(n, nominal[n]) + m.get(f"{CHANGE}.{n}", 0.0)) for n in names] or [0.0]))
+        own = tuple(float(m.get(n, v) + m.get(f"{CHANGE}.{n}", 0.0)) for n, v in nominal.items())
+        return self._tuple(*(own or (0.0,))) if self.model.derived is None else self.model.derived(own)
 
     def actuator(self, j: int, m: Mapping[str, float]) -> dict[str, float]:
         """Numbers of the j-th input's actuator."""
@@ -148,7 +148,7 @@ class Composed:
         return ParameterTable(tuple(rows))
 
 
-_NEUTRAL = {"coulomb_speed": 1.0, "stribeck_speed": 1.0}
+_NEUTRAL = {"coulomb_speed": 1.0, "stribeck_speed": 1.0, "viscous_speed": 1.0}
 
 
 def _row(name: str, value: float, unit: str, block: str) -> Parameter:

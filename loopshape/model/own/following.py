@@ -26,6 +26,7 @@ LEAD = 0.1  # share of a window
 BLOCKS = 100  # compared values a window
 RIPPLE = 0.002  # share of the motion within a window that a good model leaves
 _PRIOR = 1.0 / 9.0  # an initial state lies within three ranges of the first guess
+_ROUNDING = 1e-12
 _STEP = 1e-4  # of a state's range, for slopes
 _ROUNDS = 4
 _MOST = 1e5  # floors: a simulation that is further off has run away
@@ -185,7 +186,9 @@ def shot(c: Composed, f: Followed, m: Mapping[str, float]) -> tuple[Array, Array
 
 def _solved(slopes: Array, lacking: Array) -> Array:
     """Changes (windows, states) in ranges that explain what is lacking (windows, values) best."""
-    h = np.einsum("wvi,wvj->wij", slopes, slopes) + _PRIOR * np.eye(slopes.shape[2])
+    h = np.einsum("wvi,wvj->wij", slopes, slopes)
+    hold = _PRIOR + _ROUNDING * np.trace(h, axis1=1, axis2=2)  # slopes of what runs away are no numbers to rely on
+    h += hold[:, None, None] * np.eye(slopes.shape[2])
     return np.asarray(np.linalg.solve(h, np.einsum("wvi,wv->wi", slopes, lacking)[:, :, None])[:, :, 0])
 
 

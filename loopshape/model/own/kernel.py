@@ -22,10 +22,12 @@ BRISTLE, MOTOR, MOTOR_SPEED = 0, 1, 2
 FIELDS = (
     "viscous", "coulomb", "coulomb_speed", "bristle", "stribeck", "stribeck_speed", "stiffness", "hardening", "rest",
     "offset", "coupling", "coupling_damping", "play", "inertia",
+    "viscous_speed", "viscous_power", "asymmetry", "coupling_hardening", "motor_damping",
 )  # fmt: skip
 (
     VISCOUS, COULOMB, COULOMB_SPEED, BRISTLES, STRIBECK, STRIBECK_SPEED, STIFFNESS, HARDENING, REST,
     OFFSET, COUPLING, COUPLING_DAMPING, PLAY, INERTIA,
+    VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING,
 ) = range(len(FIELDS))  # fmt: skip
 #: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
 DRIVEN, POSITION, SPEED = 0, 1, 2
@@ -39,6 +41,8 @@ def _friction(f: Array, j: int, v: float, z: float) -> tuple[float, float]:
     level = f[j, COULOMB]
     if level == 0.0:
         return 0.0, 0.0
+    if f[j, ASYMMETRY] != 0.0:
+        level *= 1.0 + f[j, ASYMMETRY] * np.sign(v)
     if f[j, BRISTLES] > 0.0:
         return level * z / f[j, BRISTLES], v - abs(v) * z / f[j, BRISTLES]
     if f[j, STRIBECK] != 0.0:
@@ -49,8 +53,10 @@ def _friction(f: Array, j: int, v: float, z: float) -> tuple[float, float]:
 @_njit
 def _resisting(f: Array, j: int, q: float, v: float) -> float:
     """Springs, further damping and a constant, against the motion."""
-    d = q - f[j, REST]
-    return f[j, VISCOUS] * v + f[j, STIFFNESS] * d * (1.0 + f[j, HARDENING] * d * d) - f[j, OFFSET]
+    d, viscous = q - f[j, REST], f[j, VISCOUS]
+    if f[j, VISCOUS_POWER] != 0.0:
+        viscous *= (abs(v) / f[j, VISCOUS_SPEED] + 1e-6) ** f[j, VISCOUS_POWER]
+    return viscous * v + f[j, STIFFNESS] * d * (1.0 + f[j, HARDENING] * d * d) - f[j, OFFSET]
 
 
 @_njit
@@ -59,7 +65,8 @@ def _coupled(f: Array, j: int, twist: float, slip: float) -> float:
     half = 0.5 * f[j, PLAY]
     if abs(twist) <= half:
         return 0.0
-    return f[j, COUPLING] * (twist - np.sign(twist) * half) + f[j, COUPLING_DAMPING] * slip
+    bent = twist - np.sign(twist) * half
+    return f[j, COUPLING] * bent * (1.0 + f[j, COUPLING_HARDENING] * bent * bent) + f[j, COUPLING_DAMPING] * slip
 
 
 @_njit
@@ -72,7 +79,8 @@ def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[n
         if f[j, INERTIA] > 0.0:
             through = _coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
             dx[k + MOTOR] = x[k + MOTOR_SPEED]
-            dx[k + MOTOR_SPEED] = (drive[a] - through) / f[j, INERTIA]
+            own = drive[a] - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
+            dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
             drive[a] = through
         else:
             dx[k + MOTOR] = 0.0
