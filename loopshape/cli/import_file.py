@@ -1,4 +1,4 @@
-"""`loopshape import`: a run from somebody's file, by a map that leaves nothing to guess."""
+"""`loopshape import`: a run from somebody's file, by a map that leaves nothing to guess; without one a draft of it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,59 @@ if TYPE_CHECKING:
 
 
 def import_file(
-    file: Annotated[Path, typer.Argument(help="CSV, MAT (v5, v7.3), Parquet or NPZ.", show_default=False)],
-    map_file: Annotated[Path, typer.Option("--map", help="Which column is what, in which unit, at which rate.")],
-    out: Annotated[Path, typer.Option(help="The run folder to write, or to add to.")],
+    file: Annotated[Path, typer.Argument(help="CSV, MAT (v5, v7.3), Parquet, NPZ and others.", show_default=False)],
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="Which column is what; without it a draft of it is written.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The run folder to write, or to add to.")] = None,
+    accept: Annotated[bool, typer.Option("--accept", help="Take a draft as it is, with its guesses.")] = False,
+    draft: Annotated[Path | None, typer.Option(help="Where the draft goes; default: FILE.map.toml here.")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="The rate, for a draft of a file without stamps.")] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Put this in place of the run that is there.")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a run folder from a recording of your own; the map's keys are in docs/files.md."""
-    import_run(file, map_file, out, Output(as_json, quiet), replace=replace)
+    """Make a run folder from a recording of your own; the map's keys are in docs/files.md.
+
+    Without --map the file is looked at and a draft of the map is written, with a reason for each guess and a picture;
+    with --accept the run is made from it at once.
+    """
+    from loopshape.core.errors import WrongUseError
+
+    output = Output(as_json, quiet)
+    if (map_file is not None or accept) and out is None:
+        raise WrongUseError("a run needs a folder", "no --out", "name it: --out FOLDER")
+    if map_file is not None and (draft is not None or rate_hz is not None):
+        raise WrongUseError(
+            "--draft and --rate-hz are for a draft", f"--map {map_file}", "leave them out: the map says the rate"
+        )
+    if map_file is None:
+        map_file = _draft(file, draft or Path(f"{file.name.split('.')[0]}.map.toml"), output, rate_hz, accept=accept)
+    if out is not None:
+        import_run(file, map_file, out, output, replace=replace, accept=accept)
+
+
+def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, accept: bool) -> Path:
+    """Write the draft of a file's map and its picture, and say each guess; gives the map."""
+    from loopshape.cli.pictures import save
+    from loopshape.io.draft_map import draft_map, write_draft
+    from loopshape.view.draft import draft as drawn
+
+    made = draft_map(file, rate_hz)
+    write_draft(path, made, file)
+    figure = drawn({c.name: c.values for c in made.columns}, made.roles, made.rate_hz)
+    picture = save(figure, path.with_suffix(".png"))
+    output.say(f"draft of a map: {path}, drawn in {picture}\n")
+    for sentence in made.guesses:
+        output.paragraph(f"- {sentence}")
+    if made.open:
+        output.say("\nOpen:")
+    for sentence in made.open:
+        output.paragraph(f"- {sentence}")
+    if not accept:
+        output.say(f"\nRead it, correct it, delete [draft]; then: loopshape import {file} --map {path} --out RUN")
+        output.json({"map": str(path), "picture": str(picture), "guesses": list(made.guesses), "open": list(made.open)})
+    return path
 
 
 def _add(out: Path, run: Run) -> None:
@@ -45,7 +89,9 @@ def _add(out: Path, run: Run) -> None:
         write_run(out, dataclasses.replace(run, recordings=todo))
 
 
-def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False) -> None:
+def import_run(
+    file: Path, map_file: Path, out: Path, output: Output, *, replace: bool = False, accept: bool = False
+) -> None:
     """Import, check, write and report; what is there already, number for number, is left as it is."""
     from loopshape.core.stretches import extent
     from loopshape.identify.signals import has_instrument
@@ -53,7 +99,8 @@ def import_run(file: Path, map_file: Path, out: Path, output: Output, *, replace
     from loopshape.io.replacing import replace_run
     from loopshape.io.run_folder import check_recordings
 
-    run = read(file, map_file, next((p for p in (out, *out.absolute().parents) if p.is_dir()), None))
+    beside = next((p for p in (out, *out.absolute().parents) if p.is_dir()), None)
+    run = read(file, map_file, beside, accept_draft=accept)
     warnings = check_recordings(run)
     for recording in run.recordings:
         if recording.info.excites is not None and not has_instrument(recording, run.loop(recording.info.excites)):

@@ -22,6 +22,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0),
     "ms": ("s", 1e-3),
     "us": ("s", 1e-6),
+    "ns": ("s", 1e-9),
     "rad": ("rad", 1.0),
     "mrad": ("rad", 1e-3),
     "deg": ("rad", 1.0 / DEG_PER_RAD),

@@ -24,12 +24,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CsvShape:
-    """How a CSV file is laid out; `separator` " " takes any run of blanks."""
+    """How a CSV file is laid out; `separator` " " takes any run of blanks.
+
+    `skip_rows` lines stand above the header, `unit_rows` between it and the first row.
+    """
 
     separator: str = ","
     header: bool = True
     skip_rows: int = 0
     decimal: str = "."
+    unit_rows: int = 0
+    encoding: str = "utf-8-sig"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +63,24 @@ class CsvTable:
                 "repair the file, or say its separator and decimal sign",
             )
         return values
+
+    def stamps(self, name: str, clock: str) -> Array:
+        """A column (n,) of stamps written as text, in s since its first row; refuses what `clock` does not read.
+
+        `clock` is "iso" (dates and times as ISO 8601 writes them), "clock" (hours:minutes:seconds), or a format of
+        `datetime.strptime`. A comma stands for the point of the seconds.
+        """
+        import pandas as pd
+
+        raw = self.frame.iloc[:, self._places[name]].astype(str).str.strip()
+        with reading(self.path, f"a file whose column {name} holds stamps {clock!r}"):
+            if clock == "clock":
+                spans = pd.to_timedelta(raw.str.replace(",", ".", regex=False))
+            else:
+                text = raw.str.replace(",", ".", regex=False) if clock == "iso" else raw
+                dates = pd.to_datetime(text, format="ISO8601" if clock == "iso" else clock, utc=True)
+                spans = dates - dates.iloc[0]
+            return np.asarray((spans - spans.iloc[0]).dt.total_seconds(), dtype=float)
 
 
 def read_csv_names(path: Path, shape: CsvShape) -> tuple[str, ...]:
@@ -88,7 +111,7 @@ def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[Csv
             decimal=shape.decimal,
             skipinitialspace=True,
             skip_blank_lines=False,
-            encoding="utf-8-sig",
+            encoding=shape.encoding,
             low_memory=False,
             iterator=True,
         )
@@ -114,7 +137,7 @@ def _table(path: Path, names: tuple[str, ...], frame: pd.DataFrame) -> CsvTable:
 
 def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
     """Names, and how many lines lie above the first row."""
-    with reading(path, "CSV", csv.Error), _open(path) as file:
+    with reading(path, "CSV", csv.Error), _open(path, shape.encoding) as file:
         skipped = _skip(file, shape.skip_rows)
         if shape.separator == " ":
             cells, lines = file.readline().split(), 1
@@ -129,12 +152,12 @@ def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
             short(", ".join(names)) or "nothing",
             "repair the header",
         )
-    return names, skipped + lines
+    return names, skipped + lines + shape.unit_rows
 
 
 def _skipped(path: Path, shape: CsvShape) -> int:
-    with reading(path, "CSV"), _open(path) as file:
-        return _skip(file, shape.skip_rows)
+    with reading(path, "CSV"), _open(path, shape.encoding) as file:
+        return _skip(file, shape.skip_rows + shape.unit_rows)
 
 
 def _skip(file: IO[str], lines: int) -> int:
@@ -145,8 +168,23 @@ def _skip(file: IO[str], lines: int) -> int:
     return lines
 
 
-def _open(path: Path) -> IO[str]:
-    return io.TextIOWrapper(_bytes(path), encoding="utf-8-sig", newline="")
+def _open(path: Path, encoding: str) -> IO[str]:
+    return io.TextIOWrapper(_bytes(path), encoding=encoding, newline="")
+
+
+def first_text(path: Path, most_bytes: int) -> tuple[str, str]:
+    """The beginning of a file of text, and its encoding: a byte order mark's, else UTF-8, else Windows-1252."""
+    with reading(path, "text"), _bytes(path) as file:
+        data = file.read(most_bytes)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data[: len(data) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"
+    if b"\0" in data:
+        raise UnreadableInputError(f"{path} is no file of text", "it holds zero bytes", "name its kind by its ending")
+    whole = data if len(data) < most_bytes else data[: data.rfind(b"\n") + 1] or data
+    try:
+        return whole.decode("utf-8-sig"), "utf-8-sig"
+    except UnicodeDecodeError:
+        return whole.decode("cp1252", errors="replace"), "cp1252"
 
 
 def _bytes(path: Path) -> IO[bytes]:

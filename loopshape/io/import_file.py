@@ -23,7 +23,7 @@ _MOST_GROWTH = 50  # times the file's rows; more comes from a wrong unit of the 
 _GAP = 1.5  # median steps
 
 
-def import_file(file: Path, map_file: Path, beside: Path | None = None) -> Run:
+def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accept_draft: bool = False) -> Run:
     """The run with one recording that a map makes of a file; `run_folder.write_run` stores it.
 
     The recording is in memory; a long one is read from its file as it is asked for, of CSV from a copy of its numbers
@@ -32,14 +32,16 @@ def import_file(file: Path, map_file: Path, beside: Path | None = None) -> Run:
     Reads CSV and other text (.csv, .csv.gz, .txt, .tsv, .dat), MAT up to v7 and v7.3, Parquet, NPZ and MDF; the
     keys of the map stand in `import_map`. Refuses whatever the map does not say (`WrongUseError`), damaged files
     (`UnreadableInputError`), and values or stamps that are no recording (`BadSignalError`). Where
-    stamps jitter or were resampled, `extra["notes"]` says how, how many gaps there were and how long.
+    stamps jitter or were resampled, `extra["notes"]` says how, how many gaps there were and how long. A map that is a
+    draft is refused unless `accept_draft`; then the notes hold each of its guesses.
     """
-    rules = read_map(map_file, file.name.split(".")[0])
+    rules = read_map(map_file, file.name.split(".")[0], accept_draft=accept_draft)
     places = [rule.place for rule in (*rules.columns, rules.time) if rule is not None]
     source = open_source(file, rules.csv, places, beside)
     columns: Mapping[str, Signal] = {rule.stored: _signal(source, rule) for rule in rules.columns}
     _check_lengths(columns, file)
     notes = [f"{rules.info.name}: imported from {file.name}"]
+    notes += [f"{rules.info.name}: from a draft map that nobody confirmed: {guess}" for guess in rules.guesses]
     stamps = _signal(source, rules.time) if rules.time else None
     if stamps is not None:
         _check_lengths({TIME: stamps, **columns}, file)

@@ -3,7 +3,7 @@
     format = "loopshape-map/1"
     rate_hz = 100.0                            # the rate of the recording that is made
     plant = "servo-axis"                       # as in run.toml; outputs, pwm and parameters may stand here too
-    time = { from = "t", unit = "ms" }         # optional: the stamps, checked against rate_hz
+    time = { from = "t", unit = "ms" }         # optional: the stamps, checked against rate_hz; of text, clock = "iso"
     resample = true                            # optional: stamps are irregular, interpolate linearly
 
     [csv]                                      # optional, for text files
@@ -11,6 +11,8 @@
     header = false                             # default true
     skip_rows = 2                              # lines above the header or the first row
     decimal = ","                              # default "."
+    unit_rows = 1                              # lines between the header and the first row
+    encoding = "cp1252"                        # default "utf-8-sig"
 
     [columns]                                  # stored name = where it comes from
     theta_m_rad = { from = "theta_mx", unit = "deg", sign = -1 }
@@ -21,6 +23,10 @@
     name = "r01"                               # default: the file's name
     from_row = 2001                            # first and last row that are taken
     to_row = 52000
+
+    [draft]                                    # only in a draft, which is taken with --accept
+    guesses = ["..."]                          # what was guessed, each with its reason
+    open = ["..."]                             # what could not be told
 
 Columns, rows of an array (`row = 2`, for signals that lie in rows) and rows of a recording count from 1; a
 header is no row. A headerless table takes `column` alone. stored = factor (sign gain value + offset): gain and
@@ -52,8 +58,10 @@ from loopshape.io.words import Words, read_words, said_in
 FORMAT = "loopshape-map/1"
 _KEYS = (
     "format", "rate_hz", "plant", "outputs", "pwm", "parameters", "time", "resample", "csv", "columns", "loop",
-    "recording",
+    "recording", "draft",
 )  # fmt: skip
+#: encodings of text that a map may name
+ENCODINGS = ("utf-8-sig", "cp1252", "latin-1", "utf-16")
 _SEPARATORS = {"tab": "\t", "blank": " ", " ": " "}
 
 
@@ -84,12 +92,17 @@ class ImportMap:
     pwm: Mapping[str, float]
     parameters: Mapping[str, Any]
     outputs: tuple[str, ...] = ()
+    guesses: tuple[str, ...] = ()
 
 
-def read_map(map_file: Path, default_name: str) -> ImportMap:
-    """Read a MAP.toml; refuses missing and unknown keys, wrong units, loops and outputs without their columns."""
+def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -> ImportMap:
+    """Read a MAP.toml; refuses missing and unknown keys, wrong units, loops and outputs without their columns.
+
+    A draft is refused unless it is accepted, and one that leaves questions open in any case.
+    """
     words = read_words(map_file, FORMAT)
     words.only(*_KEYS)
+    guesses = _draft(words, accept_draft)
     words.need("rate_hz", "columns", "loop", "recording")
     rate_hz = words.positive("rate_hz")
     loops = read_loops(words, rate_hz)
@@ -113,7 +126,28 @@ def read_map(map_file: Path, default_name: str) -> ImportMap:
         pwm=words.numbers("pwm"),
         parameters=words.numbers("parameters"),
         outputs=outputs,
+        guesses=guesses,
     )
+
+
+def _draft(words: Words, accepted: bool) -> tuple[str, ...]:
+    """The guesses of a draft; empty for a map that somebody wrote or confirmed."""
+    if "draft" not in words.table:
+        return ()
+    draft = words.inner("draft")
+    draft.only("guesses", "open")
+    if questions := draft.list_of_texts("open"):
+        raise WrongUseError(
+            f"{words.where} is a draft that leaves questions open", " ".join(questions),
+            "answer them in the map and delete its table [draft]",
+        )  # fmt: skip
+    guesses = draft.list_of_texts("guesses")
+    if not accepted:
+        raise WrongUseError(
+            f"{words.where} is a draft that nobody has confirmed", f"{len(guesses)} guesses under [draft]",
+            "read it, correct it and delete [draft], or take it as it is with --accept",
+        )  # fmt: skip
+    return guesses
 
 
 def _resample(words: Words) -> bool:
@@ -128,7 +162,7 @@ def _resample(words: Words) -> bool:
 
 
 def _read_csv(words: Words) -> CsvShape:
-    words.only("separator", "header", "skip_rows", "decimal")
+    words.only("separator", "header", "skip_rows", "decimal", "unit_rows", "encoding")
     separator = words.text("separator", ",")
     separator = _SEPARATORS.get(separator, separator)
     if len(separator) != 1 or separator in "\r\n\"'.0123456789":
@@ -140,7 +174,8 @@ def _read_csv(words: Words) -> CsvShape:
     decimal = words.one_of("decimal", (".", ","), ".")
     if decimal == separator:
         raise WrongUseError(f"{words.where}: separator and decimal are the same", repr(decimal), "say which is which")
-    return CsvShape(separator, words.truth("header", True), words.whole("skip_rows", 0), decimal)
+    header, encoding = words.truth("header", True), words.one_of("encoding", ENCODINGS, ENCODINGS[0])
+    return CsvShape(separator, header, words.whole("skip_rows", 0), decimal, words.whole("unit_rows", 0), encoding)
 
 
 def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
@@ -153,7 +188,7 @@ def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
 
 
 def _read_rule(stored: str, words: Words) -> ColumnRule:
-    words.only("from", "column", "row", "unit", "sign", "gain", "offset")
+    words.only("from", "column", "row", "unit", "sign", "gain", "offset", *(("clock",) if stored == TIME else ()))
     with said_in(words.where):
         suffix, factor = to_stored(words.text("unit"))
         wanted = Channel.from_column("time_s" if stored == TIME else stored).unit
@@ -173,7 +208,9 @@ def _read_rule(stored: str, words: Words) -> ColumnRule:
 def _read_place(words: Words) -> Place:
     if not {"from", "column"} & set(words.table):
         raise WrongUseError(f"{words.where}: it comes from nowhere", "no from", 'write from = "name in the file"')
-    return Place(words.maybe_text("from"), _count(words, "column"), _count(words, "row"))
+    return Place(
+        words.maybe_text("from"), _count(words, "column"), _count(words, "row"), words.maybe_text("clock")
+    )  # fmt: skip
 
 
 def _count(words: Words, key: str) -> int | None:

@@ -29,11 +29,15 @@ LONG_TEXT = 200_000_000
 
 @dataclass(frozen=True)
 class Place:
-    """Where a signal stands: an array's name, and its column or row (from 1) where it has two dimensions."""
+    """Where a signal stands: an array's name, and its column or row (from 1) where it has two dimensions.
+
+    `clock` says how stamps are written that are text (`CsvTable.stamps`).
+    """
 
     name: str | None
     column: int | None = None
     row: int | None = None
+    clock: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +52,13 @@ class Source:
     load: Callable[[str], np.ndarray]
     numbered: bool = False
     long: Callable[[str], LongSignal | None] = lambda name: None
+    stamps: Callable[[str, str], Array] | None = None
 
     def signal(self, place: Place) -> Signal:
         """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
         name = str(place.column) if self.numbered else place.name
+        if place.clock is not None and name in self.names:
+            return self._stamps(str(name), place.clock)
         alone = self.numbered or (place.column is None and place.row is None)
         if name in self.names and alone and (long := self.long(str(name))) is not None:
             return long
@@ -64,6 +71,14 @@ class Source:
                 f"it holds {short(', '.join(self.names), 400)}" + self._hint(),
             )
         return _pick(_numbers(self.path, place.name, self.load(place.name)), place, self.path.name)
+
+    def _stamps(self, name: str, clock: str) -> Array:
+        if self.stamps is None:
+            raise WrongUseError(
+                f"{self.path.name} is not read for stamps written as text", f"clock = {clock!r}",
+                "text files below 200 MB are: write the stamps as numbers",
+            )  # fmt: skip
+        return self.stamps(name, clock)
 
     def _hint(self) -> str:
         one = self.names[0] if len(self.names) == 1 else ""
@@ -133,9 +148,15 @@ def open_source(
     )
 
 
+def is_text(path: Path) -> bool:
+    """Whether a file is one of text, by its ending."""
+    return path.name.lower().endswith(_TEXT)
+
+
 def _csv_source(path: Path, shape: CsvShape) -> Source:
     table = read_csv_table(path, shape)
-    return Source(path, tuple(name for name in table.names if name), table.column, numbered=not shape.header)
+    names = tuple(name for name in table.names if name)
+    return Source(path, names, table.column, numbered=not shape.header, stamps=table.stamps)
 
 
 def _is_long_text(path: Path) -> bool:

@@ -1,0 +1,125 @@
+"""What names of columns say in many houses' habits: a unit, and the part that a signal plays in a loop."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+
+from loopshape.core.units import UNITS
+
+
+class Role(StrEnum):
+    """The part of a signal in a loop, as drawn in `loopshape.data.loop`; each is also its word."""
+
+    TIME = "time"
+    REFERENCE = "reference"
+    INJECTED = "injected"
+    CONTROL = "control"
+    OUTPUT = "output"
+    ERROR = "error"
+
+
+_UNIT_WORDS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms", "usec": "us", "µs": "us",
+    "μs": "us", "microseconds": "us", "milliseconds": "ms", "nsec": "ns", "°": "deg", "degree": "deg", "degrees": "deg",
+    "grad": "deg", "radian": "rad", "radians": "rad", "rads": "rad", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
+    "ampere": "A", "newton": "N", "newtons": "N", "µm": "um", "μm": "um", "micron": "um", "microns": "um", "meter": "m",
+    "metre": "m", "meters": "m", "n·m": "Nm", "n*m": "Nm", "n.m": "Nm", "n-m": "Nm", "rad/sec": "rad/s",
+    "rad/s": "rad/s", "°/s": "deg/s", "deg/s": "deg/s", "dps": "deg/s", "1/min": "rpm", "u/min": "rpm", "m/s^2": "m/s2",
+    "m/s²": "m/s2", "m/s/s": "m/s2", "-": "1", "none": "1", "count": "1", "counts": "1", "inc": "1", "%": "1",
+    "pu": "1", "p.u.": "1", "norm": "1",
+}  # fmt: skip
+_LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("Pa", "MPa", "nm", "Nm", "N m", "1", "m", "MPa")}
+_BRACKETED = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+_AFTER_SLASH = re.compile(r"\s+/\s*(\S.*)$")
+_TAIL = re.compile(r"[_ ]([^_ ]+)$")
+
+_TIME = {"t", "time", "zeit", "timestamp", "timestamps", "stamp", "temps", "tiempo", "clock", "date", "datetime",
+         "uhrzeit", "zeitstempel", "utc", "elapsed", "sec", "seconds"}  # fmt: skip
+#: words of a role and their weight: what says which signal goes before what says of what quantity it is
+_WEIGHTS: dict[Role, dict[str, float]] = {
+    Role.REFERENCE: {
+        **dict.fromkeys(("r", "w", "ref", "reference", "setpoint", "sp", "soll", "sollwert", "target", "targets",
+                         "desired", "des", "demand", "goal", "trajectory", "traj", "setp", "consigne"), 6.0),
+        **dict.fromkeys(("cmd", "command", "commanded", "set", "profile", "input"), 2.5),
+    },
+    Role.INJECTED: {
+        **dict.fromkeys(("inj", "injected", "injection", "exc", "excitation", "chirp", "sweep", "prbs", "multisine",
+                         "dither", "perturbation", "stimulus", "anregung", "disturbance", "noise", "probe", "dist",
+                         "n", "d"), 6.0),
+    },
+    Role.CONTROL: {
+        **dict.fromkeys(("u", "control", "ctrl", "controller", "effort", "duty", "pwm", "dac", "stell", "stellgroesse",
+                         "stellgröße", "actuator", "plantinput", "mv", "co"), 4.0),
+        **dict.fromkeys(("voltage", "volt", "volts", "current", "iq", "torque", "force", "drive", "motor", "strom",
+                         "spannung", "moment", "thrust", "z", "valve", "amp", "i"), 2.0),
+    },
+    Role.OUTPUT: {
+        **dict.fromkeys(("y", "actual", "act", "ist", "istwert", "meas", "measured", "measurement", "feedback", "fb",
+                         "fbk", "pv", "response", "sensor"), 4.0),
+        **dict.fromkeys(("pos", "position", "angle", "theta", "phi", "enc", "encoder", "velocity", "vel", "speed", "x",
+                         "displacement", "gap", "height", "temperature", "pressure", "winkel", "weg", "drehzahl",
+                         "acceleration", "accel", "acc", "gyro", "rate", "level", "output", "out", "q"), 2.0),
+    },
+    Role.ERROR: dict.fromkeys(("e", "err", "error", "regelabweichung", "following", "deviation", "schleppfehler"), 9.0),
+}  # fmt: skip
+
+
+def unit_of_word(word: str) -> str | None:
+    """The unit that a word stands for, as `core.units` writes it; None for one that is not known."""
+    plain = word.strip().strip("[]()").strip()
+    if plain in UNITS:
+        return plain
+    return _UNIT_WORDS.get(plain.lower()) or _LOWER.get(plain.lower())
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """A column's name without its unit, and the word for the unit that it bears ("" for none)."""
+    if found := _BRACKETED.search(name):
+        return name[: found.start()].strip() or name, found[1].strip()
+    if found := _AFTER_SLASH.search(name):
+        return name[: found.start()].strip(), found[1].strip()
+    for tail in ("rad_s2", "rad_s", "deg_s", "m_s2", "m_s"):
+        if name.lower().endswith("_" + tail):
+            return name[: -len(tail) - 1], tail.replace("_", "/", 1)
+    found = _TAIL.search(name)
+    if found and len(found[1]) > 0 and (unit := unit_of_word(found[1])) and unit != "1" and found.start() > 0:
+        return name[: found.start()], found[1]
+    return name, ""
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """The words of a name in lower case: parts between signs, figures and humps."""
+    humps = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", split_unit(name)[0])
+    return tuple(word for word in re.split(r"[^A-Za-zÄÖÜäöüß]+", humps.lower()) if word)
+
+
+def is_time(name: str) -> bool:
+    """Whether a name says time."""
+    words = words_of(name)
+    return bool(set(words) & _TIME) and not role_weights(name)
+
+
+def role_weights(name: str) -> dict[Role, float]:
+    """How strongly the words of a name speak for each part in a loop; nothing where none does."""
+    found = {role: sum(_weight(weights, word) for word in words_of(name)) for role, weights in _WEIGHTS.items()}
+    return {role: weight for role, weight in found.items() if weight > 0.0}
+
+
+def _weight(weights: dict[str, float], word: str) -> float:
+    """A word's weight; a long word that begins with a known one of three letters or more counts half."""
+    if word in weights:
+        return weights[word]
+    return 0.5 * max(
+        (value for known, value in weights.items() if len(known) > 2 and word.startswith(known)), default=0
+    )
+
+
+def column_name(name: str, suffix: str, taken: set[str]) -> str:
+    """A stored column's name: letters, figures and underscores, its unit at the end, and no other column's."""
+    plain = re.sub(r"[^A-Za-z0-9]+", "_", split_unit(name)[0]).strip("_").lower() or "column"
+    plain = f"c_{plain}" if plain[0].isdigit() else plain
+    made, k = f"{plain}_{suffix}", 2
+    while made in taken or made == "t_s":
+        made, k = f"{plain}_{k}_{suffix}", k + 1
+    return made

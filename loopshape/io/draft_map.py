@@ -1,0 +1,330 @@
+"""A first map for somebody's file: what it seems to hold, each guess with its reason, and what it does not tell.
+
+Nothing is guessed in silence: the draft lists its guesses, is taken only when a person confirms or accepts it, and the
+run that is made with it repeats them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
+from loopshape.core.units import UNITS, Array, to_stored
+from loopshape.io.column_words import Role, column_name, is_time, split_unit, unit_of_word
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.draft_roles import Roles, find_roles
+from loopshape.io.files import make_folder, write_text_whole
+from loopshape.io.import_map import FORMAT
+from loopshape.io.sources import Place, Source, is_text, open_source
+from loopshape.io.stamps import ON_GRID, read_stamps
+from loopshape.io.text_layout import TextLayout, read_layout
+from loopshape.io.toml_text import toml_text
+
+_MOST_COLUMNS = 64
+_RATE_WORDS = re.compile(
+    r"\b(fs|rate|rate_hz|sample[ _]?rate|sampling[ _]?rate|sampling[ _]?frequency|abtastrate|f_?s)\b[^0-9\n]{0,12}"
+    r"([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(k?hz)?",
+    re.IGNORECASE,
+)
+_PERIOD_WORDS = re.compile(
+    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sampleinterval"
+    r"|abtastzeit|cycle ?time|zykluszeit)\b[^0-9\n]{0,12}([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(us|µs|ms|s)?",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A signal of the file: its name there, where it stands, the unit that it bears ("" for none), and its values."""
+
+    name: str
+    place: Place
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A map's table as TOML takes it, and what goes with it for people: columns by part, guesses, open questions."""
+
+    table: Mapping[str, Any]
+    guesses: tuple[str, ...]
+    open: tuple[str, ...]
+    columns: tuple[Column, ...]
+    roles: Mapping[str, str] = field(default_factory=dict)
+    rate_hz: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Time:
+    """The stamps' rule, the rate, whether the rows need a new grid, and why."""
+
+    rule: Mapping[str, Any] | None
+    rate_hz: float
+    resample: bool
+    guesses: tuple[str, ...]
+    column: str | None = None
+
+
+def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
+    """Look at a file that `open_source` reads, and write the map that it seems to need; a stated rate goes first.
+
+    Refuses a file that cannot be read, one without signals of one length, and a file of text without rows of numbers.
+    """
+    layout = read_layout(file) if is_text(file) else None
+    source = open_source(file, CsvShape() if layout is None else layout.shape)
+    columns, scalars = _columns(source, layout)
+    found = _time(columns, layout, scalars)
+    if rate_hz is not None:
+        found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
+    signals = [c for c in columns if c.name != found.column]
+    still = [c.name for c in signals if np.ptp(c.values) == 0.0]
+    moving = tuple(c for c in signals if c.name not in still)
+    roles = find_roles([c.name for c in moving], np.stack([c.values for c in moving], axis=1)) if moving else Roles()
+    return _drafted(file, layout, found, moving, still, roles)
+
+
+def write_draft(path: Path, draft: Draft, file: Path) -> None:
+    """Write a draft's map, its guesses one a line; refuses to write over a file that is there."""
+    if path.exists():
+        raise WrongUseError(
+            f"{path} is there already", "a draft is not written over a map", "give another name (--draft FILE)"
+        )
+    head = f"# Draft of a map of {file.name}: read it against [draft], correct it, then delete [draft].\n"
+    body = toml_text({key: value for key, value in draft.table.items() if key != "draft"})
+    lists = "".join(_listed(key, draft.table["draft"].get(key, ())) for key in ("guesses", "open"))
+    make_folder(path.parent)
+    write_text_whole(path, f"{head}{body}\n[draft]\n{lists}")
+
+
+def _listed(key: str, sentences: Sequence[str]) -> str:
+    rows = "".join(f"  {json.dumps(one, ensure_ascii=False)},\n" for one in sentences)
+    return f"{key} = [\n{rows}]\n" if sentences else ""
+
+
+def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, ...], dict[str, float]]:
+    """All signals of the most frequent length, and the numbers that stand alone."""
+    found, scalars = [], {}
+    for k, name in enumerate(source.names[:_MOST_COLUMNS]):
+        if layout is not None and layout.shape.header:
+            k = layout.names.index(name)
+        if layout is not None and layout.clocks[k]:
+            found.append(_stamped(source, layout, name, k))
+            continue
+        try:
+            values = np.asarray(source.load(name))
+        except LoopshapeError:
+            continue  # a column of text
+        if values.size == 1 and values.dtype.kind in "biuf":
+            scalars[name] = float(values.ravel()[0])
+        elif values.dtype.kind in "biuf":
+            found += _signals(source, layout, name, k, np.asarray(values, dtype=float))
+    lengths = Counter(c.values.size for c in found)
+    if not lengths or max(lengths) < 2:
+        raise UnreadableInputError(
+            f"{source.path.name} holds no signals", f"{len(source.names)} names, none of two numbers or more",
+            "name a file with a row of numbers a sample",
+        )  # fmt: skip
+    rows = max(lengths, key=lambda size: (lengths[size], size))
+    return tuple(_trimmed(c) for c in found if c.values.size == rows), scalars
+
+
+def _trimmed(column: Column) -> Column:
+    """Empty cells count as zero here: the import names and refuses them."""
+    return replace(column, values=np.nan_to_num(column.values))
+
+
+def _signals(source: Source, layout: TextLayout | None, name: str, k: int, values: Array) -> list[Column]:
+    """An array's signals: itself, or its columns or rows, whichever are fewer."""
+    label, unit = _label(layout, name, k)
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):
+        place = Place(None, k + 1) if source.numbered else Place(name)
+        return [Column(label, place, unit, values.ravel())]
+    if values.ndim > 2 or min(values.shape) > _MOST_COLUMNS:
+        return []
+    down = values.shape[0] >= values.shape[1]
+    each = values.T if down else values
+    return [
+        Column(f"{label} {i}", Place(name, i, None) if down else Place(name, None, i), unit, one)
+        for i, one in enumerate(each, start=1)
+    ]
+
+
+def _label(layout: TextLayout | None, name: str, k: int) -> tuple[str, str]:
+    if layout is None:
+        return name, split_unit(name)[1]
+    title = layout.names[k] or f"column {k + 1}"
+    return title, layout.units[k] or split_unit(title)[1]
+
+
+def _stamped(source: Source, layout: TextLayout, name: str, k: int) -> Column:
+    place = Place(None, k + 1, None, layout.clocks[k]) if source.numbered else Place(name, None, None, layout.clocks[k])
+    return Column(_label(layout, name, k)[0], place, "s", np.asarray(source.signal(place)))
+
+
+def _time(columns: Sequence[Column], layout: TextLayout | None, scalars: Mapping[str, float]) -> _Time:
+    stamps = _stamps(columns)
+    if stamps is None:
+        return _stated_rate(layout, scalars)
+    unit, why = _time_unit(stamps)
+    t_s = UNITS[unit][1] * (stamps.values - stamps.values[0])
+    said = [f"time is {stamps.name!r}: its values rise{' and its name says so' if is_time(stamps.name) else ''}.", why]
+    rule = _place_table(stamps.place) | {"unit": unit}
+    if stamps.place.clock:
+        said[1] = f"the stamps are text, read as {stamps.place.clock!r}."
+        rule["clock"] = stamps.place.clock
+    mean = (t_s.size - 1) / t_s[-1]
+    seen = read_stamps(t_s, 1.0 / (float(np.median(np.diff(t_s))) or 1.0 / mean))
+    seen = read_stamps(t_s, seen.rate_hz if np.isfinite(seen.rate_hz) else mean)
+    rate = _round_rate(seen.rate_hz, t_s.size, ON_GRID + seen.unsure)
+    said.append(
+        f"rate {rate:.10g} Hz: all {t_s.size} stamps keep {seen.rate_hz:.8g} Hz, scatter {seen.jitter_s:.2g} s rms."
+    )
+    if not seen.even:
+        rate = _round_rate(mean if seen.gaps == 0 else 1.0 / float(np.median(np.diff(t_s))), t_s.size, 0.01 * t_s.size)
+        said[-1] = f"the stamps are not even ({seen.gaps} gaps): resampled at {rate:.6g} Hz, linear across gaps."
+    return _Time(rule, rate, not seen.even, tuple(said), stamps.name)
+
+
+def _stamps(columns: Sequence[Column]) -> Column | None:
+    """The column of stamps: of text, else one that rises and is called so, else one of even steps other than 1."""
+    for c in columns:
+        if c.place.clock:
+            return c
+    rising = [c for c in columns if np.all(np.diff(c.values) >= 0.0) and c.values[-1] > c.values[0]]
+    named = [c for c in rising if is_time(c.name)]
+    if named:
+        return named[0]
+    for c in rising:
+        steps = np.diff(c.values)
+        step = float(np.median(steps))
+        if step > 0.0 and step != 1.0 and np.all(np.abs(steps - step) <= 0.01 * step):
+            return c
+    return None
+
+
+def _time_unit(stamps: Column) -> tuple[str, str]:
+    """The unit of stamps, and why: stated, or by the size of a count since 1970, else s."""
+    known = unit_of_word(stamps.unit) if stamps.unit else None
+    if known is not None and UNITS[known][0] == "s":
+        return known, f"its unit is {known}: {stamps.unit!r} stands with its name."
+    for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
+        if least <= stamps.values[0] < 1e2 * least:
+            return unit, f"its unit is {unit}: the values count from 1970 in it."
+    step = float(np.median(np.diff(stamps.values)))
+    if step >= 1.0:
+        unit = "ms" if step < 200.0 else "us"
+        return unit, f"its unit is not stated; steps of {step:g} are taken for {unit}: please confirm."
+    return "s", "its unit is not stated and taken for s: please confirm."
+
+
+def _round_rate(rate_hz: float, n: int, slack: float) -> float:
+    """The roundest rate that leaves the stamps by no more than `slack` samples over n."""
+    for figures in range(1, 8):
+        for close in (float(f"{rate_hz:.{figures}g}"), 1.0 / float(f"{1.0 / rate_hz:.{figures}g}")):
+            if abs(close / rate_hz - 1.0) * n <= slack:
+                return close
+    return rate_hz
+
+
+def _stated_rate(layout: TextLayout | None, scalars: Mapping[str, float]) -> _Time:
+    """A rate that lines above the header, or numbers that stand alone, tell; none is an open question."""
+    for line in () if layout is None else layout.above:
+        if found := _RATE_WORDS.search(line):
+            rate = float(found[2].replace(",", ".")) * (1e3 if (found[3] or "").lower() == "khz" else 1.0)
+            return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
+        if found := _PERIOD_WORDS.search(line):
+            rate = 1.0 / (float(found[2].replace(",", ".")) * UNITS[unit_of_word(found[3] or "s") or "s"][1])
+            return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
+    for name, value in scalars.items():
+        word = name.rpartition(".")[2].lower()
+        if word in ("fs", "rate", "rate_hz", "samplerate", "sample_rate", "f_s") and value > 0.0:
+            return _Time(None, value, False, (f"rate {value:g} Hz: the number {name!r} of the file.",))
+        if word in ("ts", "dt", "sampletime", "sample_time", "t_s", "tsample") and 0.0 < value < 10.0:
+            return _Time(
+                None, 1.0 / value, False, (f"rate {1.0 / value:g} Hz: one over the number {name!r} of the file.",)
+            )
+    return _Time(None, 0.0, False, ())
+
+
+def _place_table(place: Place) -> dict[str, Any]:
+    keys = {"from": place.name, "column": place.column, "row": place.row}
+    return {key: value for key, value in keys.items() if value is not None}
+
+
+def _drafted(
+    file: Path, layout: TextLayout | None, time: _Time, signals: Sequence[Column], still: Sequence[str], roles: Roles
+) -> Draft:
+    guesses, questions = [*(layout.guesses if layout else ()), *time.guesses], []
+    if not time.rate_hz:
+        questions.append("no column rises as time does and no rate stands in the file: write rate_hz.")
+    if still:
+        guesses.append(f"left out, since they never move: {', '.join(still)}.")
+    stored, rules, said = _rules(signals)
+    named = {role: stored[name] for role, name in roles.by_role.items()}
+    loop = {"name": "loop"} | {key: named[role] for key, role in _LOOP_KEYS.items() if role in named}
+    for key, role in (("output", Role.OUTPUT), ("control", Role.CONTROL)):
+        if role not in named:
+            questions.append(f"which column is the {key} of the loop could not be told: write {key} under [[loop]].")
+    recording = {
+        "name": re.sub(r"[^A-Za-z0-9_-]+", "-", file.name.split(".")[0]).strip("-") or "r01",
+        **roles.recording,
+    }
+    if roles.period_rows and time.rate_hz:
+        recording |= {"period_s": roles.period_rows / time.rate_hz, "periodic_from_s": roles.first_row / time.rate_hz}
+    if Role.OUTPUT in named and Role.CONTROL in named:
+        recording["excites"] = "loop"
+    guesses += [*said, *roles.guesses]
+    table: dict[str, Any] = {"format": FORMAT, "rate_hz": time.rate_hz or None, "time": time.rule}
+    table |= {"resample": True if time.resample else None, "csv": _csv_table(layout)}
+    table |= {"columns": rules, "loop": [loop], "recording": recording}
+    table["draft"] = {"guesses": guesses} | ({"open": [*questions, *roles.open]} if questions or roles.open else {})
+    by_column = {name: role.value for role, name in roles.by_role.items()}
+    return Draft(table, tuple(guesses), (*questions, *roles.open), tuple(signals), by_column, time.rate_hz)
+
+
+_LOOP_KEYS = {
+    "reference": Role.REFERENCE, "injected": Role.INJECTED, "control": Role.CONTROL, "output": Role.OUTPUT,
+}  # fmt: skip
+
+
+def _csv_table(layout: TextLayout | None) -> dict[str, Any] | None:
+    """What of a layout differs from what a map takes for granted."""
+    if layout is None:
+        return None
+    shape, usual = layout.shape, CsvShape()
+    words = {"separator": {"\t": "tab", " ": "blank"}.get(shape.separator, shape.separator)}
+    words |= {key: getattr(shape, key) for key in ("header", "skip_rows", "decimal", "unit_rows", "encoding")}
+    differ = {key: value for key, value in words.items() if value != getattr(usual, key)}
+    return differ or None
+
+
+def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], list[str]]:
+    """Stored name of each column, the table [columns], and a sentence on each unit."""
+    stored: dict[str, str] = {}
+    rules: dict[str, Any] = {}
+    unknown, bare, said = [], [], []
+    for c in signals:
+        unit = unit_of_word(c.unit) if c.unit else None
+        if c.unit and unit is None:
+            unknown.append(f"{c.name!r} in {c.unit!r}")
+        elif not c.unit:
+            bare.append(c.name)
+        else:
+            said.append(f"{c.name!r} is in {unit}: {c.unit!r} stands with its name.")
+        unit = unit or "1"
+        stored[c.name] = column_name(c.name, to_stored(unit)[0], set(rules))
+        rules[stored[c.name]] = _place_table(c.place) | {"unit": unit}
+    if bare:
+        said.append(f"no unit stands with {', '.join(bare)}: the numbers are taken as they are (unit 1).")
+    if unknown:
+        said.append(f"units that are not known are taken as they are (unit 1): {', '.join(unknown)}.")
+    return stored, rules, said
