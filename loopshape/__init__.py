@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.files import export as export
+    from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
     from loopshape.verbs.files import read_frf as read_frf
@@ -119,6 +120,7 @@ _HOME = {
     "pi": "data.shorthand",
     "plot": "view",
     "predict": "verbs.chain",
+    "profiles": "verbs.files",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_frf": "verbs.files",

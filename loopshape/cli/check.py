@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Details, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
     comparison_json,
@@ -22,6 +22,8 @@ from loopshape.cli.verdicts import (
 from loopshape.data.verdict_words import outcome_of
 
 if TYPE_CHECKING:
+    from loopshape.data.profile import Profile
+    from loopshape.data.requirements import Verdict
     from loopshape.io.check_files import Baseline, LoopCheck
 
 
@@ -42,6 +44,7 @@ def check(
     require: Annotated[
         Path | None, typer.Option("--require", help="Requirements (TOML); without them margins, and no verdict.")
     ] = None,
+    profile: ProfileName = None,
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown summary too.")] = None,
     save_verdict: Annotated[Path | None, typer.Option(help="Keep the verdict (JSON), a baseline for later.")] = None,
@@ -61,7 +64,9 @@ def check(
     """
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
     output = Output(as_json, quiet)
-    passed, _ = check_run(run, controller, require, output, reports=reports, figures=figures, details=details)
+    passed, _ = check_run(
+        run, controller, require, output, reports=reports, figures=figures, details=details, profile=profile
+    )
     if not passed:
         raise typer.Exit(1)
 
@@ -75,18 +80,21 @@ def check_run(
     reports: Reports | None = None,
     figures: bool = True,
     details: bool = False,
+    profile: str | None = None,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
     from loopshape.io.check_files import against, check_files
+    from loopshape.io.profiles import profile_of
 
     reports = reports or Reports()
-    if require is None:
+    chosen = None if profile is None else profile_of(profile)
+    if require is None and chosen is None:
         return _margins(run, controller, output, reports, figures, details)
     if reports.allow_worse and reports.baseline is None:
         from loopshape.core.errors import WrongUseError
 
         raise WrongUseError("--allow-worse speaks of a baseline", "none", "name it: --baseline FILE")
-    loops = check_files(run, controller, require)
+    loops = check_files(run, controller, require, chosen)
     verdicts = [loop.verdict for loop in loops]
     outcome = outcome_of(verdicts)
     compared = None if reports.baseline is None else against(reports.baseline, loops)
@@ -98,6 +106,7 @@ def check_run(
         report_verdicts(verdicts, output)
     else:
         warn_of(verdicts, output)
+    _say_profile(chosen, verdicts, output)
     if compared is not None:
         report_comparisons(compared.parts, output, details=details)
     drawn = _draw(figures_of(run), loops) if figures else []
@@ -107,11 +116,32 @@ def check_run(
             "passed": passed,
             "outcome": outcome,
             "loops": [v.to_dict() for v in verdicts],
+            "profile": None if chosen is None else _profile_json(chosen, verdicts),
             "baseline": _compared_json(compared),
             "figures": drawn,
         }
     )
     return passed, drawn
+
+
+def _say_profile(profile: Profile | None, verdicts: Sequence[Verdict], output: Output) -> None:
+    """Zones of each loop, then standard, clause and who has to confirm."""
+    from loopshape.data.profile import zone_sentence
+
+    if profile is None:
+        return
+    zones = [zone_sentence(verdict, profile) for verdict in verdicts]
+    for sentence in (*filter(None, zones), *profile.sentences()):
+        output.paragraph(sentence)
+
+
+def _profile_json(profile: Profile, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    from loopshape.core.json_ready import named
+    from loopshape.data.profile import zone_shares
+
+    words = named(profile, "name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks")
+    zones = {verdict.loop: zone_shares(verdict, profile) for verdict in verdicts}
+    return words | {"limits": dict(profile.limits), "zones": zones}
 
 
 def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:

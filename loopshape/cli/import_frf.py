@@ -10,11 +10,12 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet
 
 if TYPE_CHECKING:
+    from loopshape.data.controller import Controller
     from loopshape.data.frf import FRF
 
 
 def import_frf(
-    file: Annotated[Path, typer.Argument(help="MAT, CSV, or UFF (.uff, .unv).", show_default=False)],
+    file: Annotated[Path, typer.Argument(help="MAT, CSV and other tables, UFF, Touchstone.", show_default=False)],
     out: Annotated[Path, typer.Option(help="The folder to write, or to add to; fit and check take it as a run.")],
     recording: Annotated[str, typer.Option(help="Its name; default: the file's.")] = "",
     loop: Annotated[str, typer.Option(help="Its loop's name, as requirements name it; default: the outputs.")] = "",
@@ -24,6 +25,12 @@ def import_frf(
     relative_std: Annotated[float | None, typer.Option(help="sqrt(E|d|²)/|G|, where the file holds no error.")] = None,
     averages: Annotated[float | None, typer.Option(help="Averages behind the file's coherence.")] = None,
     rate_hz: Annotated[float, typer.Option(help="Rate of the loop; tune needs it.")] = 0.0,
+    negative: Annotated[
+        bool, typer.Option("--negative", help="Measured with the sign of the summing point: turn it.")
+    ] = False,
+    complete_loop: Annotated[
+        Path | None, typer.Option(help="Measured as L = C P under this controller (TOML): divide it out.")
+    ] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Measured as continuous: multiply the hold in.")] = False,
     delay_s: Annotated[float, typer.Option(help="With --hold: delay of the computation.")] = 0.0,
     replace: Annotated[bool, typer.Option("--replace", help="Put it in place of that of the same name.")] = False,
@@ -37,8 +44,10 @@ def import_frf(
 
     if (hold and not rate_hz) or (delay_s and not hold):
         raise WrongUseError("a hold is that of a rate, and a delay goes with it", "", "say --hold with --rate-hz")
+    held_by = None if complete_loop is None else _controller(complete_loop, loop)
     stated = Stated(
-        relative_std, averages, _names(inputs), _names(outputs), recording, loop, 0.0 if hold else rate_hz
+        relative_std, averages, _names(inputs), _names(outputs), recording, loop, 0.0 if hold else rate_hz, negative,
+        held_by,
     )  # fmt: skip
     found = read_frf_file(file, stated)
     if hold:
@@ -49,6 +58,15 @@ def import_frf(
     _check_units(frfs)
     paths = add_frfs(out, frfs, replace_same=replace)
     _report(out, frfs, paths, Output(as_json, quiet))
+
+
+def _controller(file: Path, loop: str) -> Controller:
+    """The controller under which a loop was measured: of the loop's name, or the only one."""
+    from loopshape.io.check_files import controller_of
+    from loopshape.io.controllers import read_controllers
+
+    found = read_controllers(file)
+    return found[0] if len(found) == 1 else controller_of(found, loop)
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from loopshape.cli.measure import measure
 from loopshape.cli.output import for_any_terminal
 from loopshape.cli.plan import plan
 from loopshape.cli.predict import predict
+from loopshape.cli.profiles import profiles
 from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
 from loopshape.cli.simulate import simulate
@@ -72,6 +73,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     "Design": (
         ("tune", tune, "loopshape tune runs/axis --require requirements.toml --out controller.toml"),
         ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
+        ("profiles", profiles, "loopshape profiles --out mine.toml"),
         ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
     ),
     "Verify": (

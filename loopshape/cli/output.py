@@ -27,6 +27,9 @@ PLAIN = {
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 Details = Annotated[bool, typer.Option("--details", help="Print every table after the verdict.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+ProfileName = Annotated[
+    str | None, typer.Option("--profile", help="A standard's limits too: NAME of `loopshape profiles`, or FILE:NAME.")
+]
 RunFolder = Annotated[Path, typer.Argument(help="A run folder.", show_default=False)]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts
 from loopshape.core.json_ready import named
 
@@ -26,6 +26,7 @@ def tune(
     require: RequireFile,
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
     start: Annotated[Path | None, typer.Option(help="Controllers (TOML) to start from.")] = None,
+    profile: ProfileName = None,
     matrix: Annotated[
         bool, typer.Option("--matrix", help="Loop by loop with the others closed, on the run's matrices.")
     ] = False,
@@ -41,31 +42,48 @@ def tune(
     """
     output = Output(as_json, quiet)
     if matrix:
+        if profile is not None:
+            from loopshape.core.errors import WrongUseError
+
+            raise WrongUseError("a profile limits single loops", "--profile and --matrix", "leave one of them out")
         from loopshape.cli.tune_several import tune_several_run
 
         feasible = tune_several_run(run, require, out, output, start=start, seed=seed, starts=starts)
     else:
-        feasible = tune_run(run, require, out, output, start=start, seed=seed, starts=starts)
+        feasible = tune_run(run, require, out, output, start=start, seed=seed, starts=starts, profile=profile)
     if not feasible:
         raise typer.Exit(1)
 
 
 def tune_run(
-    run: Path, require: Path, out: Path, output: Output, *, start: Path | None = None, seed: int = 0, starts: int = 16
+    run: Path,
+    require: Path,
+    out: Path,
+    output: Output,
+    *,
+    start: Path | None = None,
+    seed: int = 0,
+    starts: int = 16,
+    profile: str | None = None,
 ) -> bool:
     """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
     from loopshape.design.tune import tune as tune_loop
     from loopshape.io.controllers import write_controllers
     from loopshape.io.frfs import read_frfs
+    from loopshape.io.profiles import profile_of
     from loopshape.io.requirements import read_requirements
 
     requirements, frfs, fits = read_requirements(require), read_frfs(run), fits_of(run)
+    chosen = None if profile is None else profile_of(profile)
+    requirements = requirements if chosen is None else tuple(map(chosen.joined, requirements))
     began = controllers_to_start(start, [wished.loop for wished in requirements])
     found = []
     for wished in requirements:
         mine = [one for one in frfs if one.loop == wished.loop]
         found.append(tune_loop(mine, wished, fits, start=began.get(wished.loop), seed=seed, starts=starts))
         report_tuning(found[-1], output, len(mine))
+    for sentence in () if chosen is None else chosen.sentences():
+        output.paragraph(sentence)
     feasible = all(t.feasible for t in found)
     if feasible:
         write_controllers(out, [t.controller for t in found], None)

@@ -61,10 +61,24 @@ SUFFIXES: dict[str, str] = {
 }  # fmt: skip
 
 
+_KNOWN = ", ".join(UNITS)
+_NO_UNIT = {"hz": "a speed is rad/s or rpm, and a rate stands in rate_hz; ", "%": "write 1, with gain = 0.01; "}
+
+
+def _meant(unit: str) -> str:
+    """What a word that is no unit may have been meant for, as the beginning of a cure; "" where that is not known."""
+    if unit.lower() in _NO_UNIT:
+        return _NO_UNIT[unit.lower()]
+    like = [known for known in UNITS if known.lower() in (unit.lower(), unit.lower().rstrip("s"), unit[:1].lower())]
+    return f"{like[0]!r} perhaps; " if like else ""
+
+
 def to_stored(unit: str) -> tuple[str, float]:
     """Suffix and factor that bring a user's unit to the stored one; refuses a unit it does not know."""
     if unit not in UNITS:
-        raise WrongUseError("a unit is not known", f"{unit!r}", f"use one of {', '.join(UNITS)} (1 is dimensionless)")
+        raise WrongUseError(
+            "a unit is not known", f"{unit!r}", f"{_meant(unit)}use one of {_KNOWN} (1 is dimensionless)"
+        )
     return UNITS[unit]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Controller
-from loopshape.data.frf_arrays import stated_arrays
+from loopshape.data.frf_arrays import lines_of, stated_arrays
 
 _ARRAYS = (
     "frequency_hz",
@@ -137,9 +137,12 @@ class FRF:
     @classmethod
     def from_arrays(
         cls,
-        frequency_hz: ArrayLike,
-        response: ArrayLike,
+        frequency_hz: ArrayLike | None = None,
+        response: ArrayLike | None = None,
         *,
+        omega_rad_s: ArrayLike | None = None,
+        magnitude_db: ArrayLike | None = None,
+        phase_deg: ArrayLike | None = None,
         std: ArrayLike | None = None,
         relative_std: float | None = None,
         covariance: ArrayLike | None = None,
@@ -151,6 +154,8 @@ class FRF:
         **words: Any,
     ) -> FRF:
         """A FRF from frequencies (nf,) in Hz and a response (nf,) or (nf, ny, nu), whose error is stated once.
+
+        Frequencies may be `omega_rad_s` instead, and a response `magnitude_db` and `phase_deg`, wrapped or not.
 
         `std` is sqrt(E|d|²) of each value, `relative_std` the same share of |response| everywhere (0: exact, as a
         model's), `covariance` (nf, ny nu, ny nu) as in `FRF`; `coherence` (nf,) needs `averages`. The valid band
@@ -168,8 +173,8 @@ class FRF:
         FRF: 100 frequencies, 0.5 to 200 Hz, 1 output x 1 input, rate 1000 Hz
         """
         arrays = stated_arrays(
-            frequency_hz, response, std=std, relative_std=relative_std, covariance=covariance, coherence=coherence,
-            averages=averages,
+            *lines_of(frequency_hz, omega_rad_s, response, magnitude_db, phase_deg),
+            std=std, relative_std=relative_std, covariance=covariance, coherence=coherence, averages=averages,
         )  # fmt: skip
         ny, nu = arrays["response"].shape[1:]
         names: dict[str, Any] = {

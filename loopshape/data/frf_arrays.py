@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
 from loopshape.data.valid_band import trusted_lines
 
 #: below it a variance would not be finite
@@ -36,6 +36,50 @@ def valid_frequencies(frequency_hz: Array, response: ComplexArray, covariance: C
     std = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 0.0)).max(axis=1)
     size = np.maximum(np.linalg.norm(response, 2, axis=(1, 2)), 1e-300)
     return trusted_lines(frequency_hz, std / size, np.ones(std.size, dtype=bool))
+
+
+def polar(magnitude_db: ArrayLike, phase_deg: ArrayLike) -> ComplexArray:
+    """Response from its magnitude in dB and its phase in degrees, wrapped or not, of one shape."""
+    magnitude, phase = from_db(magnitude_db), rad(phase_deg)
+    if magnitude.shape != phase.shape:
+        raise WrongUseError("magnitude and phase have one shape", f"{magnitude.shape} and {phase.shape}")
+    return np.asarray(magnitude * np.exp(1j * phase))
+
+
+def lines_of(
+    frequency_hz: ArrayLike | None,
+    omega_rad_s: ArrayLike | None,
+    response: ArrayLike | None,
+    magnitude_db: ArrayLike | None,
+    phase_deg: ArrayLike | None,
+) -> tuple[ArrayLike, ArrayLike]:
+    """Frequencies in Hz and response, of whichever way they were given; refuses none, both, and half of one."""
+    if (frequency_hz is None) == (omega_rad_s is None):
+        raise WrongUseError(
+            "the frequencies of a response are given once", "both" if frequency_hz is not None else "none",
+            "give frequency_hz or omega_rad_s",
+        )  # fmt: skip
+    parts = (magnitude_db is not None) + (phase_deg is not None)
+    if parts == 1 or (response is None) == (parts == 0):
+        raise WrongUseError(
+            "a response is given once", f"response {'yes' if response is not None else 'no'}, {parts} of magnitude and"
+            " phase", "give response, or magnitude_db and phase_deg",
+        )  # fmt: skip
+    f = frequency_hz if omega_rad_s is None else np.asarray(omega_rad_s, dtype=float) / TWO_PI
+    if magnitude_db is not None and phase_deg is not None:
+        return np.asarray(f, dtype=float), polar(magnitude_db, phase_deg)
+    return np.asarray(f, dtype=float), np.asarray(response)
+
+
+def check_relative_std(share: float) -> None:
+    """Refuse a relative standard deviation that is negative, or so large that it must be percent."""
+    if not 0.0 <= share < np.inf:
+        raise WrongUseError("a relative standard deviation must not be negative", f"{share:g}", "write 0.05 for 5 %")
+    if share >= 2.0:
+        raise WrongUseError(
+            "a relative standard deviation is a share of |response|", f"{share:g}, which is {100.0 * share:g} %",
+            f"write {share / 100.0:g} for {share:g} %",
+        )  # fmt: skip
 
 
 def stated_arrays(
@@ -66,12 +110,19 @@ def stated_arrays(
     if bad.size:
         raise BadSignalError("the response holds values that are not numbers", f"at {bad[0]:g} Hz", "leave these out")
     stated = [x is not None for x in (std, relative_std, covariance, coherence)]
-    if sum(stated) != 1 or (coherence is None) != (averages is None):
+    if (coherence is None) != (averages is None):
+        raise WrongUseError(
+            "a coherence and the number of averages behind it tell the error together", "one of them",
+            "give coherence and averages",
+        )  # fmt: skip
+    if sum(stated) != 1:
         raise WrongUseError(
             "nothing tells how sure this FRF is" if not any(stated) else "the error of a response is stated once",
             f"{sum(stated)} statements",
             "give std, relative_std (0: exact, as a model's response), covariance, or coherence with averages",
         )
+    if relative_std is not None:
+        check_relative_std(relative_std)
     found: dict[str, Any] = {"frequency_hz": f[keep], "response": H[keep]}
     if covariance is not None:
         found["covariance"] = np.asarray(covariance, dtype=complex)[keep]

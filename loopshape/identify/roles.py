@@ -18,7 +18,7 @@ _ROWS = 20_000  # rows looked at
 _EXACT = 1e-4  # of a signal's rms, up to which a sum is one
 _PREDICTED = 1e-9  # share of a signal that its own past leaves: below it nothing is said of it
 _REPEATED = 0.1  # of a signal's rms, by which two of its periods may differ
-HELPS = 0.05  # share of what its own past leaves open, from which on others' past explains a signal
+HELPS = 0.02  # share of what its own past leaves open, from which on others' past explains a signal
 
 
 def constants(x: Array) -> np.ndarray:

@@ -11,6 +11,7 @@ from loopshape.data.baseline import Checked, Comparison
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
+from loopshape.data.profile import Profile
 from loopshape.data.requirements import Requirements, Verdict
 from loopshape.io.controllers import read_controllers
 from loopshape.io.fits import read_fits
@@ -68,8 +69,12 @@ class Baseline:
         return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
 
 
-def check_files(run: Path, controller: Path, require: Path | None) -> tuple[LoopCheck, ...]:
+def check_files(
+    run: Path, controller: Path, require: Path | None, profile: Profile | None = None
+) -> tuple[LoopCheck, ...]:
     """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
+
+    With a `profile` its limits hold too.
 
     Refuses files that cannot be read, a loop without a controller, and one without FRFs.
     """
@@ -85,7 +90,8 @@ def check_files(run: Path, controller: Path, require: Path | None) -> tuple[Loop
             f"controllers of {', '.join(c.loop for c in controllers)}; FRFs of {', '.join(sorted(measured))}",
             "give a controller file of this run's loops",
         )
-    return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in requirements)
+    asked = requirements if profile is None else tuple(map(profile.joined, requirements))
+    return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in asked)
 
 
 def _check(frfs: Sequence[FRF], controller: Controller, wished: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:

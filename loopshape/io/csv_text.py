@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -60,7 +61,7 @@ class CsvTable:
             raise UnreadableInputError(
                 f"column {name} of {self.path.name} holds {bad.size} cells that are not numbers",
                 f"{short(raw.iloc[bad[0]], 40)!r} in row {raw.index[bad[0]]}",
-                "repair the file, or say its separator and decimal sign",
+                _cure(str(raw.iloc[bad[0]]), bad.size, int(raw.index[bad[0]])),
             )
         return values
 
@@ -83,6 +84,18 @@ class CsvTable:
             return np.asarray((spans - spans.iloc[0]).dt.total_seconds(), dtype=float)
 
 
+_A_TIME = re.compile(r"\d{1,4}[-./]\d\d?[-./]\d{1,4}[T ].*|\d\d?:\d\d:\d\d.*")
+
+
+def _cure(cell: str, count: int, row: int) -> str:
+    """What to do about a cell that is no number: a stamp, a unit under the header, or another separator."""
+    if _A_TIME.fullmatch(cell.strip()):
+        return 'stamps written as text are read by time = { from = "...", unit = "s", clock = "iso" }'
+    if count == 1 and row == 0:
+        return "a row of units below the header is passed over by unit_rows = 1 in [csv]"
+    return "repair the file, or say its separator and decimal sign"
+
+
 def read_csv_names(path: Path, shape: CsvShape) -> tuple[str, ...]:
     """Names in the header, without the rest of the file; refuses one that has none or names two alike."""
     return _header(path, shape)[0] if shape.header else ()
@@ -102,6 +115,7 @@ def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[Csv
     import pandas as pd
 
     names, lines = _header(path, shape) if shape.header else ((), _skipped(path, shape))
+    _refuse_empty(path, lines, shape.encoding)
     with reading(path, "CSV"), _bytes(path) as file:
         frames = pd.read_csv(
             file,
@@ -125,6 +139,17 @@ def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[Csv
                 return
 
 
+def _refuse_empty(path: Path, lines: int, encoding: str) -> None:
+    """Refuse a file that ends with its header."""
+    with reading(path, "CSV"), _open(path, encoding) as file:
+        _skip(file, lines)
+        if not file.read(1):
+            raise UnreadableInputError(
+                f"{path.name} holds a header and no rows" if lines else f"{path.name} is empty",
+                f"{lines} lines", "record again, or name another file",
+            )  # fmt: skip
+
+
 def _table(path: Path, names: tuple[str, ...], frame: pd.DataFrame) -> CsvTable:
     if names and len(names) != frame.shape[1]:
         raise UnreadableInputError(
@@ -144,6 +169,8 @@ def _header(path: Path, shape: CsvShape) -> tuple[tuple[str, ...], int]:
         else:
             reader = csv.reader(file, delimiter=shape.separator, skipinitialspace=True)
             cells, lines = next(reader, []), reader.line_num
+    if not cells and not path.stat().st_size:
+        raise UnreadableInputError(f"{path.name} is empty", "0 bytes", "record again, or name another file")
     names = tuple(cell.strip() for cell in cells)
     given = [name for name in names if name]
     if not given or len(set(given)) != len(given):

@@ -142,7 +142,11 @@ def _open_or_closed(seen: _Seen, roles: Roles, moved_alone: bool) -> None:
     control, measure = roles.by_role[Role.CONTROL], seen.answered[roles.by_role[Role.CONTROL]]
     roles.recording |= {"injection": "control", "closed_loop": False}
     if moved_alone:
-        roles.guesses.append(f"the loop was open: the output's past says nothing of {control!r}.")
+        share = f"{max(100.0 * measure, 0.0):.1f} %"
+        roles.guesses.append(
+            f"the loop is taken for open: the output's past explains {share} of what is new in {control!r}, as good as"
+            " nothing; a loop of low gain does no more, so please confirm."
+        )
     elif np.isnan(measure):
         roles.guesses.append(
             f"the loop is taken for open, since no injected signal or reference was found; {control!r} alone does not"

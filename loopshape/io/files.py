@@ -234,7 +234,32 @@ def read_toml(path: Path) -> dict[str, Any]:
             data += part
             if len(data) > _LONGEST_TOML:
                 raise ValueError(f"more than {_LONGEST_TOML} bytes")
-        return tomllib.loads(data.decode("utf-8-sig"))  # some editors put a byte order mark in front
+        text = data.decode("utf-8-sig")  # some editors put a byte order mark in front
+        try:
+            return tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            _refuse_slip(path, text, str(error))
+            raise
+
+
+#: slips of the pen in TOML that a line shows, and their cure
+_SLIPS = (
+    (re.compile(r"[\w\"']+\s*=\s*[-+]?\d+,\d+\s*(#.*)?"), "write a decimal point: 500.0"),
+    (re.compile(r".*=\s*[A-Za-zÄÖÜäöüß][^\"'\[\]{}]*(#.*)?"), 'put texts in quotes: "..." (truth is true or false)'),
+    (re.compile(r"[\w.\"'-]+\s*:\s*\S.*"), "write key = value"),
+)
+
+
+def _refuse_slip(path: Path, text: str, said: str) -> None:
+    """Refuse TOML that a frequent slip of the pen spoils, with its line and the cure; other damage is left to TOML."""
+    found = re.search(r"at line (\d+)", said)
+    line = text.splitlines()[int(found[1]) - 1].strip() if found else ""
+    inner = re.search(r"=\s*([A-Za-z]\w*)\s*[,}]", line)
+    if inner and inner[1] not in ("true", "false", "inf", "nan"):
+        raise UnreadableInputError(f"{path} is no TOML", short(line), f'put texts in quotes: "{inner[1]}"')
+    for pattern, cure in _SLIPS:
+        if pattern.fullmatch(line):
+            raise UnreadableInputError(f"{path} is no TOML", short(line), cure)
 
 
 def write_toml(path: Path, data: Mapping[str, Any]) -> None:

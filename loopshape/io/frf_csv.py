@@ -15,6 +15,7 @@ from loopshape.data.frf import FRF
 from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_table
 from loopshape.io.files import reading, short, write_text_whole
 from loopshape.io.frf_foreign import ForeignFRF, Stated
+from loopshape.io.frf_table import read_frf_table
 from loopshape.io.frf_words import frf_header
 from loopshape.io.words import refuse_doubles
 
@@ -65,12 +66,14 @@ def _between_elements(frf: FRF) -> dict[str, Array]:
 
 
 def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
-    """A table as `frf_csv` writes it, or any with frequency_hz, re and im.
+    """A table as `frf_csv` writes it, or any with frequency_hz, re and im; others as `frf_table` reads them.
 
     One without the header lines says its channels' names in no column: larger than 1 x 1 they must be stated.
     Refuses columns that do not belong, cells that are missing or no numbers, and fewer rows than the header counted.
     """
     stated = stated or Stated()
+    if not _is_ours(path):
+        return read_frf_table(path)
     words, above = _header(path)
     table = read_csv_table(path, CsvShape(skip_rows=above))
     outputs, inputs = (tuple(words.get(name) or getattr(stated, name)) for name in ("outputs", "inputs"))
@@ -101,6 +104,13 @@ def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
         str(path), f, response, arrays, keep,
         element_coherence=None if coherence is None or n > 1 else coherence[:, None, None],
     )  # fmt: skip
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a table begins as those of `frf_csv` do: with its mark, or with the column frequency_hz."""
+    with reading(path, "CSV"), path.open(encoding="utf-8-sig", errors="replace") as file:
+        first = file.readline()
+    return first.startswith("#") or "frequency_hz" in first.strip().split(",")
 
 
 def _header(path: Path) -> tuple[Mapping[str, Any], int]:

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.algebra.operations import negated, without_controller
 from loopshape.data.frf import FRF
 from loopshape.io.files import PART, inside, make_folder, put, staged, writing
 from loopshape.io.frf_csv import frf_csv, read_frf_csv
 from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
 from loopshape.io.frf_mat import read_frf_mat, write_frf_mat
+from loopshape.io.frf_table import read_frf_table
+from loopshape.io.frf_touchstone import read_touchstone
 from loopshape.io.frf_uff import read_frf_uff, write_frf_uff
 from loopshape.io.frf_words import frf_arrays
 from loopshape.io.frfs import FOLDER, has_any, read_frfs, write_frfs
@@ -50,6 +53,13 @@ FORMATS: dict[str, Format] = {
     "csv": Format(".csv", _write_csv, read_frf_csv),
     "uff": Format(".uff", write_frf_uff, lambda path, _: read_frf_uff(path)),
 }
+#: readers of what is not written
+_READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
+    **{name: one.read for name, one in FORMATS.items()},
+    "table": lambda path, _: read_frf_table(path),
+    "touchstone": lambda path, _: read_touchstone(path),
+}
+_READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone"}
 _ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
 
 
@@ -89,11 +99,16 @@ def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
 
     A recording without a name is called after the file, a loop without one after the outputs.
     """
-    kind = _ENDINGS.get(path.suffix.lower())
+    known = _ENDINGS | _READ
+    kind = known.get(path.suffix.lower())
     if kind is None:
-        raise UnreadableInputError("a FRF in a file of this kind is not read", str(path), f"use {', '.join(_ENDINGS)}")
+        raise UnreadableInputError("a FRF in a file of this kind is not read", str(path), f"use {', '.join(known)}")
     stated = stated or Stated()
-    frf = frf_of(FORMATS[kind].read(path, stated), stated)
+    frf = frf_of(_READERS[kind](path, stated), stated)
+    if stated.negative:
+        frf = negated(frf)
+    if stated.complete_loop is not None:
+        frf = without_controller(frf, stated.complete_loop)
     return replace(
         frf,
         recording=frf.recording or path.stem.replace(".", "-"),

@@ -16,8 +16,9 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.frf_arrays import independent, valid_frequencies, variance_by_coherence
+from loopshape.data.frf_arrays import check_relative_std, independent, valid_frequencies, variance_by_coherence
 from loopshape.io.files import plain_name, short
 from loopshape.io.frf_words import PERHAPS, frf_words
 from loopshape.io.words import said_in
@@ -28,7 +29,9 @@ class Stated:
     """What a user says of a file: each word goes before the file's own.
 
     `relative_std` is sqrt(E|d|²)/|G|, the same for all elements and lines; 0 for a model's response. `averages` is the
-    number of independent averages behind a coherence. Names of inputs and outputs end in their unit.
+    number of independent averages behind a coherence. Names of inputs and outputs end in their unit. `negative`: the
+    response was measured around the whole loop with the sign of its summing point, as loop analysers do, and is turned.
+    `complete_loop`: it is L = C P of this controller, which is divided out.
     """
 
     relative_std: float | None = None
@@ -38,6 +41,8 @@ class Stated:
     recording: str = ""
     loop: str = ""
     rate_hz: float = 0.0
+    negative: bool = False
+    complete_loop: Controller | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +84,8 @@ def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
 
 
 def _check_stated(stated: Stated) -> None:
-    if stated.relative_std is not None and not 0.0 <= stated.relative_std < np.inf:
-        raise WrongUseError("a relative standard deviation must not be negative", f"{stated.relative_std:g}")
+    if stated.relative_std is not None:
+        check_relative_std(stated.relative_std)
     if stated.averages is not None and not 1.0 < stated.averages < np.inf:
         raise WrongUseError("a coherence tells nothing without averages above 1", f"{stated.averages:g}")
     if not (np.isfinite(stated.rate_hz) and stated.rate_hz >= 0.0):

@@ -62,6 +62,7 @@ _KEYS = (
 )  # fmt: skip
 #: encodings of text that a map may name
 ENCODINGS = ("utf-8-sig", "cp1252", "latin-1", "utf-16")
+_RECORDINGS = (".csv", ".txt", ".tsv", ".dat", ".mat", ".npz", ".parquet", ".gz")
 _SEPARATORS = {"tab": "\t", "blank": " ", " ": " "}
 
 
@@ -100,6 +101,11 @@ def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -
 
     A draft is refused unless it is accepted, and one that leaves questions open in any case.
     """
+    if map_file.suffix.lower() in _RECORDINGS:
+        raise WrongUseError(
+            "a map is a TOML file", str(map_file), "name the recording first and the map behind --map; without --map a"
+            " draft of one is written",
+        )  # fmt: skip
     words = read_words(map_file, FORMAT)
     words.only(*_KEYS)
     guesses = _draft(words, accept_draft)
@@ -189,13 +195,14 @@ def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
 
 def _read_rule(stored: str, words: Words) -> ColumnRule:
     words.only("from", "column", "row", "unit", "sign", "gain", "offset", *(("clock",) if stored == TIME else ()))
+    unit = words.text("unit")
     with said_in(words.where):
-        suffix, factor = to_stored(words.text("unit"))
+        suffix, factor = to_stored(unit)
         wanted = Channel.from_column("time_s" if stored == TIME else stored).unit
     if suffix != wanted:
         raise WrongUseError(
             f"{words.where}: the stored name ends in _{wanted}, which is {SUFFIXES[wanted]}",
-            f"unit = {words.text('unit')!r}",
+            f"unit = {unit!r}",
             f"end the name in _{suffix}, or correct the unit",
         )
     sign = words.number("sign", 1.0)

@@ -22,6 +22,12 @@ from loopshape.io.spool import Spool
 from loopshape.io.tables import TableColumns
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+#: cures for files that are not read
+_OTHERS = {
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "save the sheet as CSV; "),
+    **dict.fromkeys((".npy", ".pkl", ".pickle"), "write the arrays by name with numpy.savez; "),
+    ".toml": "name the recording first and the map behind --map; ",
+}
 _MDF = (".mf4", ".mdf")
 #: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
 LONG_TEXT = 200_000_000
@@ -144,8 +150,9 @@ def open_source(
     if name.endswith(_MDF):
         return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
     raise UnreadableInputError(
-        "a file of this kind is not read", str(path), f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF))}"
-    )
+        "a file of this kind is not read", str(path),
+        f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF))}",
+    )  # fmt: skip
 
 
 def is_text(path: Path) -> bool:

@@ -150,6 +150,14 @@ def check_rate(t_s: Signal, rate_hz: float, what: str = "the recording") -> str:
     )
 
 
+def _unit_of(ratio: float) -> str:
+    """The unit that stamps seem to have, as a part of a cure, where a power of a thousand lies between the rates."""
+    for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if abs(ratio / factor - 1.0) < FAR_OFF:
+            return f' or the unit of time ("{unit}")'
+    return ""
+
+
 def _refuse(found: Stamps, count: int, rate_hz: float, what: str) -> None:
     """Refuse gaps, a wrong rate, and stamps that scatter too far."""
     resample = "import the file with resample = true"
@@ -164,7 +172,7 @@ def _refuse(found: Stamps, count: int, rate_hz: float, what: str) -> None:
         raise BadSignalError(
             f"the time stamps of {what} leave the rate of {rate_hz:g} Hz",
             f"all {count} of them keep {found.rate_hz:.6g} Hz",
-            f"correct rate_hz, or {resample}",
+            f"correct rate_hz{_unit_of(found.rate_hz / rate_hz)}, or {resample}",
         )
     if not found.even:
         raise BadSignalError(

@@ -54,6 +54,7 @@ def loops_of(
             raise WrongUseError(
                 f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
+                "give the controller the recording's rate_hz: its coefficients hold at one rate alone",
             )
         if controller.added_hold and (frf.held_by is not None or HELD in frf.method):
             raise WrongUseError(

@@ -16,6 +16,7 @@ from loopshape.data.run import Run
 from loopshape.design.tune import Tuning
 
 if TYPE_CHECKING:
+    from loopshape.data.profile import Profile
     from loopshape.data.run_report import RunReport
 
 FIGURES_MB = 0.7  # pictures that a report carries, together
@@ -66,6 +67,22 @@ def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
     from loopshape.io.requirements import read_requirements as read_file
 
     return read_file(Path(file))
+
+
+def profiles(file: str | Path | None = None) -> dict[str, Profile]:
+    """Limits of standards and of practice by name, or those of a file (TOML, as `loopshape profiles --out` writes it).
+
+    `profile.joined(R)` are requirements under which both hold. Raises UnreadableInputError for another file.
+
+    Examples
+    --------
+    >>> import loopshape as ls
+    >>> ls.profiles()["servo"].joined(ls.Requirements(phase_margin_deg=45))
+    Requirements: phase_margin_deg at least 45, modulus_margin at least 0.5, sensitivity_peak_db at most 6
+    """
+    from loopshape.io.profiles import OWN, read_profiles
+
+    return read_profiles(OWN if file is None else Path(file))
 
 
 def write(what: Run | Controller | Tuning | FRF, path: str | Path) -> Path:

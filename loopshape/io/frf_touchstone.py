@@ -1,0 +1,67 @@
+"""Touchstone files (.s1p, .s2p) of network analysers: S, Y, Z, G or H parameters as a matrix of FRFs.
+
+Format: EIA/IBIS Open Forum, Touchstone File Format Specification, version 1.1. Of version 2 only files that are laid
+out as version 1 are read; noise parameters behind the network's own are left out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError
+from loopshape.core.units import ComplexArray, from_db, rad
+from loopshape.io.csv_text import first_text
+from loopshape.io.files import reading, short
+from loopshape.io.frf_foreign import ForeignFRF
+
+_MOST_BYTES = 1 << 26
+_PER_HZ = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "GHZ": 1e9}
+_PARTS = ("RI", "MA", "DB")
+_KINDS = ("S", "Y", "Z", "G", "H")
+
+
+def read_touchstone(path: Path) -> ForeignFRF:
+    """The parameters as responses (lines, ports, ports): output k, input l is parameter kl; none has an error."""
+    ports = int(path.suffix[2])
+    text, _ = first_text(path, _MOST_BYTES)
+    lines = [line.split("!")[0].strip() for line in text.splitlines()]
+    unit, kind, parts = _options(path, next((line for line in lines if line.startswith("#")), ""))
+    with reading(path, "Touchstone"):
+        rows = [[float(cell) for cell in line.split()] for line in lines if line and line[0] not in "#["]
+        wide = 1 + 2 * ports**2
+        end = next((k for k, row in enumerate(rows) if k and row[0] <= rows[k - 1][0]), len(rows))
+        if not rows or any(len(row) != wide for row in rows[:end]):
+            raise ValueError(f"rows of {wide} numbers are due with {ports} ports")
+    values = np.array(rows[:end])
+    matrix = _complex(values[:, 1::2], values[:, 2::2], parts).reshape(-1, ports, ports)
+    matrix = matrix.transpose(0, 2, 1) if ports == 2 else matrix  # of two ports 21 stands before 12
+    words = {
+        "outputs": [f"{kind.lower()}{k + 1}_1" for k in range(ports)],
+        "inputs": [f"a{k + 1}_1" for k in range(ports)],
+    }
+    left = (f"{len(rows) - end} rows of noise parameters were left out",) if end < len(rows) else ()
+    return ForeignFRF(str(path), values[:, 0] * _PER_HZ[unit], matrix, words=words, notes=left)
+
+
+def _options(path: Path, line: str) -> tuple[str, str, str]:
+    """Unit of frequency, kind and parts from the option line; the specification's defaults where it is silent."""
+    words = line.removeprefix("#").upper().split()
+    unit = next((word for word in words if word in _PER_HZ), "GHZ")
+    kind = next((word for word in words if word in _KINDS), "S")
+    parts = next((word for word in words if word in _PARTS), "MA")
+    known = {unit, kind, parts, "R"}
+    if not line or any(word not in known and not word.replace(".", "").isdigit() for word in words):
+        raise UnreadableInputError(
+            f"{path.name} has no option line of a Touchstone file", short(line) or "no line that begins with #",
+            "write # HZ S RI R 50 above the rows",
+        )  # fmt: skip
+    return unit, kind, parts
+
+
+def _complex(one: np.ndarray, two: np.ndarray, parts: str) -> ComplexArray:
+    if parts == "RI":
+        return np.asarray(one + 1j * two)
+    size = from_db(one) if parts == "DB" else one
+    return np.asarray(size * np.exp(1j * rad(two)))

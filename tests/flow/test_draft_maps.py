@@ -1,0 +1,189 @@
+"""A file without a map: its draft says what was guessed, is taken on demand alone, and the run repeats it."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+import loopshape as ls
+from loopshape.cli.import_file import import_file as command
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.io.draft_map import draft_map, write_draft
+from loopshape.io.import_file import import_file
+
+RATE, N = 500.0, 6000
+
+
+def loop_signals(injection="controller_input", gain=5.0):
+    """n, z, y of a plant 0.02 q^-1/(1 - 0.9 q^-1) under z = gain (n - y) (or -gain y, n behind it), with noise on y."""
+    r = np.random.default_rng(1)
+    n, e = r.standard_normal(N), 0.01 * r.standard_normal(N)
+    z, y, state = np.zeros(N), np.zeros(N), 0.0
+    for k in range(N):
+        y[k] = state + e[k]
+        z[k] = gain * ((n[k] if injection == "controller_input" else 0.0) - y[k])
+        u = z[k] + (n[k] if injection == "plant_input" else 0.0)
+        state = 0.9 * state + 0.02 * u
+    return n, z, y
+
+
+def written(path, names, columns, separator=",", decimal=".", above="", units=None, encoding="utf-8"):
+    head = above + separator.join(names) + "\n" + (separator.join(units) + "\n" if units else "")
+    rows = "\n".join(
+        separator.join(f"{v:.9g}".replace(".", decimal) for v in row) for row in zip(*columns, strict=True)
+    )
+    path.write_bytes((head + rows + "\n").encode(encoding))
+    return path
+
+
+def accepted(file, tmp_path):
+    draft = draft_map(file)
+    write_draft(tmp_path / "m.toml", draft, file)
+    return draft, import_file(file, tmp_path / "m.toml", accept_draft=True)
+
+
+def test_a_draft_finds_rate_layout_units_parts_and_injection(tmp_path):
+    n, z, y = loop_signals()
+    t = 1e3 * np.arange(N) / RATE
+    file = written(
+        tmp_path / "scope.csv", ["Zeit [ms]", "Anregung [mm]", "Stellgröße [V]", "Istwert [mm]"], [t, n, z, y],
+        ";", ",", "Messung 7\nPrüfer: A. B.\n\n", encoding="cp1252",
+    )  # fmt: skip
+    draft, run = accepted(file, tmp_path)
+    (loop,), (recording,) = run.loops, run.recordings
+    assert run.rate_hz == RATE
+    assert (loop.injected, loop.control, loop.output) == ("anregung_m", "stellgr_e_v", "istwert_m")
+    assert (recording.info.injection, recording.info.closed_loop) == ("controller_input", True)
+    np.testing.assert_allclose(recording.column("istwert_m"), 1e-3 * y, atol=1e-9)
+    assert all(sentence.endswith(".") for sentence in draft.guesses)
+
+
+@pytest.mark.parametrize("injection", ["controller_input", "plant_input"])
+def test_without_names_data_tell_the_parts(injection, tmp_path):
+    n, z, y = loop_signals(injection)
+    t = np.arange(N) / RATE
+    names = ["time", "injected", "s1", "s2"] if injection == "controller_input" else ["time", "injected", "ctrl", "pos"]
+    _, run = accepted(written(tmp_path / "a.csv", names, [t, n, z, y]), tmp_path)
+    (loop,), (recording,) = run.loops, run.recordings
+    assert (loop.control, loop.output) == (f"{names[2]}_1", f"{names[3]}_1")
+    assert recording.info.injection == injection
+
+
+def test_the_plant_comes_out_of_a_run_that_a_draft_made(tmp_path):
+    n, z, y = loop_signals()
+    _, run = accepted(
+        written(tmp_path / "a.csv", ["t_s", "chirp", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y]), tmp_path
+    )
+    P = ls.frf(run)
+    q = np.exp(-2j * np.pi * P.frequency_hz / RATE)
+    apart = np.abs(P.siso - 0.02 * q / (1.0 - 0.9 * q)) / np.sqrt(P.variance[:, 0, 0])
+    assert np.mean(apart < 3.0) > 0.95  # |d|²/var is exponential: 3 sigma is passed by 1 in 8000
+
+
+def test_a_draft_is_taken_on_demand_alone_and_the_run_says_so(tmp_path):
+    n, z, y = loop_signals()
+    file = written(tmp_path / "a.csv", ["t_s", "inj", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y])
+    draft = draft_map(file)
+    write_draft(tmp_path / "m.toml", draft, file)
+    with pytest.raises(WrongUseError, match=r"nobody has confirmed.*--accept"):
+        import_file(file, tmp_path / "m.toml")
+    run = import_file(file, tmp_path / "m.toml", accept_draft=True)
+    told = [note for note in run.extra["notes"] if "draft map that nobody confirmed" in note]
+    assert [note.split("confirmed: ")[1] for note in told] == list(draft.guesses)
+    with pytest.raises(WrongUseError, match="is there already"):
+        write_draft(tmp_path / "m.toml", draft, file)
+
+
+def test_what_is_open_cannot_be_accepted(tmp_path):
+    n, z, y = loop_signals()
+    file = written(tmp_path / "a.csv", ["inj", "u_V", "y_m"], [n, z, y])
+    draft = draft_map(file)
+    assert len(draft.open) == 1
+    assert "rate_hz" in draft.open[0]
+    write_draft(tmp_path / "m.toml", draft, file)
+    with pytest.raises(WrongUseError, match=r"questions open.*write rate_hz"):
+        import_file(file, tmp_path / "m.toml", accept_draft=True)
+    assert draft_map(file, RATE).open == ()
+
+
+def test_a_closed_loop_without_its_excitation_is_an_open_question(tmp_path):
+    _, z, y = loop_signals(gain=20.0)
+    file = written(tmp_path / "a.csv", ["t_s", "u_V", "y_m"], [np.arange(N) / RATE, z, y])
+    (question,) = draft_map(file).open
+    assert "a loop was closed" in question
+    assert "record it too" in question
+
+
+def test_an_open_loop_and_a_period_are_seen(tmp_path):
+    u = np.tile(np.random.default_rng(2).standard_normal(1000), 6)
+    y = np.convolve(u, [0.0, 0.5, 0.25])[:N] + 0.001 * np.random.default_rng(3).standard_normal(N)
+    file = written(tmp_path / "a.csv", ["t_s", "u_V", "y_m"], [np.arange(N) / RATE, u, y])
+    _, run = accepted(file, tmp_path)
+    info = run.recordings[0].info
+    assert (info.closed_loop, info.injection, info.kind) == (False, "control", "multisine")
+    assert (info.period_s, info.periodic_from_s) == (1000 / RATE, 0.0)
+
+
+def test_stamps_of_every_kind_give_the_rate(tmp_path):
+    n, z, y = loop_signals()
+    k = np.arange(N)
+    stamps = {
+        "iso": [f"2024-03-05T10:{10 + int(s) // 60:02d}:{s % 60:09.6f}" for s in k / RATE],
+        "german": [f"05.03.2024 10:{10 + int(s) // 60:02d}:{s % 60:06.3f}" for s in k / RATE],
+        "epoch ms": [f"{1709632800000 + round(1e3 * s)}" for s in k / RATE],
+        "us": [f"{round(1e6 * s)}" for s in k / RATE],
+    }
+    for name, column in stamps.items():
+        rows = "\n".join(f"{s},{a:.6g},{b:.6g},{c:.6g}" for s, a, b, c in zip(column, n, z, y, strict=True))
+        (tmp_path / "a.csv").write_text("timestamp,inj,u_V,y_m\n" + rows + "\n")
+        (tmp_path / "m.toml").unlink(missing_ok=True)
+        _, run = accepted(tmp_path / "a.csv", tmp_path)
+        assert run.rate_hz == RATE, name
+    (tmp_path / "b.csv").write_text("t,y\n2024-03-05,1\n")
+    with pytest.raises(LoopshapeError, match="2024-03-05"):
+        draft_map(tmp_path / "b.csv")
+
+
+def test_units_below_the_header_and_lines_above_it(tmp_path):
+    n, z, y = loop_signals()
+    file = written(
+        tmp_path / "a.txt", ["exc", "drive", "position"], [n, z, y], "\t", ".", "Scope v3\nSampling rate: 0.5 kHz\n",
+        ["[mm]", "[V]", "[mm]"],
+    )  # fmt: skip
+    _, run = accepted(file, tmp_path)
+    assert run.rate_hz == RATE
+    assert set(run.recordings[0].columns) == {"t_s", "exc_m", "drive_v", "position_m"}
+
+
+def test_a_mat_file_with_a_rate_of_its_own(tmp_path):
+    n, z, y = loop_signals()
+    savemat(tmp_path / "a.mat", {"dither": n, "u": z[:, None], "pos_meas": y, "fs": RATE, "gain": 3.0})
+    draft, run = accepted(tmp_path / "a.mat", tmp_path)
+    assert run.rate_hz == RATE
+    assert draft.roles == {"dither": "injected", "u": "control", "pos_meas": "output"}
+
+
+def test_a_file_that_holds_nothing_is_refused_with_a_cure(tmp_path):
+    for text, word in (("", "empty"), ("t,u,y\n", "no rows"), ("one\ntwo\nthree\n", "a row of numbers a sample")):
+        (tmp_path / "a.csv").write_text(text)
+        with pytest.raises(LoopshapeError, match=word):
+            draft_map(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0")
+    with pytest.raises(LoopshapeError, match="no file of text"):
+        draft_map(tmp_path / "a.csv")
+
+
+def test_the_command_writes_draft_picture_and_run(tmp_path, capsys):
+    n, z, y = loop_signals()
+    file = written(tmp_path / "a.csv", ["t_s", "inj", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y])
+    command(file, None, None, False, tmp_path / "d.toml", None, False, True, False)
+    told = json.loads(capsys.readouterr().out)
+    assert told["open"] == []
+    assert (tmp_path / "d.png").read_bytes()[:4] == b"\x89PNG"
+    assert tomllib.loads((tmp_path / "d.toml").read_text())["draft"]["guesses"] == told["guesses"]
+    command(file, tmp_path / "d.toml", tmp_path / "run", True, None, None, False, False, True)
+    assert ls.read(tmp_path / "run").rate_hz == RATE
+    with pytest.raises(WrongUseError, match="--out FOLDER"):
+        command(file, None, None, True, None, None, False, False, False)

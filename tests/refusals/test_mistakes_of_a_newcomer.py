@@ -1,0 +1,171 @@
+"""Mistakes of people who import their first recording: each ends in a sentence that names the cure."""
+
+import re
+
+import numpy as np
+import pytest
+
+import loopshape as ls
+from loopshape.core.errors import LoopshapeError
+from loopshape.io.check_files import check_files
+from loopshape.io.frfs import write_frfs
+from loopshape.io.import_file import import_file
+from loopshape.io.profiles import profile_of
+
+MAP = """format = "loopshape-map/1"
+rate_hz = 1000.0
+time = { from = "t", unit = "s" }
+
+[columns]
+u_v = { from = "u", unit = "V" }
+x_m = { from = "x", unit = "mm" }
+
+[[loop]]
+name = "axis"
+control = "u_v"
+output = "x_m"
+
+[recording]
+kind = "noise"
+injection = "control"
+excites = "axis"
+closed_loop = false
+"""
+N = 400
+T = np.arange(N) / 1000.0
+U = np.random.default_rng(5).standard_normal(N)
+X = np.convolve(U, [0.0, 0.5, 0.3])[:N]
+
+
+def csv(separator=",", decimal=".", t=T, head="t,u,x\n"):
+    rows = (separator.join(str(v).replace(".", decimal) for v in row) for row in zip(t, U, X, strict=True))
+    return head.replace(",", separator) + "\n".join(rows) + "\n"
+
+
+def changed(old, new):
+    assert old in MAP
+    return MAP.replace(old, new, 1)
+
+
+CLOSED = MAP.replace('"control"\nexcites', '"controller_input"\nexcites').replace("closed_loop = false", "")
+STAMPS = [f"2024-03-05T10:00:{t:09.6f}" for t in T]
+LATE = np.where(T < 0.2, T, T + 0.3)
+
+#: mistake -> what the map says, what the file holds, its name, and what the sentence must say
+IMPORTS = {
+    "a unit in full": (changed('"V"', '"volts"'), csv(), "r.csv", "'volts'", "'V' perhaps"),
+    "Hz as the unit of a speed": (changed('"V"', '"Hz"'), csv(), "r.csv", "'Hz'", "a speed is rad/s or rpm"),
+    "per cent as a unit": (changed('"V"', '"%"'), csv(), "r.csv", "'%'", "gain = 0.01"),
+    "a name that ends in another unit": (changed("u_v =", "u_a ="), csv(), "r.csv", "_a", "end the name in _v"),
+    "no unit": (changed(', unit = "mm"', ""), csv(), "r.csv", "no unit", "write it"),
+    "a decimal comma in the map": (changed("1000.0", "1000,0"), csv(), "r.csv", "rate_hz = 1000,0", "decimal point"),
+    "a text without quotes": (changed('"x"', "x"), csv(), "r.csv", "from = x", 'quotes: "x"'),
+    "a colon for an equals sign": (changed("rate_hz =", "rate_hz:"), csv(), "r.csv", "rate_hz:", "key = value"),
+    "kHz for Hz": (changed("1000.0", "1.0"), csv(), "r.csv", "keep 1000 Hz", "correct rate_hz"),
+    "the period for the rate": (changed("1000.0", "0.001"), csv(), "r.csv", "keep 1000 Hz", "correct rate_hz"),
+    "stamps in ms": (MAP, csv(t=1e3 * T), "r.csv", "keep 1 Hz", 'the unit of time ("ms")'),
+    "stamps written as text": (MAP, csv(t=STAMPS), "r.csv", "2024-03-05T10", 'clock = "iso"'),
+    "lost samples": (MAP, csv(t=LATE), "r.csv", "at row 200", "resample = true"),
+    "a column misspelled": (changed('"x"', '"pos"'), csv(), "r.csv", "'pos'", "it holds t, u, x"),
+    "control and output from one column": (changed('"x"', '"u"'), csv(), "r.csv", "one place", "a column of its own"),
+    "another separator": (MAP, csv(";"), "r.csv", "it holds t;u;x", "say its separator in [csv]"),
+    "a decimal comma in the file": (
+        changed("[columns]", 'csv = { separator = ";" }\n[columns]'), csv(";", ","), "r.csv", "are not numbers",
+        "decimal sign",
+    ),
+    "a row of units": (MAP, csv(head="t,u,x\ns,V,mm\n"), "r.csv", "row 0", "unit_rows = 1"),
+    "a header and nothing else": (MAP, "t,u,x\n", "r.csv", "a header and no rows", "record again"),
+    "an empty file": (MAP, "", "r.csv", "is empty", "record again"),
+    "a spreadsheet": (MAP, csv(), "r.xlsx", "r.xlsx", "save the sheet as CSV"),
+    "a pickle": (MAP, csv(), "r.pkl", "r.pkl", "numpy.savez"),
+    "a loop misspelled": (changed('excites = "axis"', 'excites = "axes"'), csv(), "r.csv", "'axes'", "loops are axis"),
+    "nothing moves": (MAP, re.sub(r",.*", ",0,0", csv()).replace("t,0,0", "t,u,x"), "r.csv", "constant", "check the"),
+    "a closed loop without what was injected": (CLOSED, csv(), "r.csv", "no injected", "name the injected column"),
+    "a draft taken for a map": (
+        MAP + '\n[draft]\nguesses = ["u is the control"]\n', csv(), "r.csv", "nobody has confirmed", "delete [draft]"
+    ),
+}  # fmt: skip
+
+
+def sentence(action):
+    with pytest.raises(LoopshapeError) as caught:
+        action()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("mistake", IMPORTS)
+def test_a_mistake_of_an_import_ends_in_its_cure(mistake, tmp_path):
+    map_text, text, name, *words = IMPORTS[mistake]
+    (tmp_path / "map.toml").write_text(map_text)
+    (tmp_path / name).write_text(text)
+    said = sentence(lambda: ls.frf(import_file(tmp_path / name, tmp_path / "map.toml")))
+    assert [word for word in words if word not in said] == [], said
+    assert said.count("; ") >= 2  # three breaths
+
+
+def test_the_map_of_these_mistakes_is_right_without_them(tmp_path):
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "r.csv").write_text(csv())
+    assert ls.frf(import_file(tmp_path / "r.csv", tmp_path / "map.toml"), method="welch").frequency_hz.size > 10
+
+
+def test_recording_and_map_given_the_wrong_way_round(tmp_path):
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "r.csv").write_text(csv())
+    assert "the map behind --map" in sentence(lambda: import_file(tmp_path / "map.toml", tmp_path / "r.csv"))
+
+
+P = ls.FRF.from_arrays([1.0, 2.0, 4.0], [1.0, 0.5j, 0.1], relative_std=0.01, rate_hz=1000.0, loop="axis")
+
+#: mistake -> what is done, and what the sentence must say
+IN_PYTHON = {
+    "per cent for a share": (lambda: ls.FRF.from_arrays([1.0], [1.0], relative_std=5.0), "500 %", "write 0.05"),
+    "a coherence without averages": (
+        lambda: ls.FRF.from_arrays([1.0], [1.0], coherence=[0.9]), "averages", "give coherence and averages"
+    ),
+    "no error": (lambda: ls.FRF.from_arrays([1.0], [1.0]), "how sure", "give std, relative_std"),
+    "magnitude without phase": (
+        lambda: ls.FRF.from_arrays([1.0], magnitude_db=[0.0], relative_std=0.1), "1 of", "magnitude_db and phase_deg"
+    ),
+    "a modulus margin in dB": (lambda: ls.Requirements(modulus_margin=6.0), "6", "must not exceed 1"),
+    "a controller at another rate": (
+        lambda: ls.check(P, ls.controller(ls.gain(1.0), rate_hz=500.0)), "500 and 1000 Hz", "the recording's rate_hz"
+    ),
+    "a profile misspelled": (lambda: profile_of("iso"), "'iso'", "servo"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", IN_PYTHON)
+def test_a_mistake_in_python_ends_in_its_cure(mistake):
+    action, *words = IN_PYTHON[mistake]
+    said = sentence(action)
+    assert [word for word in words if word not in said] == [], said
+
+
+CONTROLLER = """format = "loopshape-controllers/1"
+rate_hz = 1000.0
+[[loop]]
+name = "axis"
+controller = [{ kind = "gain", gain = 0.5 }]
+"""
+REQUIRED = """format = "loopshape-requirements/1"
+[[loop]]
+name = "axis"
+phase_margin_deg = 45.0
+"""
+OF_FILES = {
+    "a loop misspelled": (REQUIRED.replace('"axis"', '"axes"'), "'axes'", "axis"),
+    "the requirements of another loop": (REQUIRED.replace('"axis"', '"position"'), "'position'", "axis"),
+    "a key misspelled": (REQUIRED.replace("phase_margin_deg", "phase_margin"), "phase_margin", "phase_margin_deg"),
+    "a decimal comma": (REQUIRED.replace("45.0", "45,0"), "45,0", "decimal point"),
+}
+
+
+@pytest.mark.parametrize("mistake", OF_FILES)
+def test_a_mistake_of_requirements_ends_in_its_cure(mistake, tmp_path):
+    text, *words = OF_FILES[mistake]
+    write_frfs(tmp_path / "run", [P])
+    (tmp_path / "c.toml").write_text(CONTROLLER)
+    (tmp_path / "r.toml").write_text(text)
+    said = sentence(lambda: check_files(tmp_path / "run", tmp_path / "c.toml", tmp_path / "r.toml"))
+    assert [word for word in words if word not in said] == [], said
