@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import erf, inf, sqrt
+from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.requirements import LIMIT_OF, Requirements, Verdict
@@ -48,7 +49,8 @@ class Profile:
                 f"profile {self.name!r} limits quantities that are not known", ", ".join(unknown),
                 f"use {', '.join(LIMIT_OF)}",
             )  # fmt: skip
-        Requirements(**dict(self.limits))
+        limits: dict[str, Any] = dict(self.limits)
+        Requirements(**limits)
         edges = [zone.up_to_db for zone in self.zones]
         if edges and not (all(a < b for a, b in pairwise(edges)) and edges[-1] == inf):
             raise WrongUseError(f"the zones of profile {self.name!r} rise, and the last has no end", f"{edges}")
@@ -61,7 +63,7 @@ class Profile:
     def joined(self, requirements: Requirements) -> Requirements:
         """Requirements under which both hold: of each quantity the stricter limit."""
         stricter = {"at_least": max, "at_most": min}
-        made = {}
+        made: dict[str, Any] = {}
         for name, limit in self.limits.items():
             own = getattr(requirements, name)
             made[name] = limit if own is None else stricter[LIMIT_OF[name].sense](own, limit)

@@ -18,7 +18,7 @@ _ROWS = 20_000  # rows looked at
 _EXACT = 1e-4  # of a signal's rms, up to which a sum is one
 _PREDICTED = 1e-9  # share of a signal that its own past leaves: below it nothing is said of it
 _REPEATED = 0.1  # of a signal's rms, by which two of its periods may differ
-HELPS = 0.02  # share of what its own past leaves open, from which on others' past explains a signal
+_LEAST = 0.005  # share of what its own past leaves open, from which on others' past may explain a signal
 
 
 def constants(x: Array) -> np.ndarray:
@@ -55,6 +55,11 @@ def answers(x: Array) -> Array:
         every = _left(past, x[_LAGS:, j])
         out[j] = 1.0 - np.sum(every**2) / np.sum(own**2) * (n - _LAGS) / (n - _LAGS - _LAGS * (m - 1))
     return out
+
+
+def beyond_chance(rows: int, columns: int) -> float:
+    """The share in `answers` from which on it is an answer: eight standard deviations of what chance leaves."""
+    return float(max(_LEAST, 8.0 * np.sqrt(2.0 * _LAGS * max(columns - 1, 1)) / min(rows, _ROWS)))
 
 
 def at_once(x: Array, source: int, answer: int) -> float:

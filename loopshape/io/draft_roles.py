@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.identify.roles import HELPS, answers, at_once, differences, rises, rows_of_a_period
+from loopshape.identify.roles import answers, at_once, beyond_chance, differences, rises, rows_of_a_period
 from loopshape.io.column_words import Role, role_weights
 
 _AT_ONCE = 0.1  # correlation of what is new at the same row, from which on one signal passes to the other unmoved
@@ -40,7 +40,7 @@ class _Seen:
 
     def alone(self, name: str) -> bool:
         """Whether a signal seems to move by itself."""
-        return bool(self.answered[name] < HELPS)
+        return bool(self.answered[name] < beyond_chance(*self.values.shape))
 
     def column(self, name: str) -> Array:
         return np.asarray(self.values[:, self.names.index(name)])
@@ -145,7 +145,7 @@ def _open_or_closed(seen: _Seen, roles: Roles, moved_alone: bool) -> None:
         share = f"{max(100.0 * measure, 0.0):.1f} %"
         roles.guesses.append(
             f"the loop is taken for open: the output's past explains {share} of what is new in {control!r}, as good as"
-            " nothing; a loop of low gain does no more, so please confirm."
+            " nothing; a loop without noise at the output does no more, so please confirm."
         )
     elif np.isnan(measure):
         roles.guesses.append(
@@ -154,7 +154,7 @@ def _open_or_closed(seen: _Seen, roles: Roles, moved_alone: bool) -> None:
         )
     else:
         roles.open.append(
-            f"the output's past explains {100 * measure:.0f} % of what is new in {control!r}, so a loop was closed, and"
+            f"the output's past explains {100 * measure:.1f} % of what is new in {control!r}, so a loop was closed, and"
             " no column holds the signal that was injected or the reference that moved: record it too, and name it."
         )
 

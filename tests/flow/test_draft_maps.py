@@ -16,10 +16,10 @@ from loopshape.io.import_file import import_file
 RATE, N = 500.0, 6000
 
 
-def loop_signals(injection="controller_input", gain=5.0):
+def loop_signals(injection="controller_input", gain=5.0, noise=0.01):
     """n, z, y of a plant 0.02 q^-1/(1 - 0.9 q^-1) under z = gain (n - y) (or -gain y, n behind it), with noise on y."""
     r = np.random.default_rng(1)
-    n, e = r.standard_normal(N), 0.01 * r.standard_normal(N)
+    n, e = r.standard_normal(N), noise * r.standard_normal(N)
     z, y, state = np.zeros(N), np.zeros(N), 0.0
     for k in range(N):
         y[k] = state + e[k]
@@ -109,7 +109,7 @@ def test_what_is_open_cannot_be_accepted(tmp_path):
 
 
 def test_a_closed_loop_without_its_excitation_is_an_open_question(tmp_path):
-    _, z, y = loop_signals(gain=20.0)
+    _, z, y = loop_signals(gain=20.0, noise=0.5)  # without noise on y its past adds nothing to that of z
     file = written(tmp_path / "a.csv", ["t_s", "u_V", "y_m"], [np.arange(N) / RATE, z, y])
     (question,) = draft_map(file).open
     assert "a loop was closed" in question

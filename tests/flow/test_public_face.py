@@ -217,7 +217,7 @@ def test_reprs_are_one_line(arrays: dict[str, np.ndarray]) -> None:
     [
         ({}, "nothing tells how sure"),
         ({"std": 0.1, "relative_std": 0.1}, "stated once"),
-        ({"coherence": np.full(F_HZ.size, 0.9)}, "stated once"),
+        ({"coherence": np.full(F_HZ.size, 0.9)}, "give coherence and averages"),
         ({"coherence": np.full(F_HZ.size, 1.9), "averages": 10}, "between 0 and 1"),
         ({"std": np.ones(3)}, "std is the standard deviation"),
     ],

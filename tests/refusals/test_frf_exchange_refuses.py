@@ -125,7 +125,7 @@ def test_tables_that_are_no_frf(tmp_path):
     refused("\n".join([*lines[:5], lines[5][:-1] + "2", *lines[6:]]) + "\n", "trusted", "1 or 0")
     refused("frequency_hz,re,im,std\n1,1,0,-1\n", "is negative")
     refused("frequency_hz,re,im\n2,1,0\n1,1,0\n", "rise", stated=SURE)
-    refused("frequency_hz,re,im\n", "cannot be read as CSV", stated=SURE)
+    refused("frequency_hz,re,im\n", "a header and no rows", stated=SURE)
 
 
 def test_universal_files_that_are_no_matrix(tmp_path):
