@@ -159,8 +159,8 @@ def test_a_text_column_is_refused(tmp_path):
         ("a_v,b_v\n1,2,3\n", r"names 2 columns; received rows of 3"),
         ("a_v,b_v\n1,2\n1,2,3\n", r"cannot be read as CSV"),
         ("a_v,a_v\n1,2\n", r"a name of its own"),
-        ("", r"a name of its own"),
-        ("a_v,b_v\n", r"cannot be read as CSV"),
+        ("", r"is empty"),
+        ("a_v,b_v\n", r"a header and no rows"),
     ],
 )
 def test_damaged_csv(tmp_path, text, words):
