@@ -37,12 +37,15 @@ if TYPE_CHECKING:
     from loopshape.data.requirements import Requirements as Requirements
     from loopshape.data.requirements import Verdict as Verdict
     from loopshape.data.run import Run as Run
+    from loopshape.data.shorthand import biquad as biquad
+    from loopshape.data.shorthand import complex_lead as complex_lead
     from loopshape.data.shorthand import controller as controller
     from loopshape.data.shorthand import gain as gain
     from loopshape.data.shorthand import lead_lag as lead_lag
     from loopshape.data.shorthand import low_pass as low_pass
     from loopshape.data.shorthand import notch as notch
     from loopshape.data.shorthand import pi as pi
+    from loopshape.data.shorthand import resonator as resonator
     from loopshape.data.study import Study as Study
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.tune import Tuning as Tuning
@@ -98,10 +101,12 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.requirements",
+    "biquad": "data.shorthand",
     "bound": "verbs.chain",
     "check": "verbs.chain",
     "check_several": "verbs.several",
     "compare": "verbs.chain",
+    "complex_lead": "data.shorthand",
     "controller": "data.shorthand",
     "emulator": "verbs.machine",
     "export": "verbs.files",
@@ -127,6 +132,7 @@ _HOME = {
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",
+    "resonator": "data.shorthand",
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tune": "verbs.chain",

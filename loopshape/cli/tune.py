@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -15,6 +16,7 @@ from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
+    from loopshape.design.growth import Grown
     from loopshape.design.relax import Shortfall
     from loopshape.design.tune import Tuning
 
@@ -32,13 +34,17 @@ def tune(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
     starts: Annotated[int, typer.Option(min=1, help="Starts that are followed; 1 with --start: that one alone.")] = 16,
+    grow: Annotated[int, typer.Option(min=0, help="Add up to so many blocks, each the one that pays most.")] = 0,
+    least_gain: Annotated[
+        float, typer.Option(min=0.0, help="Stop growing where a block gains less of the bandwidth than this.")
+    ] = 0.01,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Tune the structures of a requirements file against all FRFs of a run at once.
 
     Where requirements cannot be met it says what holds them apart, and what to relax by how much. Exit code 1 then,
-    and nothing is written.
+    and nothing is written. With --grow blocks are added to the structures as long as they pay.
     """
     output = Output(as_json, quiet)
     if matrix:
@@ -48,9 +54,13 @@ def tune(
             raise WrongUseError("a profile limits single loops", "--profile and --matrix", "leave one of them out")
         from loopshape.cli.tune_several import tune_several_run
 
+        refuse_growth(grow)
         feasible = tune_several_run(run, require, out, output, start=start, seed=seed, starts=starts)
     else:
-        feasible = tune_run(run, require, out, output, start=start, seed=seed, starts=starts, profile=profile)
+        feasible = tune_run(
+            run, require, out, output, start=start, profile=profile, seed=seed, starts=starts, grow=grow,
+            least_gain=least_gain,
+        )  # fmt: skip
     if not feasible:
         raise typer.Exit(1)
 
@@ -62,9 +72,8 @@ def tune_run(
     output: Output,
     *,
     start: Path | None = None,
-    seed: int = 0,
-    starts: int = 16,
     profile: str | None = None,
+    **search: Any,
 ) -> bool:
     """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
     from loopshape.design.tune import tune as tune_loop
@@ -80,7 +89,7 @@ def tune_run(
     found = []
     for wished in requirements:
         mine = [one for one in frfs if one.loop == wished.loop]
-        found.append(tune_loop(mine, wished, fits, start=began.get(wished.loop), seed=seed, starts=starts))
+        found.append(tune_loop(mine, wished, fits, start=began.get(wished.loop), **search))
         report_tuning(found[-1], output, len(mine))
     for sentence in () if chosen is None else chosen.sentences():
         output.paragraph(sentence)
@@ -133,8 +142,12 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
         f"Loop {tuning.controller.loop}: lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection} over {points} FRFs"
     )
     output.table(title, ["block", "parameters"], rows)
+    if tuning.growth:
+        report_growth(tuning.growth, output)
     binding = [[b.quantity, b.recording, b.at_hz] for b in tuning.binding]
     output.table("What binds", ["requirement", "recording", "at [Hz]"], binding)
+    if any(b.quantity == "dip" for b in tuning.binding):
+        output.say("dip: |L| comes down to 1 there below the bandwidth, which would jump there")
     if any(b.quantity == "stability" for b in tuning.binding):
         output.say("stability: what the count of encirclements needs there to be sure; better data there would free it")
     for line in tuning.moved:
@@ -146,6 +159,26 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
     if tuning.shortfall is not None and tuning.shortfall.stable:
         _report_shortfall(tuning.shortfall, output)
     report_verdicts([tuning.verdict], output, margins=False)
+
+
+def report_growth(steps: Sequence[Grown], output: Output) -> None:
+    """What each block that was added brought."""
+    rows = [
+        [g.added or "-", g.bandwidth_hz, g.control_peak_db, _known(g.detuning_percent), g.order, g.outcome]
+        for g in steps
+    ]
+    columns = ["added", "lowest bandwidth [Hz]", "peak |CS| [dB]", "detuning margin [%]", "order", "outcome"]
+    output.table("Growth", columns, rows)
+
+
+def refuse_growth(grow: int) -> None:
+    """Refuse growth of several loops at once."""
+    from loopshape.core.errors import WrongUseError
+
+    if grow:
+        raise WrongUseError(
+            "structures grow for one loop at a time", f"--grow {grow} with --matrix", "grow each loop without --matrix"
+        )
 
 
 def _report_shortfall(found: Shortfall, output: Output) -> None:
@@ -185,6 +218,7 @@ def tuning_json(tuning: Tuning) -> dict[str, Any]:
         "loop": tuning.controller.loop,
         "blocks": [block.to_table() for block in tuning.controller.blocks],
         "binding": [named(b, "quantity", "recording", "at_hz") for b in tuning.binding],
+        "growth": [asdict(g) for g in tuning.growth],
         "shortfall": None if why is None else asdict(why) | {"certified": why.certified},
         "verdict": tuning.verdict.to_dict(),
     }

@@ -182,6 +182,10 @@ class Block:
         """Numerator and denominator, coefficients of s^0, s^1, s^2."""
         return BLOCK_KINDS[self.kind].section(self.parameters)
 
+    def order(self) -> int:
+        """Degree of the denominator, or of the numerator where that is higher: the poles of the block as it runs."""
+        return max(k for polynomial in self.section() for k, c in enumerate(polynomial) if c != 0.0 or k == 0)
+
     def log_slopes(self, s: ComplexArray) -> dict[str, ComplexArray]:
         """d log(block)/d parameter at each s, exact; keys are the block's parameters."""
         num, den = (_polyval(p, s) for p in self.section())

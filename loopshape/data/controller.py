@@ -141,6 +141,10 @@ class Controller:
         """Number of poles at s = 0."""
         return sum(block.kind == "pi" for block in self.blocks)
 
+    def order(self) -> int:
+        """Number of its poles."""
+        return sum(block.order() for block in self.blocks)
+
     def as_recorded(self) -> Controller:
         """As a recording under it shows it: from e to the logged z, without the delay and the added hold."""
         return replace(self, computation_delay_s=0.0, added_hold=False)

@@ -22,6 +22,8 @@ Parameter = float | tuple[float, float] | None
 OPEN = Free(0.0, float("inf"))
 #: bounds of dampings and ratios that follow from no plant, by name
 DAMPINGS = {"damping": (0.2, 2.0), "damping1": (0.005, 1.0), "damping2": (0.1, 2.0)}
+#: bounds of a resonator's dampings and of a complex lead's, where none are given
+RESONATOR, COMPLEX = ((0.01, 2.0), (0.005, 1.0)), (0.1, 1.0)
 #: decades about 1/|P| in the valid band that an open gain may reach
 GAIN_DECADES = 3.0
 
@@ -72,6 +74,46 @@ def notch(
     if f2_hz is None:
         return _block("notch", {"f2_hz": "f1_hz"}, f1_hz=f_hz, damping1=damping1, damping2=damping2)
     return _block("notch", f1_hz=f_hz, f2_hz=f2_hz, damping1=damping1, damping2=damping2)
+
+
+def biquad(
+    f1_hz: Parameter = None, f2_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None
+) -> BlockTemplate:
+    """A free biquad: zeros at `f1_hz` with `damping1` over poles at `f2_hz` with `damping2`, 1 at low frequency.
+
+    A notch whose zeros and poles lie apart; with a damping above 1 a pair is two real roots.
+
+    >>> import loopshape as ls
+    >>> sorted(ls.biquad((5.0, 50.0), (5.0, 50.0)).parameters)
+    ['damping1', 'damping2', 'f1_hz', 'f2_hz']
+    """
+    return _block("notch", f1_hz=f1_hz, f2_hz=f2_hz, damping1=damping1, damping2=damping2)
+
+
+def resonator(f_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None) -> BlockTemplate:
+    """A peak filter, damping1/damping2 high at `f_hz` and 1 elsewhere: the dampings of its zeros over its poles.
+
+    >>> import loopshape as ls
+    >>> block = ls.resonator(50.0, 0.5, 0.05).block({})
+    >>> round(abs(block.parameters["damping1"] / block.parameters["damping2"]))
+    10
+    """
+    wide, narrow = RESONATOR
+    return _block("notch", {"f2_hz": "f1_hz"}, f1_hz=f_hz, damping1=damping1 or wide, damping2=damping2 or narrow)
+
+
+def complex_lead(f1_hz: Parameter = None, f2_hz: Parameter = None, damping: Parameter = None) -> BlockTemplate:
+    """Lead of a complex pair of zeros at `f1_hz` and of poles at `f2_hz` with one damping; a lag where f1 > f2.
+
+    It turns the phase by more in a narrower band than two equal lead-lags in series, which it is with damping 1
+    (Messner, Bedillion, Xia and Karns, Lead and lag compensators with complex poles and zeros, IEEE Control Systems
+    Magazine 27(1), 2007).
+
+    >>> import loopshape as ls
+    >>> ls.complex_lead(20.0, 60.0, 0.4).tie
+    {'damping2': 'damping1'}
+    """
+    return _block("notch", {"damping2": "damping1"}, f1_hz=f1_hz, f2_hz=f2_hz, damping1=damping or COMPLEX)
 
 
 def low_pass(f_hz: Parameter = None, damping: Parameter = None, *, order: int = 2) -> BlockTemplate:

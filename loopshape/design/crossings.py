@@ -12,8 +12,11 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.design.evaluation import Evaluation
-from loopshape.design.rows import Rows, Tighten, between_lines, on_lines, scaled, wished
+from loopshape.design.rows import DIP, Rows, Tighten, between_lines, on_lines, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
+
+#: dips of |L| below the bandwidth are watched where |L| is below this
+SHALLOW = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,8 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
         yield from _phase_rows(e, tighten, unit_crossings(e))
     if needs.gain_margin_db is not None or needs.gain_reduction_margin_db is not None:
         yield from _gain_rows(e, tighten)
+    if needs.objective.bandwidth:
+        yield _dips(e, tighten)
     if needs.bandwidth_hz is not None:
         yield _at_least(bandwidth(e), "bandwidth_hz", e, tighten)
     if needs.sensitivity_bandwidth_hz is not None:
@@ -107,6 +112,25 @@ def bandwidth(e: Evaluation) -> Rows:
     at, share, k = start.copy(), np.zeros(p.points), first[seen]
     value[seen], move[seen], at[seen], share[seen] = c.ln_f[k], c.move[k], c.at[k], c.share[k]
     return between_lines("", p, value, at, share, move)
+
+
+def _dips(e: Evaluation, tighten: Tighten) -> Rows:
+    """Rows of ln |L| at its local minima below the first 0 dB crossing.
+
+    Without them a linearised step lets |L| fall through 1 there, the first crossing jumps, and the search gives up.
+    """
+    p, size = e.p, e.ln_L
+    low = np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] < size[2:]) & p.inside[:-1] & p.inside[1:]) + 1
+    shallow = low[(size[low] > 0.0) & (size[low] < np.log(SHALLOW))]
+    at = shallow[shallow < _first_below(size, p.first)[p.owner[shallow]]]
+    margin = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points)
+    return on_lines(DIP, p, size[at] - margin[p.owner[at]], at, np.ones(at.size))
+
+
+def _first_below(size: Array, first: np.ndarray) -> np.ndarray:
+    """Flat line of each operating point where ln |L| is first below zero; one past its last where it never is."""
+    below = np.append(np.flatnonzero(size < 0.0), size.size)
+    return np.minimum(below[np.searchsorted(below, first[:-1])], first[1:])
 
 
 def _sensitivity_bandwidth(e: Evaluation) -> Rows:

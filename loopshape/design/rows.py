@@ -16,6 +16,8 @@ from loopshape.design.problem import Problem
 Tighten = Mapping[str, float | Array]
 #: quantity of the rows that keep the count of encirclements sure: -1 outside the 95 % circles, |L| < 1 beyond
 SURE = "stability"
+#: quantity of the rows that keep |L| above 1 where it dips below the bandwidth: the first crossing would jump there
+DIP = "dip"
 
 #: a ratio or a frequency counts as so much at least: a loop without a crossing has a bandwidth of zero
 LEAST = 1e-12

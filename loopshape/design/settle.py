@@ -12,7 +12,7 @@ from loopshape.data.controller import Controller
 from loopshape.data.requirements import LIMIT_OF, Verdict
 from loopshape.design.measures import Measures, measure
 from loopshape.design.problem import Problem
-from loopshape.design.rows import SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
 
 #: what holds a controller against all requirements and has the last word
@@ -23,6 +23,9 @@ ROUNDS, FIRM = 8, 3
 WASTE = 0.003
 #: where stability is not decided, L is kept farther from -1 by this much (ln) a round
 SURER = 0.15
+#: a crossing that the check reads lower by so much (ln) comes from a dip of |L|, which is kept farther from 1 by so
+#: much (ln) a round
+DIPPED, HIGHER = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,29 @@ class Settled:
         """What makes one better than another, smallest first: outcome, worst miss of a limit, -(objective)."""
         stable = {m.stable for m in self.verdict.margins.values()}
         outcome = 3 if "unstable" in stable else ("passed", "undecided", "failed").index(self.verdict.outcome)
-        return outcome, round(0.0 if outcome == 0 else miss(self.verdict), 4), -self.found.measures.objective()
+        return outcome, round(0.0 if outcome == 0 else miss(self.verdict), 4), -self.objective
+
+    @property
+    def objective(self) -> float:
+        """The objective with the bandwidth that the check reads where that is less."""
+        m = self.found.measures
+        read, weight = bandwidths(self.verdict), m.evaluation.p.requirements.objective.bandwidth
+        less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if weight and np.isfinite(read).any() else 0.0
+        return m.objective() + weight * min(less, 0.0)
+
+    @property
+    def dipped(self) -> np.ndarray:
+        """Operating points (points,) whose first 0 dB crossing the check reads well below the tuner: |L| dips to 1."""
+        m = self.found.measures
+        if not m.evaluation.p.requirements.objective.bandwidth:
+            return np.zeros(m.ln_bandwidth.size, dtype=bool)
+        return np.asarray(np.log(bandwidths(self.verdict)) < m.ln_bandwidth - DIPPED)
+
+
+def bandwidths(verdict: Verdict) -> Array:
+    """First 0 dB crossings (points,) in Hz; nan where there is none."""
+    read = np.array([m.bandwidth_hz for m in verdict.margins.values()])
+    return np.where((read > 0.0) & np.isfinite(read), read, np.nan)
 
 
 def miss(verdict: Verdict) -> float:
@@ -62,7 +87,7 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
         asked = allowances(p, best.x, tried[-1].verdict)
         if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
             break
-        tighten = _tightened(p, tighten, asked, tried[-1].verdict, firm=k >= FIRM)
+        tighten = _tightened(p, tighten, asked, tried[-1], firm=k >= FIRM)
         goal = Goal(tighten)
         best = search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
     return min(tried, key=lambda one: one.rank)
@@ -98,7 +123,7 @@ def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
     """Least room of each quantity that `check` reads at each operating point (points,), +inf where there is no row."""
     out: dict[str, Array] = {}
     for r in m.rows:
-        if r.what not in (SURE, "controller_bandwidth_hz"):
+        if r.what not in (SURE, DIP, "controller_bandwidth_hz"):
             np.minimum.at(out.setdefault(r.what, np.full(p.points, np.inf)), r.point, r.value)
     return out
 
@@ -111,25 +136,26 @@ def _done(now: Settled, asked: Mapping[str, Array], k: int) -> bool:
         off = np.abs(in_rows(name, wished(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
         waste = max(waste, float(off[room < 2.0 * WASTE].max(initial=0.0)))
     if now.verdict.passed:
-        return waste < WASTE
+        return waste < WASTE and not now.dipped.any()
     return k >= 2 and m.worst < -1e-3 and waste < WASTE
 
 
 def _tightened(
-    p: Problem, before: Tighten, asked: Mapping[str, Array], verdict: Verdict, *, firm: bool
+    p: Problem, before: Tighten, asked: Mapping[str, Array], now: Settled, *, firm: bool
 ) -> dict[str, float | Array]:
     """The next tightening: what was asked, and a fifth of what it rose by; `firm` never less than before."""
     out: dict[str, float | Array] = {}
+    verdict = now.verdict
     for name, needed in asked.items():
         given = np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points)
         rise = np.maximum(needed - given, 0.0)
-        now = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(getattr(p.requirements, name)), 1e-3)
-        out[name] = np.maximum(given, now + 0.3 * rise) if firm else now
+        next_one = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(getattr(p.requirements, name)), 1e-3)
+        out[name] = np.maximum(given, next_one + 0.3 * rise) if firm else next_one
     lines = {line.quantity: line.spare for line in verdict.lines}
     name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
     if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
         missed = -lines[name] / wish if lines[name] < 0.0 else 0.0
         out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
     unsure = np.array([m.stable != "stable" for m in verdict.margins.values()])
-    sure = np.broadcast_to(np.asarray(before.get(SURE, 0.0), dtype=float), p.points)
-    return out | {SURE: sure + SURER * unsure}
+    sure, dip = (np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points) for name in (SURE, DIP))
+    return out | {SURE: sure + SURER * unsure, DIP: dip + HIGHER * now.dipped}

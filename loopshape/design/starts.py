@@ -97,17 +97,17 @@ def race(
         dropped += sum(found.steps for found in running[keep:])
         running = sorted((search(p, found, LARGEST, most) for found in running[:keep]), key=lambda found: found.merit)
     running = sorted([*running, *(search(p, found, LARGEST, HEATS[-1]) for found in also)], key=lambda one: one.merit)
-    best, steps = _leaps(p, running[0], rng, count if count > 1 else 0)
+    best, steps = leaps(p, running[0], rng, count if count > 1 else 0)
     steps += dropped + sum(found.steps for found in running)
     last = search(p, best, LARGEST, MOST)
     return [last, *(found for found in running if found is not best)], steps + last.steps - best.steps
 
 
-def _leaps(p: Problem, best: Found, rng: np.random.Generator, leaps: int) -> tuple[Found, int]:
+def leaps(p: Problem, best: Found, rng: np.random.Generator, count: int) -> tuple[Found, int]:
     """The best after leaps, each to the best of four draws of one block; with the steps taken."""
     blocks = sorted({v.block for v in p.variables if v.name != "gain"})
     steps = 0
-    for k in range(leaps if blocks else 0):
+    for k in range(count if blocks else 0):
         mine = np.array([v.block == blocks[k % len(blocks)] for v in p.variables])
         draws = [np.where(mine, p.low + rng.random(mine.size) * (p.high - p.low), best.x) for _ in range(4)]
         found = min((scaled_start(p, x, 5) for x in draws), key=lambda found: found.merit)

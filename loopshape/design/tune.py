@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,21 +11,18 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, db
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements, Verdict
 from loopshape.design.contained import raced, settled
-from loopshape.design.problem import Problem, bounds_reached, problem
+from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, step_of
+from loopshape.design.problem import Problem, bounds_reached
 from loopshape.design.relax import Shortfall, shortfall
-from loopshape.design.search import LARGEST, Found, begin, search
-from loopshape.design.settle import Judge, Settled, settle
-from loopshape.design.shifts import Copy, closer, copies_for, judged, shifted_loops
+from loopshape.design.search import Found, begin
+from loopshape.design.settle import Judge, Settled
+from loopshape.design.shifts import copies_for
 from loopshape.design.starts import random_starts
 from loopshape.design.warm import warm_start
-from loopshape.loop.verdict import check, loops_of
-
-#: rounds of adding the worst shift between those that were tuned for, and steps of the search in each
-SHIFTED, MORE = 8, 100
+from loopshape.loop.verdict import loops_of
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Tuning:
     one that misses least, and `shortfall` says what keeps it so and what to relax. `converged` is False where the
     search ran out of steps. `objective` is what was made large; `rejection_db` the mean of 1/|S| in dB on the
     objective's low lines at the worst operating point, None where it was not asked. `moved` says what a warm start
-    had to leave.
+    had to leave. `growth` holds what was reached before and after each block that was added.
     """
 
     controller: Controller
@@ -62,6 +59,7 @@ class Tuning:
     rejection_db: float | None = None
     shortfall: Shortfall | None = None
     moved: tuple[str, ...] = ()
+    growth: tuple[Grown, ...] = ()
 
     def __repr__(self) -> str:
         """One line: the controller, its lowest bandwidth and what the check says of it."""
@@ -83,6 +81,8 @@ def tune(
     starts: int = 16,
     draws: int = 60,
     explain: bool = True,
+    grow: int = 0,
+    least_gain: float = LEAST_GAIN,
 ) -> Tuning:
     """Tune a structure to several measured plants at once; same input and seed, same controller.
 
@@ -101,51 +101,41 @@ def tune(
     A `detuning_percent` is met by tuning to each plant as it is and with its frequencies shifted both ways to that
     end, and where the check finds a worse shift between to that as well.
 
+    With `grow` up to so many blocks are added to the structure one after the other, each the one that pays most
+    (`loopshape.design.growth`), until one gains less than `least_gain` of the bandwidth; `growth` holds each step.
+
     Local searches: a better optimum elsewhere is possible.
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to tune for", "", "measure or import one")
     unit = _unit(frfs, requirements, start)
     loops, _ = loops_of(frfs, unit, requirements, fits)
+    precision = "double" if start is None else start.precision
+    task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), unit, precision)
     copies = copies_for(requirements, len(loops))
-    p, judge_of = _problem(loops, requirements, unit, copies, start)
+    p, judge_of = task.problem(copies, requirements)
     judge = judge_of(requirements)
     candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
     run = raced(p, candidates, seed, draws, starts)
     best, steps = settled(run, judge)
     why = None
-    if not best.verdict.passed and explain:
+    if not best.verdict.passed and explain and not grow:
         best, why = shortfall(p, best, run.ends, judge_of)
     if start is not None:
         best = _no_worse(p, best, candidates[0].x, judge)
-    verdict, asked = check(frfs, p.controller(best.found.x), requirements, fits), requirements
-    for _ in range(SHIFTED):
-        if not best.verdict.passed or verdict.passed or requirements.detuning_percent is None:
+    stages = [closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))]
+    for k in range(grow):
+        larger = grown(task, stages[-1], least_gain, np.random.default_rng([seed, 2, k]), starts)
+        if larger is None:
             break
-        copies, asked = closer(copies, asked, loops, p.controller(best.found.x), requirements, verdict)
-        p, judge_of = _problem(loops, asked, unit, copies, start)
-        again = settle(p, search(p, begin(p, best.found.x, LARGEST, 0.1), LARGEST, MORE), judge_of(asked))
-        steps, best = steps + again.found.steps, again
-        verdict = check(frfs, p.controller(best.found.x), requirements, fits)
-    return _tuning(p, best, verdict, why, len(candidates), steps, moved)
-
-
-def _problem(
-    loops: Sequence[Loop],
-    requirements: Requirements,
-    unit: Controller,
-    copies: Sequence[Copy],
-    start: Controller | None,
-) -> tuple[Problem, Callable[[Requirements], Judge]]:
-    """The tuning problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
-    shifted = shifted_loops(loops, copies)
-    precision = "double" if start is None else start.precision
-    p = problem(list(shifted.values()), requirements, unit.rate_hz, precision)
-
-    def judge_of(asked: Requirements) -> Judge:
-        return lambda controller: judged(shifted, controller, asked)
-
-    return p, judge_of
+        stages.append(larger)
+    last = stages[-1]
+    if grow and explain and not last.verdict.passed:
+        p, judge_of = task.problem(last.copies, last.asked)
+        best, why = shortfall(p, last.best, [last.best.found], judge_of)
+        last = replace(last, best=best, verdict=task.check(p, best))
+    steps = sum(stage.steps for stage in stages)
+    return _tuning(last, why, len(candidates), steps, moved, tuple(step_of(stage) for stage in stages) if grow else ())
 
 
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:
@@ -178,29 +168,25 @@ def _no_worse(p: Problem, best: Settled, x: Array, judge: Judge) -> Settled:
 
 
 def _tuning(
-    p: Problem,
-    best: Settled,
-    verdict: Verdict,
-    why: Shortfall | None,
-    starts: int,
-    steps: int,
-    moved: tuple[str, ...],
+    stage: Stage, why: Shortfall | None, starts: int, steps: int, moved: tuple[str, ...], growth: tuple[Grown, ...]
 ) -> Tuning:
+    p, best, verdict = stage.p, stage.best, stage.verdict
     m, wish = best.found.measures, p.requirements.objective
     return Tuning(
         controller=p.controller(best.found.x),
         verdict=verdict,
-        bandwidth_hz=float(min(m.bandwidth_hz for m in verdict.margins.values())),
+        bandwidth_hz=lowest_bandwidth(stage),
         binding=_binding(p, best.found),
         feasible=verdict.passed,
         starts=starts,
         steps=steps,
         converged=best.found.converged,
         bounds_reached=bounds_reached(p, best.found.x),
-        objective=m.objective(),
+        objective=best.objective,
         rejection_db=float(db(np.exp(m.rejection.min()))) if wish.disturbance else None,
         shortfall=why,
         moved=moved,
+        growth=growth,
     )
 
 

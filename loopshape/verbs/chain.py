@@ -108,14 +108,29 @@ def tune(
     start: Controller | Tuning | None = None,
     seed: int = 0,
     starts: int = 16,
+    grow: int = 0,
+    least_gain: float = 0.01,
 ) -> Tuning:
     """One controller of a structure for all plants: the highest lowest bandwidth within all requirements.
 
     `structure` (default: that of `R`) is a sequence of blocks, `[ls.gain(), ls.lead_lag(), ls.notch()]`; what they
     leave open is tuned. `ls.check` and `ls.plot` take the result as the controller, `.controller` is it. Where the
     requirements cannot be met together `feasible` is False and `shortfall` says what to relax. Same input and seed,
-    same controller; local searches, so a better optimum elsewhere is possible. Raises WrongUseError where the number
-    of the plant's unstable poles is not known.
+    same controller; local searches, so a better optimum elsewhere is possible. With `grow` up to so many blocks are
+    added to the structure, each the one that pays most, until one gains less than `least_gain` of the bandwidth; the
+    result's `growth` shows what each brought. Raises WrongUseError where the number of the plant's unstable poles is
+    not known.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> f_hz = np.geomspace(1.0, 400.0, 120)
+    >>> s = 2j * np.pi * f_hz
+    >>> P = ls.FRF.from_arrays(f_hz, 900.0 / s**2 * np.exp(-0.001 * s), relative_std=0.001, rate_hz=5000.0)
+    >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=40.0, unstable_poles=0)
+    >>> C = ls.tune(P, R, [ls.gain(), ls.lead_lag()], starts=4, grow=1)
+    >>> [step.order for step in C.growth]
+    [1, 3]
     """
     from loopshape.design.tune import tune as tune_loop
 
@@ -123,7 +138,9 @@ def tune(
     asked = R if structure is None else replace(R, structure=tuple(structure))
     asked = replace(asked, structure=bounded(asked.structure, plants))
     began = start.controller if isinstance(start, Tuning) else start
-    return tune_loop(plants, asked, tuple(fits), start=began, seed=seed, starts=starts)
+    return tune_loop(
+        plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain
+    )
 
 
 def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, fits: Sequence[Fit] = ()) -> Verdict:

@@ -1,0 +1,198 @@
+"""A structure that grows: the block that pays most is added to a tuned controller, and all is tuned on together.
+
+A free biquad and a lead-lag are tried across the valid band, each where it does nothing yet. There it costs nothing and
+its parameters' slopes tell, by the same linear programme that a step of the search solves, what they gain on the
+limits that bind. The most promising places are searched, under limits as tight as the check asked so far, and what
+passes is checked anew. So what is grown is never worse than what it grew from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from loopshape.core.units import Array
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import Fit
+from loopshape.data.requirements import BlockTemplate, Free, Requirements, Verdict
+from loopshape.design.problem import Problem, problem
+from loopshape.design.search import Goal, begin, search, step_within
+from loopshape.design.settle import Judge, Settled, settle
+from loopshape.design.shifts import Copy, closer, judged, shifted_loops
+from loopshape.design.starts import leaps
+from loopshape.loop.verdict import check
+
+#: a block that gains less of the bandwidth than this is not added
+LEAST_GAIN = 0.01
+#: places of a new block across the band, its dampings there, and the radius (ln) of the step that its gain is read from
+PLACES, DAMPINGS, RADIUS = 40, (0.05, 0.2, 0.7, 1.5), 0.3
+#: a block may lie so many times outside the valid band, and below so much of the rate
+OUTSIDE, OF_RATE = 4.0, 0.4
+#: of the most promising places so many are searched for so many steps, and so many of them to their end
+FOLLOWED, FIRST, KEPT, MOST, SETTLED = 10, 60, 4, 200, 3
+#: two places of one block and one damping are one where they lie nearer than this (ln)
+APART = 0.35
+#: crossings that the tuner reads lower than the check by less than this are those of the check
+SAME = 0.05
+#: rounds of adding the worst shift between those that were tuned for, and steps of the search in each
+SHIFTED, MORE = 8, 100
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a tuning is for: FRFs with their fits, requirements, loops, and how the controller runs."""
+
+    frfs: tuple[FRF, ...]
+    fits: tuple[Fit, ...]
+    requirements: Requirements
+    loops: tuple[Loop, ...]
+    unit: Controller
+    precision: str
+
+    def problem(self, copies: Sequence[Copy], asked: Requirements) -> tuple[Problem, Callable[[Requirements], Judge]]:
+        """The problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
+        shifted = shifted_loops(self.loops, copies)
+        p = problem(list(shifted.values()), asked, self.unit.rate_hz, self.precision)
+
+        def judge_of(limits: Requirements) -> Judge:
+            return lambda controller: judged(shifted, controller, limits)
+
+        return p, judge_of
+
+    def check(self, p: Problem, best: Settled) -> Verdict:
+        """What `check` says of it at the plants as they are."""
+        return check(self.frfs, p.controller(best.found.x), self.requirements, self.fits)
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where a tuning stands: copies of the plants and limits tuned for, the problem, the best, its verdict, steps."""
+
+    copies: tuple[Copy, ...]
+    asked: Requirements
+    p: Problem
+    best: Settled
+    verdict: Verdict
+    steps: int
+    added: str = ""
+
+    @property
+    def rank(self) -> tuple[bool, int, float, float]:
+        """What makes one better than another, smallest first: passed, then as settled."""
+        return not self.verdict.passed, *self.best.rank
+
+
+@dataclass(frozen=True)
+class Grown:
+    """What a controller reaches with the block `added` ("" before the first): the worst over the operating points.
+
+    `control_peak_db` is the peak of |CS|, `order` the controller's number of poles.
+    """
+
+    added: str
+    bandwidth_hz: float
+    control_peak_db: float
+    detuning_percent: float
+    order: int
+    outcome: str
+
+
+def lowest_bandwidth(stage: Stage) -> float:
+    """Lowest first 0 dB crossing in Hz, the lesser of what the check and the tuner read.
+
+    Where |L| runs along 1 the one may read a crossing far above the other's.
+    """
+    read = float(min(m.bandwidth_hz for m in stage.verdict.margins.values()))
+    mine = float(np.exp(stage.best.found.measures.ln_bandwidth.min()))
+    return mine if read > (1.0 + SAME) * mine else read
+
+
+def step_of(stage: Stage) -> Grown:
+    """A stage as a row of the table of a growth."""
+    every = stage.verdict.margins.values()
+    return Grown(
+        added=stage.added,
+        bandwidth_hz=lowest_bandwidth(stage),
+        control_peak_db=max(m.control_peak_db for m in every),
+        detuning_percent=min(m.detuning_percent for m in every),
+        order=stage.p.controller(stage.best.found.x).order(),
+        outcome=stage.verdict.outcome.value,
+    )
+
+
+def closed_in(task: Task, stage: Stage) -> Stage:
+    """The stage after shifts between those tuned for were added, as long as its detuning margin does not pass."""
+    for _ in range(SHIFTED):
+        if not stage.best.verdict.passed or stage.verdict.passed or task.requirements.detuning_percent is None:
+            break
+        C = stage.p.controller(stage.best.found.x)
+        copies, asked = closer(stage.copies, stage.asked, task.loops, C, task.requirements, stage.verdict)
+        asked = replace(asked, structure=stage.asked.structure)
+        p, judge_of = task.problem(copies, asked)
+        goal = Goal()
+        again = settle(p, search(p, begin(p, stage.best.found.x, goal, 0.1), goal, MORE), judge_of(asked))
+        steps = stage.steps + again.found.steps
+        stage = Stage(copies, asked, p, again, task.check(p, again), steps, stage.added)
+    return stage
+
+
+def grown(task: Task, stage: Stage, least_gain: float, rng: np.random.Generator, starts: int) -> Stage | None:
+    """The stage with the block that pays most; None where none gains `least_gain` of the bandwidth."""
+    best = min((_with(task, stage, one, rng, starts) for one in library(task.loops)), key=lambda one: one.rank)
+    if best.rank[:3] > stage.rank[:3]:
+        return None
+    gained = best.best.objective - stage.best.objective
+    return best if best.rank[:3] < stage.rank[:3] or gained > np.log1p(least_gain) else None
+
+
+def library(loops: Sequence[Loop]) -> tuple[BlockTemplate, ...]:
+    """Blocks that may be added: a free biquad, which holds resonators and complex leads, and a lead-lag."""
+    low = min(float(loop.frequency_hz[0]) for loop in loops) / OUTSIDE
+    high = max(float(loop.frequency_hz[-1]) for loop in loops) * OUTSIDE
+    band = Free(low, min(high, OF_RATE * loops[0].controller.rate_hz))
+    biquad = {"f1_hz": band, "f2_hz": band, "damping1": Free(0.01, 3.0), "damping2": Free(0.02, 10.0)}
+    return BlockTemplate("notch", biquad), BlockTemplate("lead_lag", {"f1_hz": band, "f2_hz": band})
+
+
+def _with(task: Task, stage: Stage, template: BlockTemplate, rng: np.random.Generator, starts: int) -> Stage:
+    """The best stage with one more block."""
+    asked = replace(stage.asked, structure=(*stage.asked.structure, template))
+    p, judge_of = task.problem(stage.copies, asked)
+    goal, judge = Goal(stage.best.tighten), judge_of(asked)
+    begun = [search(p, begin(p, x, goal), goal, FIRST) for x in promising(p, stage.best.found.x, goal)]
+    begun = sorted(begun, key=lambda one: goal.merit(one.measures))[:KEPT]
+    leapt, _ = leaps(p, replace(begun[0], measures=begin(p, begun[0].x).measures), rng, starts)
+    begun.append(leapt)
+    searched = sorted((search(p, one, goal, MOST) for one in begun), key=lambda one: goal.merit(one.measures))
+    ends = [settle(p, one, judge, stage.best.tighten) for one in searched[:SETTLED]]
+    kind, stages = template.kind, []
+    for end in sorted(ends, key=lambda one: one.rank)[:2]:
+        one = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, kind)
+        stages.append(closed_in(task, one))
+    return min(stages, key=lambda one: one.rank)
+
+
+def promising(p: Problem, x: Array, goal: Goal) -> list[Array]:
+    """Points of a problem whose last block is new and does nothing there, those first that promise the most gain."""
+    gains = []
+    for place, damping in product(_places(p), DAMPINGS if p.templates[-1].kind == "notch" else (1.0,)):
+        new = [place if v.name.endswith("_hz") else damping for v in p.variables[x.size :]]
+        point = np.clip(np.concatenate([x, np.log(new)]), p.low, p.high)
+        _, promised = step_within(p, point, begin(p, point, goal).measures, RADIUS, goal)
+        gains.append((promised, place, damping, point))
+    chosen: list[tuple[float, float, float, Array]] = []
+    for one in sorted(gains, key=lambda gain: -gain[0]):
+        if all(one[2] != other[2] or abs(np.log(one[1] / other[1])) > APART for other in chosen):
+            chosen.append(one)
+    return [one[3] for one in chosen[:FOLLOWED]]
+
+
+def _places(p: Problem) -> list[float]:
+    """Frequencies in Hz across the band in which the last block may lie."""
+    band = p.variables[-1] if p.variables[-1].name.endswith("_hz") else p.variables[-4]
+    return [float(f) for f in np.geomspace(1.2 * band.low, band.high / 1.2, PLACES)]
