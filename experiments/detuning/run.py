@@ -15,10 +15,6 @@ from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements, Verdict
 from loopshape.design.tune import tune
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational
-from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.import_file import import_file
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check
 
@@ -26,6 +22,7 @@ HERE = Path(__file__).parent
 EXAMPLES = HERE.parent.parent / "examples"
 sys.path[:0] = [str(HERE.parent / "how_far"), str(HERE.parent.parent / "tests" / "truth")]
 from arm_frfs import measured, write  # noqa: E402
+from bench_frf import motor_bench  # noqa: E402
 from detuned_plants import ASKED, CANCELLED, polynomials  # noqa: E402
 
 COLUMNS = (
@@ -93,15 +90,6 @@ def by_formula(percent: float = 0.0) -> FRF:
         trusted=np.ones(f.size, dtype=bool), inputs=("u",), outputs=("y",), method="by formula", recording="formula",
         loop="axis", rate_hz=20000.0,
     )  # fmt: skip
-
-
-def motor_bench() -> tuple[list[FRF], list[Fit], Requirements]:
-    """The bench's FRF of real recordings, its fit and its requirements."""
-    folder = EXAMPLES / "motor_bench"
-    run = import_file(folder / "multisine_type_a.parquet", folder / "map.toml")
-    frf = estimate_frf(run.recordings[0], run.loops[0])
-    model = fit(frf, Rational(2, 4, delay=True), weighting="relative")
-    return [frf], [model], read_requirements(folder / "requirements.toml")[0]
 
 
 if __name__ == "__main__":

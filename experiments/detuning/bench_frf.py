@@ -1,0 +1,24 @@
+"""For studies of tuning: the motor bench's FRF of real recordings, its fit and its requirements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Requirements
+from loopshape.identify.fit.fit import fit
+from loopshape.identify.fit.structures import Rational
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io.import_file import import_file
+from loopshape.io.requirements import read_requirements
+
+FOLDER = Path(__file__).parents[2] / "examples" / "motor_bench"
+
+
+def motor_bench() -> tuple[list[FRF], list[Fit], Requirements]:
+    """The bench's FRF, its fit and its requirements."""
+    run = import_file(FOLDER / "multisine_type_a.parquet", FOLDER / "map.toml")
+    frf = estimate_frf(run.recordings[0], run.loops[0])
+    model = fit(frf, Rational(2, 4, delay=True), weighting="relative")
+    return [frf], [model], read_requirements(FOLDER / "requirements.toml")[0]
