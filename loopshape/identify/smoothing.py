@@ -10,7 +10,7 @@ Resonances as narrow as a few lines are fitted, taken out before and put back af
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -58,10 +58,9 @@ def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
     y, v = frf.siso, pooled_variance(frf)
     if not v.any():
         return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
-    floor = np.maximum(v, 1e-20 * np.abs(y) ** 2 + 1e-300)
     f, terms = frf.frequency_hz, pole_terms(frf, v)
     poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
-    smoother = smoother_of(frf, y - poles, floor)
+    smoother = smoother_of(frf, y - poles, _floor(y, v))
     errors = drawn_errors(np.random.default_rng(SEED), v, frf.line_overlap)
     moved = sum((term.deviations(f, errors) for term in terms), np.zeros(errors.shape, dtype=complex))
     rest, strayed = np.asarray(smoother @ (y - poles)), np.asarray((smoother @ (errors - moved).T).T)
@@ -92,12 +91,46 @@ def _dense(
     return Dense(at, smooth.response + poles, smooth.reference + poles, smooth.deviations + moved)
 
 
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """What draws of a smoothed response's error are made from, beside the generator's numbers.
+
+    The lines' `variance` (nf,), half widths (nf,) of their windows, `taps` by which neighbours share errors, and narrow
+    resonances.
+    """
+
+    variance: Array
+    halves: np.ndarray
+    taps: Array
+    terms: tuple[PoleTerm, ...]
+
+
+def recipe_of(lines: FRF) -> Recipe:
+    """How `smoothed` makes its draws for the lines of its band: for a program that draws the same ones."""
+    y, v = lines.siso, pooled_variance(lines)
+    if not v.any():
+        return Recipe(v, np.zeros(v.size, dtype=int), np.ones(1), ())
+    f, terms = lines.frequency_hz, pole_terms(lines, v)
+    poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
+    return Recipe(v, _halves(lines, y - poles, _floor(y, v)), _taps(lines.line_overlap), terms)
+
+
+def _floor(y: ComplexArray, v: Array) -> Array:
+    """Variance (nf,) that no line is known better than."""
+    return np.maximum(v, 1e-20 * np.abs(y) ** 2 + 1e-300)
+
+
+def _halves(frf: FRF, y: ComplexArray, v: Array) -> np.ndarray:
+    """Half widths (nf,) of the windows over lines y (nf,)."""
+    x = np.log(frf.frequency_hz)
+    halves = accepted_halves(x, y, v, HALVES, TESTED, STRICTNESS, frf.line_overlap, SPAN)
+    return within_span(x, median_filter(halves, size=AGREED, mode="nearest"), SPAN)
+
+
 def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
     """The smoother (nf, nf) as a sparse matrix."""
-    x, span = np.log(frf.frequency_hz), SPAN
-    halves = accepted_halves(x, y, v, HALVES, TESTED, STRICTNESS, frf.line_overlap, span)
-    halves = within_span(x, median_filter(halves, size=AGREED, mode="nearest"), span)
-    first, weights = smoothing_weights(x, v, halves, USED)
+    halves = _halves(frf, y, v)
+    first, weights = smoothing_weights(np.log(frf.frequency_hz), v, halves, USED)
     lines, width = weights.shape
     inside = np.arange(width) < (2 * halves + 1)[:, None]
     columns = (first[:, None] + np.arange(width))[inside]

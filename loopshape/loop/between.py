@@ -26,13 +26,13 @@ DRAWN = 50
 STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
 _CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
-_ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
+ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
 #: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
 BULGE = 0.5
 #: the path past a pole is followed over this many lines more on either side, where its tails bend
 ASIDE = 2
 #: resonances of the controller as wide as this many lines need no places of their own
-_WIDE = 16
+WIDE = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ def _controller_places(controller: Controller, f: Array) -> Array:
             s = controller.rate_hz * np.log(z) if z.imag > 0.0 else 0j
             centre, width = hz(s.imag), max(hz(abs(s.real)), SHARPEST * hz(s.imag))
             k = int(np.searchsorted(f, centre))
-            if 0 < k < f.size and width < _WIDE * (f[k] - f[k - 1]):
+            if 0 < k < f.size and width < WIDE * (f[k] - f[k - 1]):
                 places.append(centre + width * PLACES)
     every = np.concatenate(places)
     return every[(every > f[0]) & (every < f[-1])]
@@ -150,7 +150,7 @@ def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
 def _places(own: Array, z: ComplexArray) -> Array:
     """Frequencies (nz, n) in Hz along lines `own`, dense about each pole z (nz, 1)."""
     even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
-    every = np.concatenate([z.real + np.abs(z.imag) * _ALONG, np.broadcast_to(even, (z.shape[0], even.size))], axis=1)
+    every = np.concatenate([z.real + np.abs(z.imag) * ALONG, np.broadcast_to(even, (z.shape[0], even.size))], axis=1)
     return np.sort(np.clip(every, own[0], own[-1]), axis=1)
 
 

@@ -34,12 +34,18 @@ def judged_lines(loop: Loop) -> tuple[Array, ComplexArray, ComplexArray] | None:
         return f, L, C
     if loop.model is None:
         return None
-    led = np.geomspace(f[0] / LED, f[0], 24, endpoint=False)
+    led = led_hz(loop)
     C_led = loop.controller.response(led)
     L_led = C_led * loop.model.response(led)
     if abs(L_led[0]) < 1.0:
         return None
     return np.concatenate([led, f]), np.concatenate([L_led, L]), np.concatenate([C_led, C])
+
+
+def led_hz(loop: Loop) -> Array:
+    """The octave (24,) below the first line, through which a fit may lead."""
+    first = float(loop.frequency_hz[0])
+    return np.geomspace(first / LED, first, 24, endpoint=False)
 
 
 def low_models(loop: Loop) -> tuple[Model, ...]:

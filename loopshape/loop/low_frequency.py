@@ -53,11 +53,14 @@ class LowModel:
 
     def deviations(self, f: Array, errors: ComplexArray) -> ComplexArray:
         """What errors (draws, nf) of the lines do to P at f (n,): (draws, n)."""
-        s = 1j * np.asarray(f, dtype=float) / self.first_hz
         own = errors[:, : self.lines]
-        moved = np.concatenate([own.real, own.imag], axis=1) @ self.influence.T
+        return np.asarray(np.concatenate([own.real, own.imag], axis=1) @ self.moves(f).T)
+
+    def moves(self, f: Array) -> ComplexArray:
+        """What turns errors of the lines, as `influence` takes them, into those of P at f (n,): (n, 2 lines)."""
+        s = 1j * np.asarray(f, dtype=float) / self.first_hz
         slope = _slopes(s, self.num, self.den) * (s**-self.integrators)[:, None]
-        return np.asarray(moved @ slope.T)
+        return np.asarray(slope @ self.influence)
 
 
 def low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:

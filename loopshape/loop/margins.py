@@ -42,7 +42,7 @@ LOGARITHMS = {
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
 #: where L is read below its first line, as shares of its frequency
-_DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
 #: bandwidths that lie above the last line where nothing was met up to it
 _BANDWIDTHS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
@@ -152,7 +152,7 @@ def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
 
     There the axis is crossed at 0 Hz, from the mirrored side; elsewhere the lines stay as they are.
     """
-    f = j.f[0] * _DOWN
+    f = j.f[0] * DOWN
     C = loop.controller.response(f)
     L = C * model.response(f)
     if L[0].real >= 0.0:

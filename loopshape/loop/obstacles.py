@@ -65,7 +65,7 @@ def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
     f, turns, unclear = loop.frequency_hz, 0, None
     followed = np.zeros(max(f.size - 1, 0), dtype=bool)
-    for pole in _hidden(loop):
+    for pole in hidden_in(loop):
         first, last, least, most, sure = turns_past(pole, loop, path)
         turns += least
         followed[first:last] = True
@@ -83,14 +83,12 @@ def _rough(loop: Loop, path: Path) -> Obstacle | None:
 
     Where the lines scatter all along that is their error, and L lies within a disk of it.
     """
-    f, seen = loop.frequency_hz, (loop.frequency_hz, without_narrow(loop), *_spread(loop))
-    rough = roughness(*seen, unstable=may_be_oscillatory(loop))
-    if not rough.any():
+    f, reach = loop.frequency_hz, rough_reach(loop)
+    if not reach.any():
         return None
-    reach = np.where(scattered(*seen, unstable=may_be_oscillatory(loop)), SCATTER, TAILS)
     chords, C = chords_to_minus_one(path.L)[0], np.abs(loop.C)
     near = np.minimum.reduceat(chords, np.flatnonzero(path.line)[:-1])
-    gaps = np.flatnonzero(reach * np.maximum(C[1:], C[:-1]) * rough > near)
+    gaps = np.flatnonzero(np.maximum(C[1:], C[:-1]) * reach > near)
     if not gaps.size:
         return None
     low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])
@@ -98,6 +96,15 @@ def _rough(loop: Loop, path: Path) -> Obstacle | None:
         f"neither noise nor one resonance explains the lines between {low:.4g} and {high:.4g} Hz: measure finer there"
     )
     return Obstacle(reason, (low, high))
+
+
+def rough_reach(loop: Loop) -> Array:
+    """How far from its lines P may come within each gap (nf - 1,) that neither noise nor one pole explains; else 0."""
+    seen = (loop.frequency_hz, without_narrow(loop), *_spread(loop))
+    rough = roughness(*seen, unstable=may_be_oscillatory(loop))
+    if not rough.any():
+        return rough
+    return np.where(scattered(*seen, unstable=may_be_oscillatory(loop)), SCATTER, TAILS) * rough
 
 
 def may_be_oscillatory(loop: Loop) -> bool:
@@ -111,7 +118,8 @@ def _spread(loop: Loop) -> tuple[Array, float]:
     return pooled_variance(lines), max(lines.variance_freedom, FREEDOM)
 
 
-def _hidden(loop: Loop) -> tuple[HiddenPole, ...]:
+def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
+    """Resonances between the lines of a loop's plant, by their tails."""
     rest = without_narrow(loop)
     return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
 

@@ -1,0 +1,252 @@
+"""Plants, controller and requirements -> the data of the page: arrays as base64, constants by name, draws as a recipe.
+
+What depends on the controller is computed in the page, by the formulas that `loopshape.loop` has; draws of the FRF's
+error are made there by the same generator from the same seed.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.json_ready import json_ready
+from loopshape.data import smoothed as dense
+from loopshape.data.block import BLOCK_KINDS
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.model import Fit
+from loopshape.data.requirements import LIMITS, Objective, Requirements, Verdict
+from loopshape.identify import smoothing
+from loopshape.identify.pole_terms import PLACES
+from loopshape.identify.smoothing import Recipe, recipe_of
+from loopshape.loop import between, holes, margins, obstacles, sampling, stability
+from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
+from loopshape.loop.low_frequency import LowModel
+from loopshape.loop.verdict import loops_of
+
+FORMAT = "loopshape-shape/1"
+
+
+@dataclass(frozen=True, eq=False)
+class Shaped:
+    """One loop of the page: its FRFs, where shaping starts, what is required, and what a check says of that start."""
+
+    frfs: tuple[FRF, ...]
+    controller: Controller
+    requirements: Requirements
+    fits: tuple[Fit, ...]
+    verdict: Verdict
+
+
+def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]:
+    """All that the page knows, for JSON."""
+    return {
+        "format": FORMAT,
+        "version": version,
+        "title": title,
+        "limits": [json_ready(limit) for limit in LIMITS],
+        "blocks": {kind: list(known.parameters) for kind, known in BLOCK_KINDS.items()},
+        "constants": _constants(),
+        "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
+        "loops": [_loop(one) for one in loops],
+        "server": None,
+    }
+
+
+def _constants() -> dict[str, Any]:
+    """Numbers of the formulas, from the modules that hold them."""
+    return {
+        "reach": margins.REACH,
+        "down": margins.DOWN.tolist(),
+        "reach_95": obstacles.REACH_95,
+        "wrong": obstacles.WRONG,
+        "strays": obstacles.STRAYS,
+        "on_it": obstacles.ON_IT,
+        "between": dense.BETWEEN,
+        "fewest": dense.FEWEST,
+        "lowest": dense.LOWEST,
+        "steepest": dense.STEEPEST,
+        "degree": smoothing.USED,
+        "draws": smoothing.DRAWS,
+        "step": between.STEP,
+        "small": between.SMALL,
+        "most": between.MOST,
+        "wide": between.WIDE,
+        "bulge": between.BULGE,
+        "aside": between.ASIDE,
+        "along": between.ALONG.tolist(),
+        "places": PLACES.tolist(),
+        "sharpest": sampling.SHARPEST,
+        "fit_deg": stability.FIT_DEG,
+        "hole_fewest": holes.FEWEST,
+        "hole_apart": holes.APART,
+        "hole_turn": holes.TURN,
+        "hole_far": holes.FAR,
+    }
+
+
+def _state(seed: int) -> dict[str, str]:
+    """The state of numpy's generator with a seed, in hexadecimal digits."""
+    state: Any = np.random.PCG64(seed).state["state"]
+    return {name: f"{state[name]:x}" for name in ("state", "inc")}
+
+
+def _loop(one: Shaped) -> dict[str, Any]:
+    loops, notes = loops_of(one.frfs, one.controller, one.requirements, one.fits)
+    return {
+        "name": one.requirements.loop or one.controller.loop,
+        "rate_hz": one.controller.rate_hz,
+        "requirements": _requirements(one.requirements),
+        "controller": _controller(one.controller),
+        "points": [_point(name, loop) for name, loop in zip(one.verdict.margins, loops, strict=True)],
+        "certificate": _certificate(one.verdict),
+        "notes": list(notes),
+    }
+
+
+def _requirements(wished: Requirements) -> dict[str, Any]:
+    """What is required as its file has it; what is not asked for is left out."""
+    out = {f.name: getattr(wished, f.name) for f in fields(wished) if f.name not in ("structure", "objective")}
+    out |= {} if wished.objective == Objective() else {"objective": _table(wished.objective)}
+    out |= {"structure": [_template(one) for one in wished.structure]} if wished.structure else {}
+    return {name: json_ready(value) for name, value in out.items() if value is not None}
+
+
+def _template(block: Any) -> dict[str, Any]:
+    head = {"kind": block.kind}
+    order = BLOCK_KINDS[block.kind].order
+    if order is not None:
+        head = {"kind": "low_pass", "order": order}
+    free = {
+        name: value
+        if isinstance(value, float)
+        else {"min": value.low, "max": value.high} | ({} if value.start is None else {"start": value.start})
+        for name, value in block.parameters.items()
+    }
+    return head | free | dict(block.tie)
+
+
+def _table(noun: Any) -> dict[str, Any]:
+    return {f.name: getattr(noun, f.name) for f in fields(noun) if getattr(noun, f.name) is not None}
+
+
+def _controller(controller: Controller) -> dict[str, Any]:
+    made = {f.name: getattr(controller, f.name) for f in fields(controller)}
+    blocks = [{"kind": block.kind, "parameters": dict(block.parameters)} for block in controller.blocks]
+    return made | {"blocks": blocks}
+
+
+def _certificate(verdict: Verdict) -> dict[str, Any]:
+    """What Python's check says of the start: the outcome, and what the page does not compute."""
+    return {
+        "outcome": verdict.outcome.value,
+        "detuning": {
+            name: json_ready(
+                {
+                    "percent": m.detuning_percent,
+                    "interval": m.intervals.get("detuning_percent"),
+                    "beyond": m.detuning is not None and m.detuning.worst.beyond,
+                },
+                None,
+            )
+            for name, m in verdict.margins.items()
+        },
+    }
+
+
+def _point(name: str, loop: Loop) -> dict[str, Any]:
+    raw, scatter = loop.raw or loop.plant, loop.scatter
+    recipe = recipe_of(raw)
+    reference = loop.plant.siso if scatter is None else scatter.reference
+    return {
+        "name": name,
+        "f": _packed(loop.frequency_hz),
+        "P": _packed(loop.plant.siso),
+        "reference": _packed(reference),
+        "raw": _packed(raw.siso),
+        "variance": _packed(recipe.variance),
+        "halves": b64encode(recipe.halves.astype(np.uint8).tobytes()).decode("ascii"),
+        "taps": recipe.taps.tolist(),
+        "terms": _terms(recipe),
+        "integrators": loop.integrators,
+        "unstable_poles": loop.unstable_poles,
+        **_low_end(loop),
+        "beyond": _beyond(loop.beyond),
+        "rough": _rough(loop),
+        "hidden": [
+            {
+                "low_hz": one.low_hz,
+                "high_hz": one.high_hz,
+                "centre": _packed(one.centre_hz),
+                "width": _packed(one.half_width_hz),
+                "residue": _packed(one.residue),
+            }
+            for one in obstacles.hidden_in(loop)
+        ],
+    }
+
+
+def _terms(recipe: Recipe) -> list[dict[str, Any]]:
+    """Narrow resonances: residue and pole, and what errors of the lines from the first on do to both."""
+    return [
+        {
+            "residue": _pair(term.resonance.residue),
+            "pole": _pair(term.resonance.pole_hz),
+            "first": term.resonance.first,
+            "influence": _packed(term.influence),
+        }
+        for term in recipe.terms
+    ]
+
+
+def _low_end(loop: Loop) -> dict[str, Any]:
+    """What fits or small models say of the plant below its first line."""
+    models: Sequence[Model] = low_models(loop)
+    below_hz = loop.below_hz if loop.below_hz.size else low_hz(loop)
+    led = led_hz(loop) if loop.model is not None else np.zeros(0)
+    down = models if loop.integrators == 0 else ()
+    return {
+        "modelled": loop.model is not None,
+        "below_f": _packed(below_hz),
+        "below": [_packed(model.response(below_hz)) for model in models],
+        "led_f": _packed(led),
+        "led": _packed(np.zeros(0) if loop.model is None else loop.model.response(led)),
+        "down": [_down(loop, model) for model in down],
+    }
+
+
+def _down(loop: Loop, model: Model) -> dict[str, Any]:
+    f = float(loop.frequency_hz[0]) * margins.DOWN
+    led = float(led_hz(loop)[0]) * margins.DOWN
+    small = isinstance(model, LowModel) and loop.scatter is not None
+    return {
+        "P": _packed(model.response(f)),
+        "P_led": _packed(model.response(led)),
+        "moves": _packed(model.moves(f)) if isinstance(model, LowModel) and small else None,
+        "lines": model.lines if isinstance(model, LowModel) else 0,
+    }
+
+
+def _beyond(frf: FRF | None) -> dict[str, str] | None:
+    return None if frf is None else {"f": _packed(frf.frequency_hz), "P": _packed(frf.siso)}
+
+
+def _rough(loop: Loop) -> str | None:
+    reach = obstacles.rough_reach(loop)
+    return _packed(reach) if reach.any() else None
+
+
+def _pair(value: complex) -> list[float]:
+    return [float(complex(value).real), float(complex(value).imag)]
+
+
+def _packed(values: np.ndarray) -> str:
+    """float64 or complex128, least byte first, as base64."""
+    whole = np.ascontiguousarray(values)
+    kind = "<c16" if np.iscomplexobj(whole) else "<f8"
+    return b64encode(whole.astype(kind).tobytes()).decode("ascii")

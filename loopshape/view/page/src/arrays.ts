@@ -1,0 +1,102 @@
+// Real and complex arrays, and the few functions of numpy that the formulas are written with.
+
+export type Real = Float64Array;
+
+/** A complex array: real and imaginary parts of one length. */
+export interface Complex {
+  re: Real;
+  im: Real;
+}
+
+export const TWO_PI = 2 * Math.PI;
+
+export function zeros(n: number): Complex {
+  return { re: new Float64Array(n), im: new Float64Array(n) };
+}
+
+export function times(a: Complex, b: Complex): Complex {
+  const n = a.re.length;
+  const out = zeros(n);
+  for (let k = 0; k < n; k++) {
+    out.re[k] = a.re[k] * b.re[k] - a.im[k] * b.im[k];
+    out.im[k] = a.re[k] * b.im[k] + a.im[k] * b.re[k];
+  }
+  return out;
+}
+
+export function joined(...parts: Complex[]): Complex {
+  return { re: concat(...parts.map((p) => p.re)), im: concat(...parts.map((p) => p.im)) };
+}
+
+export function concat(...parts: Real[]): Real {
+  const out = new Float64Array(parts.reduce((n, p) => n + p.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    out.set(part, at);
+    at += part.length;
+  }
+  return out;
+}
+
+/** First place at which a value may be put into rising numbers; behind equal ones where `right`. */
+export function placeIn(rising: Real, value: number, right = false): number {
+  let low = 0;
+  let high = rising.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (rising[middle] < value || (right && rising[middle] === value)) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** Rising numbers, each once. */
+export function unique(values: Real): Real {
+  const sorted = Float64Array.from(values).sort();
+  return sorted.filter((value, k) => k === 0 || value !== sorted[k - 1]);
+}
+
+export function geometric(start: number, stop: number, count: number, endpoint = true): Real {
+  const step = Math.log(stop / start) / (endpoint ? count - 1 : count);
+  const out = Float64Array.from({ length: count }, (_, k) => start * Math.exp(step * k));
+  if (endpoint) out[count - 1] = stop;
+  return out;
+}
+
+export function clip(value: number, low: number, high: number): number {
+  return Math.min(Math.max(value, low), high);
+}
+
+export const db = (ratio: number): number => 20 * Math.log10(ratio);
+export const fromDb = (decibel: number): number => 10 ** (decibel / 20);
+export const deg = (rad: number): number => (rad * 180) / Math.PI;
+
+/** The nearest whole number, halves to the even one. */
+export function rint(value: number): number {
+  const rounded = Math.round(value);
+  return Math.abs(value % 1) === 0.5 && rounded % 2 !== 0 ? rounded - 1 : rounded;
+}
+
+export function magnitudes(z: Complex): Real {
+  return z.re.map((re, k) => Math.hypot(re, z.im[k]));
+}
+
+function bytes(text: string): ArrayBuffer {
+  const binary = atob(text);
+  const out = new Uint8Array(binary.length);
+  for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);
+  return out.buffer;
+}
+
+export const realOf = (text: string): Real => new Float64Array(bytes(text));
+export const halvesOf = (text: string): Uint8Array => new Uint8Array(bytes(text));
+
+export function complexOf(text: string): Complex {
+  const both = realOf(text);
+  const out = zeros(both.length / 2);
+  for (let k = 0; k < out.re.length; k++) {
+    out.re[k] = both[2 * k];
+    out.im[k] = both[2 * k + 1];
+  }
+  return out;
+}

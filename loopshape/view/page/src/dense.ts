@@ -1,0 +1,408 @@
+// A smoothed plant with draws of its error, on its lines and on places between them (Python: data/smoothed.py).
+
+import { clip, placeIn, unique, concat, zeros, type Complex, type Real } from "./arrays";
+import type { Constants, Point } from "./payload";
+import { Normals, type State } from "./random";
+import { slopes, valueAt } from "./spline";
+
+/** Draws (count) of an error on n lines, one after the other. */
+export interface Draws {
+  count: number;
+  re: Real;
+  im: Real;
+}
+
+export interface Dense {
+  f: Real;
+  P: Complex;
+  reference: Complex;
+  draws: Draws | null;
+}
+
+/** What is common to all plants: the first normal numbers of a generator, as many as were asked for so far. */
+class Stream {
+  private known: Float64Array = new Float64Array(0);
+  constructor(private readonly normals: Normals) {}
+
+  first(count: number): Float64Array {
+    if (count > this.known.length) this.known = concat(this.known, this.normals.take(count - this.known.length));
+    return this.known;
+  }
+}
+
+export class Source {
+  private readonly stream: Stream;
+  private readonly sideNormals: Float64Array;
+  constructor(
+    readonly constants: Constants,
+    smoothing: State,
+    between: State,
+  ) {
+    this.stream = new Stream(new Normals(smoothing));
+    this.sideNormals = new Normals(between).take(2 * constants.draws);
+  }
+
+  /** Errors of lines (draws, n): circular, of a variance, neighbours correlated by taps. */
+  errors(variance: Real, taps: number[]): Draws {
+    const [n, count] = [variance.length, this.constants.draws];
+    const wide = n + taps.length - 1;
+    const white = this.stream.first(2 * count * wide);
+    const power = taps.reduce((sum, tap) => sum + tap * tap, 0);
+    const scale = variance.map((v) => Math.sqrt((0.5 * v) / power));
+    const out = { count, re: new Float64Array(count * n), im: new Float64Array(count * n) };
+    for (let d = 0; d < count; d++) {
+      for (let k = 0; k < n; k++) {
+        let [re, im] = [0, 0];
+        for (let t = 0; t < taps.length; t++) {
+          re += taps[t] * white[d * wide + k + t];
+          im += taps[t] * white[(count + d) * wide + k + t];
+        }
+        out.re[d * n + k] = re * scale[k];
+        out.im[d * n + k] = im * scale[k];
+      }
+    }
+    return out;
+  }
+
+  /** One complex number a draw, by which a spline may lie off straight lines. */
+  sides(count: number): Complex {
+    const out = zeros(count);
+    let power = 0;
+    for (let d = 0; d < count; d++) {
+      out.re[d] = this.sideNormals[2 * d];
+      out.im[d] = this.sideNormals[2 * d + 1];
+      power += out.re[d] ** 2 + out.im[d] ** 2;
+    }
+    const scale = Math.sqrt(2 / (power / count));
+    return { re: out.re.map((x) => x * scale), im: out.im.map((x) => x * scale) };
+  }
+}
+
+/** The plant's lines and what is known between them; with draws where they are asked for. */
+export function knownPlant(point: Point, source: Source, drawn: boolean): Dense {
+  const lines = drawn ? drawnLines(point, source) : null;
+  if (!point.terms.length) return { f: point.f, P: point.P, reference: point.reference, draws: lines && lines.moved };
+  const f = point.f;
+  const places = point.terms.flatMap((x) => source.constants.places.map((p) => x.pole[0] + Math.abs(x.pole[1]) * p));
+  const between = Float64Array.from(places.filter((x) => x > f[0] && x < f[f.length - 1]));
+  const at = unique(concat(f, between));
+  const poles = termResponse(point, f);
+  const smooth: Dense = { f, P: minus(point.P, poles), reference: minus(point.reference, poles), draws: lines && lines.strayed };
+  const dense = densified(smooth, at, source);
+  const more = termResponse(point, at);
+  if (dense.draws && lines) {
+    const moved = termMoves(point, at, lines.errors);
+    for (let k = 0; k < moved.re.length; k++) {
+      dense.draws.re[k] += moved.re[k];
+      dense.draws.im[k] += moved.im[k];
+    }
+  }
+  return { f: at, P: plus(dense.P, more), reference: plus(dense.reference, more), draws: dense.draws };
+}
+
+function plus(a: Complex, b: Complex): Complex {
+  return { re: a.re.map((x, k) => x + b.re[k]), im: a.im.map((x, k) => x + b.im[k]) };
+}
+
+function minus(a: Complex, b: Complex): Complex {
+  return { re: a.re.map((x, k) => x - b.re[k]), im: a.im.map((x, k) => x - b.im[k]) };
+}
+
+interface Drawn {
+  errors: Draws;
+  strayed: Draws;
+  moved: Draws;
+}
+
+function drawnLines(point: Point, source: Source): Drawn {
+  const n = point.f.length;
+  if (point.variance.every((v) => v === 0)) {
+    const none = { count: 1, re: new Float64Array(n), im: new Float64Array(n) };
+    return { errors: none, strayed: none, moved: none };
+  }
+  const errors = source.errors(point.variance, point.taps);
+  const poles = termMoves(point, point.f, errors);
+  const rest = {
+    count: errors.count,
+    re: errors.re.map((x, k) => x - poles.re[k]),
+    im: errors.im.map((x, k) => x - poles.im[k]),
+  };
+  const strayed = smoothedDraws(point, rest, source.constants.degree);
+  const moved = {
+    count: errors.count,
+    re: strayed.re.map((x, k) => x + poles.re[k]),
+    im: strayed.im.map((x, k) => x + poles.im[k]),
+  };
+  return { errors, strayed, moved };
+}
+
+/** What narrow resonances add at f: r/(j (f - z)) and its mirror is in P already, as Python's `Resonance.response`. */
+function termResponse(point: Point, f: Real): Complex {
+  const out = zeros(f.length);
+  for (const { residue, pole } of point.terms) addPole(out, f, residue, pole);
+  return out;
+}
+
+function addPole(out: Complex, f: Real, [rr, ri]: [number, number], [zr, zi]: [number, number]): void {
+  for (let k = 0; k < f.length; k++) {
+    // r/(j (f - z)) = -j r/(f - z), and conj(r)/(j (f + conj(z)))
+    for (const [re, im, dr, di] of [[rr, ri, f[k] - zr, -zi], [rr, -ri, f[k] + zr, -zi]]) {
+      const size = dr * dr + di * di;
+      const [qr, qi] = [(re * dr + im * di) / size, (im * dr - re * di) / size];
+      out.re[k] += qi;
+      out.im[k] -= qr;
+    }
+  }
+}
+
+/** What narrow resonances add at one frequency in Hz. */
+export function narrowAt(point: Point, f: number): [number, number] {
+  const out = zeros(1);
+  for (const { residue, pole } of point.terms) addPole(out, Float64Array.of(f), residue, pole);
+  return [out.re[0], out.im[0]];
+}
+
+function termMoves(point: Point, f: Real, errors: Draws): Draws {
+  const [n, lines] = [f.length, point.f.length];
+  const out = { count: errors.count, re: new Float64Array(errors.count * n), im: new Float64Array(errors.count * n) };
+  for (const { residue, pole, first, influence } of point.terms) {
+    const width = influence.re.length / 2;
+    const across = Array.from(f, (x) => inverse(x - pole[0], -pole[1]));
+    for (let d = 0; d < errors.count; d++) {
+      const moved = [0, 1].map((row) => {
+        let [re, im] = [0, 0];
+        for (let k = 0; k < width; k++) {
+          const [er, ei] = [errors.re[d * lines + first + k], errors.im[d * lines + first + k]];
+          const [wr, wi] = [influence.re[row * width + k], influence.im[row * width + k]];
+          re += er * wr - ei * wi;
+          im += er * wi + ei * wr;
+        }
+        return [re, im];
+      });
+      const byPole = product(moved[1], residue);
+      for (let k = 0; k < n; k++) {
+        const whole = sum(product(moved[0], across[k]), product(byPole, product(across[k], across[k])));
+        out.re[d * n + k] += whole[1];
+        out.im[d * n + k] -= whole[0];
+      }
+    }
+  }
+  return out;
+}
+
+type Pair = number[];
+const product = (a: Pair, b: Pair): Pair => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
+const sum = (a: Pair, b: Pair): Pair => [a[0] + b[0], a[1] + b[1]];
+
+function inverse(re: number, im: number): Pair {
+  const size = re * re + im * im;
+  return [re / size, -im / size];
+}
+
+function smoothedDraws(point: Point, errors: Draws, degree: number): Draws {
+  const n = point.f.length;
+  const out = { count: errors.count, re: new Float64Array(errors.re.length), im: new Float64Array(errors.re.length) };
+  const x = point.f.map(Math.log);
+  const size = point.raw.re.map((re, k) => re * re + point.raw.im[k] ** 2);
+  const floor = point.variance.map((v, k) => Math.max(v, 1e-20 * size[k] + 1e-300));
+  for (let k = 0; k < n; k++) {
+    const { first, weights } = smoothingWeights(x, floor, k, point.halves[k], degree);
+    for (let d = 0; d < errors.count; d++) {
+      let [re, im] = [0, 0];
+      const start = d * n + first;
+      for (let i = 0; i < weights.length; i++) {
+        re += weights[i] * errors.re[start + i];
+        im += weights[i] * errors.im[start + i];
+      }
+      out.re[d * n + k] = re;
+      out.im[d * n + k] = im;
+    }
+  }
+  return out;
+}
+
+/** First line and weights by which a window's lines make the response at line k (kernels/smoothing.py). */
+function smoothingWeights(x: Real, v: Real, k: number, half: number, degree: number): { first: number; weights: Real } {
+  const lines = x.length;
+  const first = Math.min(Math.max(k - half, 0), lines - 2 * half - 1);
+  const n = 2 * half + 1;
+  if (n === 1) return { first, weights: Float64Array.of(1) };
+  const w = v.slice(first, first + n).map((value) => 1 / value);
+  const basis = orthonormal(x.slice(first, first + n).map((value) => value - x[k]), w, Math.min(degree, n - 1));
+  const weights = w.map((weight, i) => weight * basis.reduce((total, q) => total + q[k - first] * q[i], 0));
+  return { first, weights };
+}
+
+function orthonormal(x: Real, w: Real, degree: number): Real[] {
+  const n = x.length;
+  const reach = Math.max(Math.abs(x[0]), Math.abs(x[n - 1]));
+  const basis: Real[] = [];
+  for (let j = 0; j <= degree; j++) {
+    const q = j === 0 ? new Float64Array(n).fill(1) : basis[j - 1].map((value, i) => (value * x[i]) / reach);
+    for (let pass = 0; pass < 2; pass++) {
+      for (const other of basis) {
+        let along = 0;
+        for (let i = 0; i < n; i++) along += w[i] * other[i] * q[i];
+        for (let i = 0; i < n; i++) q[i] -= along * other[i];
+      }
+    }
+    let size = 0;
+    for (let i = 0; i < n; i++) size += w[i] * q[i] * q[i];
+    size = Math.sqrt(size);
+    basis.push(q.map((value) => value / size));
+  }
+  return basis;
+}
+
+/** d ln P/d ln f of the lowest lines; 0 where they tell none. */
+function lowestPower(f: Real, P: Complex, { lowest, steepest }: Constants): Pair {
+  const count = Math.min(Math.max(placeIn(f, lowest * f[0]), 4), f.length);
+  if (count < 2) return [0, 0];
+  const x = Array.from({ length: count }, (_, k) => Math.log(f[k] / f[0]));
+  const mean = x.reduce((a, b) => a + b, 0) / count;
+  let [re, im, squares, angle, before] = [0, 0, 0, 0, 0];
+  for (let k = 0; k < count; k++) {
+    const size = Math.hypot(P.re[k], P.im[k]);
+    if (size === 0) return [0, 0];
+    const now = Math.atan2(P.im[k], P.re[k]);
+    let step = now - before;
+    if (k > 0) step -= 2 * Math.PI * Math.round(step / (2 * Math.PI));
+    angle = k === 0 ? now : angle + step;
+    before = now;
+    re += (x[k] - mean) * Math.log(size);
+    im += (x[k] - mean) * angle;
+    squares += (x[k] - mean) ** 2;
+  }
+  const power = [re / squares, im / squares];
+  return Math.hypot(power[0], power[1]) <= steepest ? power : [0, 0];
+}
+
+interface Curve {
+  own: Complex;
+  power: Pair;
+  P: Complex;
+  reference: Complex;
+  slopeP: Complex;
+  slopeReference: Complex;
+}
+
+const curves = new WeakMap<Real, Curve>();
+
+/** The plant without the power of f that its lowest lines follow, and its splines; remembered by its frequencies. */
+function curveOf(dense: Dense, constants: Constants): Curve {
+  const found = curves.get(dense.P.re);
+  if (found) return found;
+  const power = lowestPower(dense.f, dense.P, constants);
+  const own = powers(dense.f, dense.f[0], [-power[0], -power[1]]);
+  const P = productOf(dense.P, own);
+  const reference = productOf(dense.reference, own);
+  const made = { own, power, P, reference, slopeP: slopes(dense.f, P), slopeReference: slopes(dense.f, reference) };
+  curves.set(dense.P.re, made);
+  return made;
+}
+
+function powers(f: Real, first: number, power: Pair): Complex {
+  const out = zeros(f.length);
+  for (let k = 0; k < f.length; k++) {
+    const ln = Math.log(f[k] / first);
+    const size = Math.exp(power[0] * ln);
+    out.re[k] = size * Math.cos(power[1] * ln);
+    out.im[k] = size * Math.sin(power[1] * ln);
+  }
+  return out;
+}
+
+function productOf(a: Complex, b: Complex): Complex {
+  const out = zeros(a.re.length);
+  for (let k = 0; k < a.re.length; k++) {
+    out.re[k] = a.re[k] * b.re[k] - a.im[k] * b.im[k];
+    out.im[k] = a.re[k] * b.im[k] + a.im[k] * b.re[k];
+  }
+  return out;
+}
+
+/** Straight value and how far the spline lies off it, at a place of the k-th gap. */
+function curved(f: Real, values: Complex, slope: Complex, k: number, at: number, share: number): [Pair, Pair] {
+  const straight = [
+    values.re[k] * (1 - share) + values.re[k + 1] * share,
+    values.im[k] * (1 - share) + values.im[k + 1] * share,
+  ];
+  const step = (i: number): number => Math.hypot(values.re[i + 1] - values.re[i], values.im[i + 1] - values.im[i]);
+  const most = 0.5 * Math.max(step(Math.max(k - 1, 0)), step(k), step(Math.min(k + 1, f.length - 2)));
+  const off = [
+    valueAt(f, values.re, slope.re, k, at) - straight[0],
+    valueAt(f, values.im, slope.im, k, at) - straight[1],
+  ];
+  const scale = most / Math.max(Math.hypot(off[0], off[1]), Math.max(most, 1e-300));
+  return [straight, [off[0] * scale, off[1] * scale]];
+}
+
+/** The same at other frequencies within these: by splines, draws straight from line to line (`Dense.at`). */
+export function densified(dense: Dense, at: Real, source: Source): Dense {
+  const { f, draws } = dense;
+  const [n, m] = [f.length, at.length];
+  const curve = curveOf(dense, source.constants);
+  const back = powers(at, f[0], curve.power);
+  const out: Dense = { f: at, P: zeros(m), reference: zeros(m), draws: null };
+  const gap = new Int32Array(m);
+  const [low, high, off] = [zeros(m), zeros(m), zeros(m)];
+  for (let j = 0; j < m; j++) {
+    const k = clip(placeIn(f, at[j], true) - 1, 0, n - 2);
+    const share = (at[j] - f[k]) / (f[k + 1] - f[k]);
+    const b = [back.re[j], back.im[j]];
+    const [straight, bent] = curved(f, curve.P, curve.slopeP, k, at[j], share);
+    const again = curved(f, curve.reference, curve.slopeReference, k, at[j], share);
+    put(out.P, j, product(b, sum(straight, bent)));
+    put(out.reference, j, product(b, sum(again[0], again[1])));
+    gap[j] = k;
+    const own = product(b, [curve.own.re[k], curve.own.im[k]]);
+    put(low, j, [own[0] * (1 - share), own[1] * (1 - share)]);
+    const next = product(b, [curve.own.re[k + 1], curve.own.im[k + 1]]);
+    put(high, j, [next[0] * share, next[1] * share]);
+    const size = Math.sqrt(0.5) * source.constants.between;
+    const bentBack = product(b, bent);
+    put(off, j, [size * bentBack[0], size * bentBack[1]]);
+  }
+  if (draws) out.draws = densifiedDraws(draws, n, gap, low, high, off, source.sides(draws.count));
+  return out;
+}
+
+function put(z: Complex, k: number, value: Pair): void {
+  z.re[k] = value[0];
+  z.im[k] = value[1];
+}
+
+function densifiedDraws(
+  draws: Draws, n: number, gap: Int32Array, low: Complex, high: Complex, off: Complex, sides: Complex,
+): Draws {
+  const m = gap.length;
+  const out = { count: draws.count, re: new Float64Array(draws.count * m), im: new Float64Array(draws.count * m) };
+  for (let d = 0; d < draws.count; d++) {
+    const [sr, si] = [sides.re[d], sides.im[d]];
+    for (let j = 0; j < m; j++) {
+      const k = d * n + gap[j];
+      const [ar, ai, br, bi] = [draws.re[k], draws.im[k], draws.re[k + 1], draws.im[k + 1]];
+      out.re[d * m + j] =
+        ar * low.re[j] - ai * low.im[j] + br * high.re[j] - bi * high.im[j] + sr * off.re[j] - si * off.im[j];
+      out.im[d * m + j] =
+        ar * low.im[j] + ai * low.re[j] + br * high.im[j] + bi * high.re[j] + sr * off.im[j] + si * off.re[j];
+    }
+  }
+  return out;
+}
+
+/** The same with places between lines where it moves by more than a step of the room there (`Dense.between`). */
+export function withBetween(dense: Dense, moved: Real, room: Real, source: Source): Dense {
+  const { step, most, fewest } = source.constants;
+  const f = dense.f;
+  if (f.length < fewest) return dense;
+  const more: number[] = [];
+  for (let k = 0; k < moved.length; k++) {
+    const whole = moved[k] / (step * room[k]);
+    const ratio = Number.isNaN(whole) ? 0 : Math.min(whole, most);
+    if (ratio <= 1) continue;
+    const count = clip(Math.ceil(ratio), 2, most);
+    for (let i = 1; i < count; i++) more.push(f[k] + ((f[k + 1] - f[k]) * i) / count);
+  }
+  return more.length ? densified(dense, unique(concat(f, Float64Array.from(more))), source) : dense;
+}

@@ -1,0 +1,237 @@
+// Loop -> margins, freed of the bias of noise, with 95 % intervals from draws (Python: loop/margins.py).
+
+import { clip, db, geometric, placeIn, type Complex, type Real } from "./arrays";
+import * as control from "./controller";
+import type { Draws, Source } from "./dense";
+import { readings, type Judged, type Loop } from "./loop";
+import * as kernel from "./reading";
+import type { Stability } from "./stability";
+
+const PLAIN: Record<string, number> = {
+  gain_margin_db: kernel.GAIN_DB,
+  gain_reduction_margin_db: kernel.REDUCTION_DB,
+  phase_margin_deg: kernel.PHASE_DEG,
+  complementary_peak_db: kernel.COMPLEMENTARY_DB,
+  control_peak_db: kernel.CONTROL_DB,
+  control_high_frequency_db: kernel.CONTROL_HIGH_DB,
+  process_peak_db: kernel.PROCESS_DB,
+};
+const LOGARITHMS: Record<string, number> = {
+  modulus_margin: kernel.LN_MODULUS,
+  delay_margin_s: kernel.LN_DELAY_S,
+  disk_margin: kernel.LN_DISK,
+  bandwidth_hz: kernel.LN_BANDWIDTH_HZ,
+  sensitivity_bandwidth_hz: kernel.LN_SENSITIVITY_HZ,
+  complementary_bandwidth_hz: kernel.LN_COMPLEMENTARY_HZ,
+};
+const BANDWIDTHS: Record<string, number> = {
+  sensitivity_bandwidth_hz: kernel.LN_SENSITIVITY_HZ,
+  complementary_bandwidth_hz: kernel.LN_COMPLEMENTARY_HZ,
+};
+const MOST: Record<string, number> = {
+  gain_margin_db: Infinity,
+  gain_reduction_margin_db: Infinity,
+  phase_margin_deg: 180,
+  disk_margin: 2,
+};
+
+export type Interval = [number, number];
+
+/** Margins at one operating point; `settled` tells that bias and intervals are in them. */
+export interface Margins {
+  values: Record<string, number>;
+  intervals: Record<string, Interval>;
+  bounds: Record<string, number>;
+  at_hz: Record<string, number>;
+  crossings_hz: number[];
+  phase_crossings_hz: number[];
+  stability: Stability | null;
+  settled: boolean;
+}
+
+/** Margins of a loop; with draws they are freed of bias and have intervals. */
+export function margins(loop: Loop, fromHz: number | null): Margins {
+  const [first, ...others] = readings(loop);
+  const from = fromHz ?? Infinity;
+  const { found, at } = nominal(loop, first, from);
+  const own = withIntervals(loop, first, found, from, true);
+  for (const other of others) {
+    const its = withIntervals(loop, other, nominal(loop, other, from).found, from, true);
+    own.low = own.low.map((value, k) => Math.min(value, its.low[k]));
+    own.high = own.high.map((value, k) => Math.max(value, its.high[k]));
+  }
+  const [low, high] = [fields(own.low), fields(own.high)];
+  const values = fields(own.value);
+  const intervals: Record<string, Interval> = {};
+  if (first.draws) {
+    for (const name of Object.keys(values)) {
+      intervals[name] = [Math.min(low[name], high[name]), Math.max(low[name], high[name])];
+    }
+  }
+  values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
+  return {
+    values,
+    intervals,
+    bounds: bounds(loop, first, found, from),
+    at_hz: places(at, first.f[0]),
+    crossings_hz: unitCrossings(first.f, first.L),
+    phase_crossings_hz: axisCrossings(first.f, first.L),
+    stability: null,
+    settled: first.draws !== null,
+  };
+}
+
+const grids = new WeakMap<Judged, kernel.Grid>();
+
+function gridOf(loop: Loop, j: Judged, fromHz: number): kernel.Grid {
+  const known = grids.get(j);
+  if (known) return known;
+  const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
+  const aboveC2 = kernel.squares(control.response(loop.controller, aboveF));
+  const made = { f: j.f, c2: kernel.squares(j.C), aboveF, aboveC2, fromHz };
+  grids.set(j, made);
+  return made;
+}
+
+function aboveHz(last: number, rate_hz: number): Real {
+  return last < 0.45 * rate_hz ? geometric(last, 0.45 * rate_hz, 80).subarray(1) : new Float64Array(0);
+}
+
+function nominal(loop: Loop, j: Judged, fromHz: number, bounded = true): kernel.Reading {
+  const out = kernel.freshReading();
+  kernel.read(gridOf(loop, j, fromHz), j.L.re, j.L.im, 0, bounded, out);
+  return out;
+}
+
+interface Ends {
+  value: Float64Array;
+  low: Float64Array;
+  high: Float64Array;
+}
+
+function withIntervals(loop: Loop, j: Judged, found: Float64Array, fromHz: number, bounded: boolean): Ends {
+  if (!j.draws) return { value: found, low: found, high: found };
+  if (drowned(j, j.draws)) return { value: found, low: found.map(() => -Infinity), high: found.map(() => Infinity) };
+  const grid = gridOf(loop, j, fromHz);
+  const drawn = kernel.readDraws(grid, j.reference, j.draws, bounded);
+  const reference = kernel.freshReading();
+  kernel.read(grid, j.reference.re, j.reference.im, 0, bounded, reference);
+  const out = { value: found.slice(), low: found.slice(), high: found.slice() };
+  const { reach } = loop.plant.source.constants;
+  for (let c = 0; c < kernel.COLUMNS; c++) {
+    const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
+    const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
+    if (usual && ofOnePiece(ordered)) {
+      out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
+      const half = reach * deviation(ordered);
+      [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
+    } else {
+      const last = ordered.length - 1;
+      const k = Math.round(0.025 * last);
+      [out.low[c], out.high[c]] = [Math.min(ordered[k], found[c]), Math.max(ordered[last - k], found[c])];
+    }
+  }
+  return out;
+}
+
+const mean = (values: Float64Array): number => values.reduce((a, b) => a + b, 0) / values.length;
+
+function deviation(values: Float64Array): number {
+  const middle = mean(values);
+  return Math.sqrt(values.reduce((a, b) => a + (b - middle) ** 2, 0) / values.length);
+}
+
+/** Whether ordered draws scatter as about one value, and do not jump from one crossing to another. */
+function ofOnePiece(ordered: Float64Array): boolean {
+  const last = ordered.length - 1;
+  const spread = deviation(ordered);
+  const core = (ordered[Math.round(0.84 * last)] - ordered[Math.round(0.16 * last)]) / 1.989;
+  return spread <= 2 * core + 1e-12 && ordered[last] - ordered[0] >= 4 * spread - 1e-12;
+}
+
+/** Whether errors as large as L itself, where L is not small, leave nothing that draws could tell. */
+function drowned(j: Judged, draws: Draws): boolean {
+  const n = j.f.length;
+  let [large, lost] = [0, 0];
+  for (let k = 0; k < n; k++) {
+    const size = Math.hypot(j.L.re[k], j.L.im[k]);
+    if (size <= 0.1) continue;
+    large += 1;
+    let [re, im, power] = [0, 0, 0];
+    for (let i = k; i < draws.re.length; i += n) {
+      re += draws.re[i];
+      im += draws.im[i];
+      power += draws.re[i] ** 2 + draws.im[i] ** 2;
+    }
+    const variance = power / draws.count - (re / draws.count) ** 2 - (im / draws.count) ** 2;
+    if (Math.sqrt(Math.max(variance, 0)) > 0.7 * size) lost += 1;
+  }
+  return large > 0 && lost > 0.1 * large;
+}
+
+/** How good the quantities may be that what lies above the last line bounds (`_bounds`). */
+function bounds(loop: Loop, j: Judged, found: Float64Array, fromHz: number): Record<string, number> {
+  const best = nominal(loop, j, fromHz, false).found;
+  const out: Record<string, number> = {};
+  for (const [name, k] of Object.entries(BANDWIDTHS)) {
+    if (found[k] === Math.log(j.f[j.f.length - 1])) out[name] = Infinity;
+  }
+  const bounded = found.map((value, k) => (value === best[k] ? 0 : 1));
+  if (!bounded.some(Boolean)) return out;
+  const { low, high } = withIntervals(loop, j, best, fromHz, false);
+  const better = best.map((value, k) =>
+    bounded[k] ? (value > found[k] ? Math.max(low[k], high[k]) : Math.min(low[k], high[k])) : NaN,
+  );
+  for (const [name, value] of Object.entries(fields(better))) if (!Number.isNaN(value)) out[name] = value;
+  return out;
+}
+
+function fields(columns: Float64Array): Record<string, number> {
+  const out: Record<string, number> = {};
+  for (const [name, k] of Object.entries(PLAIN)) out[name] = columns[k];
+  for (const [name, k] of Object.entries(LOGARITHMS)) out[name] = Math.exp(columns[k]);
+  out.sensitivity_peak_db = -db(Math.exp(columns[kernel.LN_MODULUS]));
+  for (const [name, most] of Object.entries(MOST)) if (Number.isFinite(out[name])) out[name] = clip(out[name], 0, most);
+  return out;
+}
+
+function places(at: Float64Array, first_hz: number): Record<string, number> {
+  const out: Record<string, number> = {};
+  const columns = { ...PLAIN, ...LOGARITHMS, sensitivity_peak_db: kernel.LN_MODULUS };
+  for (const [name, k] of Object.entries(columns)) {
+    if (Number.isFinite(at[k])) out[name] = at[k] > 1e-3 * first_hz ? at[k] : 0;
+  }
+  return out;
+}
+
+/** Frequencies in Hz where |L| = 1; between lines ln L is linear in ln f. */
+export function unitCrossings(f: Real, L: Complex): number[] {
+  const size = L.re.map((re, k) => Math.log(Math.hypot(re, L.im[k])));
+  const out: number[] = [];
+  for (let k = 0; k < f.length; k++) {
+    if (size[k] === 0) out.push(f[k]);
+    if (k + 1 < f.length && size[k] * size[k + 1] < 0) {
+      out.push(f[k] * (f[k + 1] / f[k]) ** (size[k] / (size[k] - size[k + 1])));
+    }
+  }
+  return out;
+}
+
+/** Frequencies in Hz where L crosses the negative real axis, along chords. */
+export function axisCrossings(f: Real, L: Complex): number[] {
+  const out: number[] = [];
+  for (let k = 0; k < f.length; k++) {
+    if (L.im[k] === 0 && L.re[k] < 0) out.push(f[k]);
+    if (k + 1 >= f.length || L.im[k] * L.im[k + 1] >= 0) continue;
+    const share = L.im[k] / (L.im[k] - L.im[k + 1]);
+    if (L.re[k] + share * (L.re[k + 1] - L.re[k]) < 0) out.push(f[k] + share * (f[k + 1] - f[k]));
+  }
+  return out;
+}
+
+/** Where in a gap of rising frequencies one lies: the line before it. */
+export function gapOf(f: Real, at: number): number {
+  return clip(placeIn(f, at, true) - 1, 0, f.length - 2);
+}
+
+export type { Source };

@@ -1,0 +1,194 @@
+// What Python puts into the page: the measured plants, what their draws are made from, and all constants by name.
+
+import { complexOf, halvesOf, realOf, type Complex, type Real } from "./arrays";
+import type { Controller } from "./controller";
+import type { State } from "./random";
+
+export interface Limit {
+  name: string;
+  sense: "at_least" | "at_most";
+  unit: string;
+  label: string;
+}
+
+/** Numbers of the Python modules, under their names there. */
+export interface Constants {
+  reach: number;
+  reach_95: number;
+  between: number;
+  fewest: number;
+  lowest: number;
+  steepest: number;
+  degree: number;
+  step: number;
+  small: number;
+  most: number;
+  wide: number;
+  sharpest: number;
+  bulge: number;
+  aside: number;
+  fit_deg: number;
+  wrong: number;
+  strays: number;
+  on_it: number;
+  hole_fewest: number;
+  hole_apart: number;
+  hole_turn: number;
+  hole_far: number;
+  places: number[];
+  along: number[];
+  draws: number;
+  down: number[];
+}
+
+export type Requirements = Record<string, unknown> & { loop: string };
+
+interface RawPoint {
+  name: string;
+  f: string;
+  P: string;
+  reference: string;
+  raw: string;
+  variance: string;
+  halves: string;
+  taps: number[];
+  terms: { residue: [number, number]; pole: [number, number]; first: number; influence: string }[];
+  integrators: number | null;
+  unstable_poles: number | null;
+  open_loop_note: string;
+  modelled: boolean;
+  below_f: string;
+  below: string[];
+  led_f: string;
+  led: string;
+  down: { P: string; P_led: string; moves: string | null; lines: number }[];
+  beyond: { f: string; P: string } | null;
+  rough: string | null;
+  hidden: { low_hz: number; high_hz: number; centre: string; width: string; residue: string }[];
+}
+
+export interface Term {
+  residue: [number, number];
+  pole: [number, number];
+  first: number;
+  influence: Complex;
+}
+
+/** A small model's response below the first line, and what errors of the lowest lines do to it. */
+export interface Down {
+  P: Complex;
+  P_led: Complex;
+  moves: Complex | null;
+  lines: number;
+}
+
+export interface Hidden {
+  low_hz: number;
+  high_hz: number;
+  centre: Real;
+  width: Real;
+  residue: Complex;
+}
+
+/** One operating point: a measured plant, smoothed, and everything that does not depend on the controller. */
+export interface Point {
+  name: string;
+  f: Real;
+  P: Complex;
+  reference: Complex;
+  raw: Complex;
+  variance: Real;
+  halves: Uint8Array;
+  taps: number[];
+  terms: Term[];
+  integrators: number | null;
+  unstable_poles: number | null;
+  modelled: boolean;
+  below_f: Real;
+  below: Complex[];
+  led_f: Real;
+  led: Complex;
+  down: Down[];
+  beyond: { f: Real; P: Complex } | null;
+  rough: Real | null;
+  hidden: Hidden[];
+}
+
+export interface CertifiedLine {
+  quantity: string;
+  outcome: string;
+}
+
+/** What Python's check said of the controller that the page was made with. */
+export interface Certificate {
+  outcome: string;
+  controller: string;
+  detuning: Record<string, { percent: number | null; interval: [number, number] | null }>;
+}
+
+interface RawLoop {
+  name: string;
+  rate_hz: number;
+  requirements: Requirements;
+  controller: Controller;
+  points: RawPoint[];
+  certificate: Certificate | null;
+  notes: string[];
+}
+
+export interface PlantLoop extends Omit<RawLoop, "points"> {
+  points: Point[];
+}
+
+export interface Raw {
+  format: string;
+  version: string;
+  title: string;
+  limits: Limit[];
+  blocks: Record<string, string[]>;
+  requirement_keys: string[];
+  constants: Constants;
+  random: { smoothing: State; between: State };
+  loops: RawLoop[];
+  server: { token: string } | null;
+}
+
+export interface Payload extends Omit<Raw, "loops"> {
+  loops: PlantLoop[];
+}
+
+function pointOf(raw: RawPoint): Point {
+  const complex = complexOf;
+  return {
+    ...raw,
+    f: realOf(raw.f),
+    P: complex(raw.P),
+    reference: complex(raw.reference),
+    raw: complex(raw.raw),
+    variance: realOf(raw.variance),
+    halves: halvesOf(raw.halves),
+    terms: raw.terms.map((x) => ({ ...x, influence: complex(x.influence) })),
+    below_f: realOf(raw.below_f),
+    below: raw.below.map(complex),
+    led_f: realOf(raw.led_f),
+    led: complex(raw.led),
+    down: raw.down.map((x) => ({
+      P: complex(x.P),
+      P_led: complex(x.P_led),
+      moves: x.moves === null ? null : complex(x.moves),
+      lines: x.lines,
+    })),
+    beyond: raw.beyond && { f: realOf(raw.beyond.f), P: complex(raw.beyond.P) },
+    rough: raw.rough === null ? null : realOf(raw.rough),
+    hidden: raw.hidden.map((x) => ({
+      ...x,
+      centre: realOf(x.centre),
+      width: realOf(x.width),
+      residue: complex(x.residue),
+    })),
+  };
+}
+
+export function payloadOf(raw: Raw): Payload {
+  return { ...raw, loops: raw.loops.map((loop) => ({ ...loop, points: loop.points.map(pointOf) })) };
+}
