@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
+    from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
@@ -133,6 +134,7 @@ _HOME = {
     "read_table": "verbs.files",
     "report": "verbs.files",
     "resonator": "data.shorthand",
+    "shape": "verbs.chain",
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tune": "verbs.chain",

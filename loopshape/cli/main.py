@@ -34,6 +34,7 @@ from loopshape.cli.predict import predict
 from loopshape.cli.profiles import profiles
 from loopshape.cli.report import report
 from loopshape.cli.schedule import schedule
+from loopshape.cli.shape import shape
 from loopshape.cli.simulate import simulate
 from loopshape.cli.stop import stop
 from loopshape.cli.tune import tune
@@ -43,7 +44,7 @@ from loopshape.core.errors import LoopshapeError
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
 measure or import a run -> frf -> fit -> tune -> check -> predict; measure again -> compare; any run -> report, gap;
-frf -> interaction, plan, export; controller -> export-controller, bound, schedule.
+frf -> interaction, plan, export; controller -> shape, export-controller, bound, schedule.
 Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse than a baseline, 2 wrong use or
 unreadable input.
 """
@@ -72,6 +73,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     ),
     "Design": (
         ("tune", tune, "loopshape tune runs/axis --require requirements.toml --out controller.toml"),
+        ("shape", shape, "loopshape shape runs/axis --require requirements.toml --out shape.html"),
         ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
         ("profiles", profiles, "loopshape profiles --out mine.toml"),
         ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),

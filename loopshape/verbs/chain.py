@@ -6,7 +6,7 @@ A plant is a FRF, or several where one controller serves several operating point
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,6 +154,38 @@ def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, f
 
     plants, controller = _plants(P), C.controller if isinstance(C, Tuning) else C
     return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+
+
+def shape(
+    P: Plants | Mapping[str, FRF],
+    C: Controller | Tuning | None = None,
+    R: Requirements | None = None,
+    out: str | Path = "shape.html",
+    *,
+    fits: Sequence[Fit] = (),
+) -> Path:
+    """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
+
+    `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
+    of 1). Margins, intervals and stability are computed in the page as `check` computes them; the detuning margin is
+    not. Raises WrongUseError as `check` does.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls, tempfile
+    >>> f_hz = np.geomspace(0.5, 200.0, 100)
+    >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01)
+    >>> page = ls.shape(P, ls.controller(ls.gain(2.0), rate_hz=1000.0), out=f"{tempfile.mkdtemp()}/shape.html")
+    >>> page.name
+    'shape.html'
+    """
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.verbs.shaping import page_of, shaped
+
+    named = [replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P
+    one = shaped(_plants(named), C.controller if isinstance(C, Tuning) else C, R, tuple(fits))
+    write_bytes_whole(Path(out), page_of([one], "Shape"))
+    return Path(out)
 
 
 def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[Fit] = ()) -> Bound:

@@ -102,7 +102,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
         "requirements": _requirements(one.requirements),
-        "controller": _controller(one.controller),
+        "controller": controller_words(one.controller),
         "points": [_point(name, loop) for name, loop in zip(one.verdict.margins, loops, strict=True)],
         "certificate": _certificate(one.verdict),
         "notes": list(notes),
@@ -135,7 +135,8 @@ def _table(noun: Any) -> dict[str, Any]:
     return {f.name: getattr(noun, f.name) for f in fields(noun) if getattr(noun, f.name) is not None}
 
 
-def _controller(controller: Controller) -> dict[str, Any]:
+def controller_words(controller: Controller) -> dict[str, Any]:
+    """A controller as the page knows it."""
     made = {f.name: getattr(controller, f.name) for f in fields(controller)}
     blocks = [{"kind": block.kind, "parameters": dict(block.parameters)} for block in controller.blocks]
     return made | {"blocks": blocks}

@@ -12,6 +12,41 @@ export interface Draws {
   im: Real;
 }
 
+/** Sums over draws at each place: of squares, of the parts, and of products with the neighbour before. */
+export interface Sums {
+  power: Real;
+  re: Real;
+  im: Real;
+  crossRe: Real;
+  crossIm: Real;
+}
+
+const sums = new WeakMap<Draws, Sums>();
+
+export function sumsOf(draws: Draws, n: number): Sums {
+  const known = sums.get(draws);
+  if (known) return known;
+  const fresh = (): Real => new Float64Array(n);
+  const out = { power: fresh(), re: fresh(), im: fresh(), crossRe: fresh(), crossIm: fresh() };
+  for (let d = 0, i = 0; d < draws.count; d++) {
+    let lastRe = 0;
+    let lastIm = 0;
+    for (let k = 0; k < n; k++, i++) {
+      const x = draws.re[i];
+      const y = draws.im[i];
+      out.power[k] += x * x + y * y;
+      out.re[k] += x;
+      out.im[k] += y;
+      out.crossRe[k] += x * lastRe + y * lastIm;
+      out.crossIm[k] += y * lastRe - x * lastIm;
+      lastRe = x;
+      lastIm = y;
+    }
+  }
+  sums.set(draws, out);
+  return out;
+}
+
 export interface Dense {
   f: Real;
   P: Complex;
@@ -303,13 +338,14 @@ function curveOf(dense: Dense, constants: Constants): Curve {
 
 function powers(f: Real, first: number, power: Pair): Complex {
   const out = zeros(f.length);
-  for (let k = 0; k < f.length; k++) {
-    const ln = Math.log(f[k] / first);
-    const size = Math.exp(power[0] * ln);
-    out.re[k] = size * Math.cos(power[1] * ln);
-    out.im[k] = size * Math.sin(power[1] * ln);
-  }
+  for (let k = 0; k < f.length; k++) put(out, k, powerAt(f[k] / first, power));
   return out;
+}
+
+function powerAt(ratio: number, power: Pair): Pair {
+  const ln = Math.log(ratio);
+  const size = Math.exp(power[0] * ln);
+  return [size * Math.cos(power[1] * ln), size * Math.sin(power[1] * ln)];
 }
 
 function productOf(a: Complex, b: Complex): Complex {
@@ -342,14 +378,22 @@ export function densified(dense: Dense, at: Real, source: Source): Dense {
   const { f, draws } = dense;
   const [n, m] = [f.length, at.length];
   const curve = curveOf(dense, source.constants);
-  const back = powers(at, f[0], curve.power);
   const out: Dense = { f: at, P: zeros(m), reference: zeros(m), draws: null };
   const gap = new Int32Array(m);
+  const between = new Uint8Array(m);
   const [low, high, off] = [zeros(m), zeros(m), zeros(m)];
   for (let j = 0; j < m; j++) {
-    const k = clip(placeIn(f, at[j], true) - 1, 0, n - 2);
+    const line = placeIn(f, at[j], true) - 1;
+    if (line >= 0 && f[line] === at[j]) {
+      gap[j] = line;
+      put(out.P, j, [dense.P.re[line], dense.P.im[line]]);
+      put(out.reference, j, [dense.reference.re[line], dense.reference.im[line]]);
+      continue;
+    }
+    const k = clip(line, 0, n - 2);
+    between[j] = 1;
     const share = (at[j] - f[k]) / (f[k + 1] - f[k]);
-    const b = [back.re[j], back.im[j]];
+    const b = powerAt(at[j] / f[0], curve.power);
     const [straight, bent] = curved(f, curve.P, curve.slopeP, k, at[j], share);
     const again = curved(f, curve.reference, curve.slopeReference, k, at[j], share);
     put(out.P, j, product(b, sum(straight, bent)));
@@ -363,7 +407,7 @@ export function densified(dense: Dense, at: Real, source: Source): Dense {
     const bentBack = product(b, bent);
     put(off, j, [size * bentBack[0], size * bentBack[1]]);
   }
-  if (draws) out.draws = densifiedDraws(draws, n, gap, low, high, off, source.sides(draws.count));
+  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.count));
   return out;
 }
 
@@ -372,16 +416,32 @@ function put(z: Complex, k: number, value: Pair): void {
   z.im[k] = value[1];
 }
 
-function densifiedDraws(
-  draws: Draws, n: number, gap: Int32Array, low: Complex, high: Complex, off: Complex, sides: Complex,
-): Draws {
+/** How draws at places follow from those on lines: by two of them and a part that is common to all places. */
+interface Weights {
+  gap: Int32Array;
+  between: Uint8Array;
+  low: Complex;
+  high: Complex;
+  off: Complex;
+}
+
+function densifiedDraws(draws: Draws, n: number, { gap, between, low, high, off }: Weights, sides: Complex): Draws {
   const m = gap.length;
   const out = { count: draws.count, re: new Float64Array(draws.count * m), im: new Float64Array(draws.count * m) };
   for (let d = 0; d < draws.count; d++) {
-    const [sr, si] = [sides.re[d], sides.im[d]];
+    const sr = sides.re[d];
+    const si = sides.im[d];
     for (let j = 0; j < m; j++) {
       const k = d * n + gap[j];
-      const [ar, ai, br, bi] = [draws.re[k], draws.im[k], draws.re[k + 1], draws.im[k + 1]];
+      if (!between[j]) {
+        out.re[d * m + j] = draws.re[k];
+        out.im[d * m + j] = draws.im[k];
+        continue;
+      }
+      const ar = draws.re[k];
+      const ai = draws.im[k];
+      const br = draws.re[k + 1];
+      const bi = draws.im[k + 1];
       out.re[d * m + j] =
         ar * low.re[j] - ai * low.im[j] + br * high.re[j] - bi * high.im[j] + sr * off.re[j] - si * off.im[j];
       out.im[d * m + j] =

@@ -30,6 +30,8 @@ export class Loop {
   readonly dense: Dense;
   readonly denseC: Complex;
   readonly denseL: Complex;
+  /** Draws of the error of denseL. */
+  readonly draws: Draws | null;
 
   constructor(
     readonly plant: Plant,
@@ -42,6 +44,8 @@ export class Loop {
     this.dense = followed(plant.dense, controller, source);
     this.denseC = this.dense.f === point.f ? this.C : control.response(controller, this.dense.f);
     this.denseL = times(this.denseC, this.dense.P);
+    const own = this.dense.draws;
+    this.draws = own && scaled(own, this.denseC, this.dense === plant.dense ? fresh(own) : own);
   }
 
   get point(): Point {
@@ -122,7 +126,7 @@ function judged(loop: Loop): { lines: Judged; led: number } {
   const { led } = found;
   const { dense, denseC, denseL, point } = loop;
   const reference = times(denseC, dense.reference);
-  const draws = dense.draws && scaled(dense.draws, denseC);
+  const { draws } = loop;
   if (!led) return { lines: { f: dense.f, L: denseL, C: denseC, reference, draws }, led };
   const first = head(found.L, led);
   const share = quotient(point.reference, point.P, 0);
@@ -181,14 +185,17 @@ function before(draws: Draws, led: number, at: (d: number, k: number) => [number
   return out;
 }
 
-/** Draws of P as draws of C P. */
-function scaled(draws: Draws, C: Complex): Draws {
+const fresh = ({ count, re }: Draws): Draws => ({ count, re: new Float64Array(re.length), im: new Float64Array(re.length) });
+
+/** Draws of P as draws of C P, into `out`, which may be the same. */
+function scaled(draws: Draws, C: Complex, out: Draws): Draws {
   const n = C.re.length;
-  const out = { count: draws.count, re: new Float64Array(draws.re.length), im: new Float64Array(draws.re.length) };
   for (let d = 0, i = 0; d < draws.count; d++) {
     for (let k = 0; k < n; k++, i++) {
-      out.re[i] = draws.re[i] * C.re[k] - draws.im[i] * C.im[k];
-      out.im[i] = draws.re[i] * C.im[k] + draws.im[i] * C.re[k];
+      const x = draws.re[i];
+      const y = draws.im[i];
+      out.re[i] = x * C.re[k] - y * C.im[k];
+      out.im[i] = x * C.im[k] + y * C.re[k];
     }
   }
   return out;

@@ -2,7 +2,7 @@
 
 import { clip, db, geometric, placeIn, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
-import type { Draws, Source } from "./dense";
+import { sumsOf, type Draws } from "./dense";
 import { readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
@@ -88,9 +88,18 @@ function gridOf(loop: Loop, j: Judged, fromHz: number): kernel.Grid {
   if (known) return known;
   const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
   const aboveC2 = kernel.squares(control.response(loop.controller, aboveF));
-  const made = { f: j.f, c2: kernel.squares(j.C), aboveF, aboveC2, fromHz };
+  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, fromHz);
   grids.set(j, made);
   return made;
+}
+
+const drawnReadings = new WeakMap<Judged, kernel.Readings>();
+
+/** What every draw reads, once for both ways to end above the last line. */
+function readingsOf(grid: kernel.Grid, j: Judged, draws: Draws): kernel.Readings {
+  const found = drawnReadings.get(j) ?? kernel.readDraws(grid, j.reference, draws);
+  drawnReadings.set(j, found);
+  return found;
 }
 
 function aboveHz(last: number, rate_hz: number): Real {
@@ -99,7 +108,7 @@ function aboveHz(last: number, rate_hz: number): Real {
 
 function nominal(loop: Loop, j: Judged, fromHz: number, bounded = true): kernel.Reading {
   const out = kernel.freshReading();
-  kernel.read(gridOf(loop, j, fromHz), j.L.re, j.L.im, 0, bounded, out);
+  kernel.read(gridOf(loop, j, fromHz), j.L.re, j.L.im, bounded, out);
   return out;
 }
 
@@ -113,9 +122,9 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, fromHz: numbe
   if (!j.draws) return { value: found, low: found, high: found };
   if (drowned(j, j.draws)) return { value: found, low: found.map(() => -Infinity), high: found.map(() => Infinity) };
   const grid = gridOf(loop, j, fromHz);
-  const drawn = kernel.readDraws(grid, j.reference, j.draws, bounded);
+  const drawn = readingsOf(grid, j, j.draws)[bounded ? "bounded" : "open"];
   const reference = kernel.freshReading();
-  kernel.read(grid, j.reference.re, j.reference.im, 0, bounded, reference);
+  kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
   const out = { value: found.slice(), low: found.slice(), high: found.slice() };
   const { reach } = loop.plant.source.constants;
   for (let c = 0; c < kernel.COLUMNS; c++) {
@@ -151,19 +160,14 @@ function ofOnePiece(ordered: Float64Array): boolean {
 
 /** Whether errors as large as L itself, where L is not small, leave nothing that draws could tell. */
 function drowned(j: Judged, draws: Draws): boolean {
-  const n = j.f.length;
-  let [large, lost] = [0, 0];
-  for (let k = 0; k < n; k++) {
+  const { power, re, im } = sumsOf(draws, j.f.length);
+  let large = 0;
+  let lost = 0;
+  for (let k = 0; k < j.f.length; k++) {
     const size = Math.hypot(j.L.re[k], j.L.im[k]);
     if (size <= 0.1) continue;
     large += 1;
-    let [re, im, power] = [0, 0, 0];
-    for (let i = k; i < draws.re.length; i += n) {
-      re += draws.re[i];
-      im += draws.im[i];
-      power += draws.re[i] ** 2 + draws.im[i] ** 2;
-    }
-    const variance = power / draws.count - (re / draws.count) ** 2 - (im / draws.count) ** 2;
+    const variance = power[k] / draws.count - (re[k] / draws.count) ** 2 - (im[k] / draws.count) ** 2;
     if (Math.sqrt(Math.max(variance, 0)) > 0.7 * size) lost += 1;
   }
   return large > 0 && lost > 0.1 * large;
@@ -233,5 +237,3 @@ export function axisCrossings(f: Real, L: Complex): number[] {
 export function gapOf(f: Real, at: number): number {
   return clip(placeIn(f, at, true) - 1, 0, f.length - 2);
 }
-
-export type { Source };

@@ -24,13 +24,30 @@ const TINY = 1e-300;
 const LARGEST = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB];
 const RISING = [LN_BANDWIDTH_HZ, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ];
 
-/** Frequencies of the lines and of those above the last, with |C|² on both; |CS| counts as high from a frequency on. */
+/** Frequencies of the lines with |C|² on them, and the largest |C|² above the last: of all, and where it counts as high. */
 export interface Grid {
   f: Real;
   c2: Real;
-  aboveF: Real;
-  aboveC2: Real;
   fromHz: number;
+  most: Peak;
+  mostHigh: Peak;
+}
+
+interface Peak {
+  size: number;
+  hz: number;
+}
+
+/** A grid; `aboveF` and `aboveC2` go on above the last line, and |CS| counts as high from a frequency on. */
+export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, fromHz: number): Grid {
+  const most = { size: -1, hz: NaN };
+  const mostHigh = { size: -1, hz: NaN };
+  for (let i = 0; i < aboveF.length; i++) {
+    for (const peak of aboveF[i] >= fromHz ? [most, mostHigh] : [most]) {
+      if (aboveC2[i] > peak.size) Object.assign(peak, { size: aboveC2[i], hz: aboveF[i] });
+    }
+  }
+  return { f, c2, fromHz, most, mostHigh };
 }
 
 export function squares(C: Complex): Real {
@@ -53,46 +70,69 @@ function between(f0: number, f1: number, size0: number, size1: number, level: nu
   return Math.log(f0) + (Math.log(f1 / f0) * a) / (a - b);
 }
 
-/** Margins of L, given by its parts from `start` on, into `out`; `bounded` counts what |L| may do above the last line. */
-export function read(grid: Grid, re: Real, im: Real, start: number, bounded: boolean, out: Reading): void {
+/** Margins of L, given by its parts; `bounded` counts what |L| may do above the last line. */
+export function read(grid: Grid, re: Real, im: Real, bounded: boolean, out: Reading): void {
+  ended(grid, scan(grid, re, im, out), bounded, out);
+}
+
+/** What the lines alone tell, magnitudes squared; gives |L| on the last one. */
+function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
   const { f, c2, fromHz } = grid;
   const { found, at } = out;
   const n = f.length;
   found.fill(Infinity);
   at.fill(NaN);
-  for (const column of LARGEST) found[column] = -Infinity;
   for (const column of RISING) found[column] = -Infinity;
-  let [complementary, control, high, process, disk, modulus] = [-Infinity, -Infinity, -Infinity, -Infinity, Infinity, Infinity];
-  let [atT, atC, atH, atP, atD, atM] = [NaN, NaN, NaN, NaN, NaN, NaN];
-  let [beforeS, beforeT, beforeSize] = [0, 0, 0];
-  let [crossed, sensed] = [false, false];
-  let [lastX, lastY] = [0, 0];
-  const begins = n > 0 && Math.hypot(re[start], im[start]) >= 1;
+  let complementary = -Infinity, control = -Infinity, high = -Infinity, process = -Infinity;
+  let disk = Infinity, modulus = Infinity;
+  let atT = 0, atC = 0, atH = 0, atP = 0, atD = 0, chord = 0, chordShare = 0;
+  let beforeS = 0, beforeT = 0, beforeSize = 0, lastX = 0, lastY = 0;
+  let crossed = false, sensed = false;
+  const begins = n > 0 && Math.hypot(re[0], im[0]) >= 1;
   for (let k = 0; k < n; k++) {
-    const x = re[start + k];
-    const y = im[start + k];
+    const x = re[k];
+    const y = im[k];
     const size = x * x + y * y;
     const d2 = Math.max((1 + x) * (1 + x) + y * y, TINY);
-    const t2 = size / d2;
     const s2 = 1 / d2;
-    if (t2 > complementary) [complementary, atT] = [t2, f[k]];
+    const t2 = size / d2;
+    if (t2 > complementary) {
+      complementary = t2;
+      atT = k;
+    }
     const cs2 = c2[k] / d2;
-    if (cs2 > control) [control, atC] = [cs2, f[k]];
-    if (f[k] >= fromHz && cs2 > high) [high, atH] = [cs2, f[k]];
+    if (cs2 > control) {
+      control = cs2;
+      atC = k;
+    }
+    if (f[k] >= fromHz && cs2 > high) {
+      high = cs2;
+      atH = k;
+    }
     const ps2 = size / c2[k] / d2;
-    if (ps2 > process) [process, atP] = [ps2, f[k]];
+    if (ps2 > process) {
+      process = ps2;
+      atP = k;
+    }
     const disk2 = d2 / Math.max((1 - x) * (1 - x) + y * y, TINY);
-    if (disk2 < disk) [disk, atD] = [disk2, f[k]];
+    if (disk2 < disk) {
+      disk = disk2;
+      atD = k;
+    }
     if (k > 0) {
       // squared distance of the chord from -1
-      const [stepX, stepY] = [x - lastX, y - lastY];
+      const stepX = x - lastX;
+      const stepY = y - lastY;
       const length = stepX * stepX + stepY * stepY;
-      const startX = 1 + lastX;
-      let share = 0;
-      if (length > 0) share = Math.min(Math.max(-(startX * stepX + lastY * stepY) / length, 0), 1);
-      const [nearX, nearY] = [startX + share * stepX, lastY + share * stepY];
+      const share = length > 0 ? Math.min(Math.max(-((1 + lastX) * stepX + lastY * stepY) / length, 0), 1) : 0;
+      const nearX = 1 + lastX + share * stepX;
+      const nearY = lastY + share * stepY;
       const near = nearX * nearX + nearY * nearY;
-      if (near < modulus) [modulus, atM] = [near, f[k - 1] + share * (f[k] - f[k - 1])];
+      if (near < modulus) {
+        modulus = near;
+        chord = k;
+        chordShare = share;
+      }
       if (beforeSize >= 1 !== size >= 1) {
         unitCrossing(f[k - 1], f[k], lastX, lastY, x, y, out);
         if (!crossed && begins) {
@@ -108,20 +148,38 @@ export function read(grid: Grid, re: Real, im: Real, start: number, bounded: boo
       }
       if (beforeT >= 0.5 && 0.5 > t2) found[LN_COMPLEMENTARY_HZ] = between(f[k - 1], f[k], beforeT, t2, 0.5);
     } else if (s2 >= 0.5) sensed = true;
-    [beforeS, beforeT, beforeSize, lastX, lastY] = [s2, t2, size, x, y];
+    beforeS = s2;
+    beforeT = t2;
+    beforeSize = size;
+    lastX = x;
+    lastY = y;
   }
-  if (n === 1) [modulus, atM] = [(1 + lastX) ** 2 + lastY ** 2, f[0]];
-  [found[COMPLEMENTARY_DB], found[CONTROL_DB], found[CONTROL_HIGH_DB]] = [complementary, control, high];
-  [found[PROCESS_DB], found[LN_DISK], found[LN_MODULUS]] = [process, disk, modulus];
-  [at[COMPLEMENTARY_DB], at[CONTROL_DB], at[CONTROL_HIGH_DB]] = [atT, atC, atH];
-  [at[PROCESS_DB], at[LN_DISK], at[LN_MODULUS]] = [atP, atD, atM];
+  place(out, COMPLEMENTARY_DB, complementary, f[atT]);
+  place(out, CONTROL_DB, control, f[atC]);
+  place(out, CONTROL_HIGH_DB, high, high > -Infinity ? f[atH] : NaN);
+  place(out, PROCESS_DB, process, f[atP]);
+  place(out, LN_DISK, disk, f[atD]);
+  if (n === 1) place(out, LN_MODULUS, (1 + lastX) ** 2 + lastY ** 2, f[0]);
+  else place(out, LN_MODULUS, modulus, f[chord - 1] + chordShare * (f[chord] - f[chord - 1]));
   if (!sensed) found[LN_SENSITIVITY_HZ] = Math.log(f[n - 1]);
   if (beforeT >= 0.5) found[LN_COMPLEMENTARY_HZ] = Math.log(f[n - 1]);
-  const last = Math.sqrt(beforeSize);
-  if (bounded && last >= 1) [found[PHASE_DEG], found[LN_DELAY_S]] = [0, -Infinity];
-  if (bounded) above(grid, last, out);
-  else aboveAtBest(grid, Math.min(last, 1), out);
-  finish(found);
+  return Math.sqrt(beforeSize);
+}
+
+function place(out: Reading, column: number, value: number, where: number): void {
+  out.found[column] = value;
+  out.at[column] = where;
+}
+
+function ended(grid: Grid, last: number, bounded: boolean, out: Reading): void {
+  if (bounded) {
+    if (last >= 1) {
+      out.found[PHASE_DEG] = 0;
+      out.found[LN_DELAY_S] = -Infinity;
+    }
+    above(grid, last, out);
+  } else aboveAtBest(grid, Math.min(last, 1), out);
+  finish(out.found);
 }
 
 function note(out: Reading, column: number, value: number, where: number, largest: boolean): void {
@@ -155,27 +213,24 @@ function axisCrossing(f0: number, f1: number, x0: number, y0: number, x1: number
 }
 
 /** Above the last line |L| stays below `last`: how near -1 it may come there, and how large all may be. */
-function above({ f, aboveF, aboveC2, fromHz }: Grid, last: number, out: Reading): void {
-  const end = f[f.length - 1];
+function above(grid: Grid, last: number, out: Reading): void {
+  const end = grid.f[grid.f.length - 1];
   const room = Math.max(1 - last, 1e-9);
   note(out, GAIN_DB, Math.max(-2 * DB * Math.log(Math.max(last, TINY)), 0), end, false);
   note(out, LN_MODULUS, Math.max(1 - last, 0) ** 2, end, false);
   note(out, LN_DISK, (Math.max(1 - last, 0) / (1 + last)) ** 2, end, false);
   note(out, COMPLEMENTARY_DB, (last / room) ** 2, end, true);
-  for (let i = 0; i < aboveF.length; i++) {
-    const size = aboveC2[i] / room ** 2;
-    note(out, CONTROL_DB, size, aboveF[i], true);
-    if (aboveF[i] >= fromHz) note(out, CONTROL_HIGH_DB, size, aboveF[i], true);
-  }
+  controlAbove(grid, room, out);
 }
 
 /** |CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last). */
-function aboveAtBest({ aboveF, aboveC2, fromHz }: Grid, last: number, out: Reading): void {
-  for (let i = 0; i < aboveF.length; i++) {
-    const size = aboveC2[i] / (1 + last) ** 2;
-    note(out, CONTROL_DB, size, aboveF[i], true);
-    if (aboveF[i] >= fromHz) note(out, CONTROL_HIGH_DB, size, aboveF[i], true);
-  }
+function aboveAtBest(grid: Grid, last: number, out: Reading): void {
+  controlAbove(grid, 1 + last, out);
+}
+
+function controlAbove({ most, mostHigh }: Grid, over: number, out: Reading): void {
+  if (most.size >= 0) note(out, CONTROL_DB, most.size / over ** 2, most.hz, true);
+  if (mostHigh.size >= 0) note(out, CONTROL_HIGH_DB, mostHigh.size / over ** 2, mostHigh.hz, true);
 }
 
 function finish(found: Float64Array): void {
@@ -184,20 +239,32 @@ function finish(found: Float64Array): void {
   found[LN_DISK] = found[LN_DISK] > 0 ? Math.LN2 + 0.5 * Math.log(found[LN_DISK]) : -Infinity;
 }
 
-/** Readings of a reference with each of the draws added: (draws, columns). */
-export function readDraws(grid: Grid, reference: Complex, draws: Draws, bounded: boolean): Float64Array {
+/** Readings (draws, columns), with what |L| may do above the last line and without. */
+export interface Readings {
+  bounded: Float64Array;
+  open: Float64Array;
+}
+
+/** Readings of a reference with each of the draws added. */
+export function readDraws(grid: Grid, reference: Complex, draws: Draws): Readings {
   const n = grid.f.length;
-  const [re, im] = [new Float64Array(n), new Float64Array(n)];
-  const out = new Float64Array(draws.count * COLUMNS);
+  const re = new Float64Array(n);
+  const im = new Float64Array(n);
+  const out = { bounded: new Float64Array(draws.count * COLUMNS), open: new Float64Array(draws.count * COLUMNS) };
   const one = freshReading();
+  const other = freshReading();
   for (let d = 0; d < draws.count; d++) {
     const start = d * n;
     for (let k = 0; k < n; k++) {
       re[k] = reference.re[k] + draws.re[start + k];
       im[k] = reference.im[k] + draws.im[start + k];
     }
-    read(grid, re, im, 0, bounded, one);
-    out.set(one.found, d * COLUMNS);
+    const last = scan(grid, re, im, one);
+    other.found.set(one.found);
+    ended(grid, last, true, one);
+    ended(grid, last, false, other);
+    out.bounded.set(one.found, d * COLUMNS);
+    out.open.set(other.found, d * COLUMNS);
   }
   return out;
 }

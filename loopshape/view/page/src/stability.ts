@@ -3,7 +3,7 @@
 
 import { clip, concat, deg, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
-import { narrowAt, type Draws } from "./dense";
+import { narrowAt, sumsOf, type Draws } from "./dense";
 import { judgedLines, type Loop } from "./loop";
 import type { Hidden } from "./payload";
 
@@ -318,34 +318,20 @@ function onIt(loop: Loop, between: Past): Obstacle | null {
   return { reason: `L passes -1 within ${short(near[k], 1)} at ${short(at)} Hz`, band_hz: null };
 }
 
-interface DrawnSizes {
-  std: Real;
-  common: Real;
-}
-
-/** Deviation of the plant at each place, and how far neighbours' errors are the same. */
-function sizesOf(draws: Draws, n: number): DrawnSizes {
-  const [power, re, im] = [new Float64Array(n), new Float64Array(n), new Float64Array(n)];
-  for (let d = 0, i = 0; d < draws.count; d++) {
-    for (let k = 0; k < n; k++, i++) {
-      power[k] += draws.re[i] ** 2 + draws.im[i] ** 2;
-      if (k === 0) continue;
-      re[k] += draws.re[i] * draws.re[i - 1] + draws.im[i] * draws.im[i - 1];
-      im[k] += draws.im[i] * draws.re[i - 1] - draws.re[i] * draws.im[i - 1];
-    }
-  }
+/** Deviation of L at each place, and how far neighbours' errors are the same. */
+function sizesOf(draws: Draws, n: number): { std: Real; common: Real } {
+  const { power, crossRe, crossIm } = sumsOf(draws, n);
   const size = power.map((value) => Math.max(Math.sqrt(value), 1e-150));
-  const common = re.map((value, k) => (k === 0 ? 0 : Math.hypot(value, im[k]) / (size[k] * size[k - 1])));
+  const common = crossRe.map((value, k) => (k === 0 ? 0 : Math.hypot(value, crossIm[k]) / (size[k] * size[k - 1])));
   return { std: power.map((value) => Math.sqrt(value / draws.count)), common };
 }
 
 function doubt(loop: Loop, between: Past, start: number[] | null): Obstacle | null {
-  const { denseL: L, denseC: C, dense } = loop;
+  const { denseL: L, dense, draws } = loop;
   const { wrong, reach_95, strays } = loop.plant.source.constants;
   const n = dense.f.length;
-  if (!dense.draws) return { reason: "intervals are still being computed", band_hz: null };
-  const { std, common } = sizesOf(dense.draws, n);
-  for (let k = 0; k < n; k++) std[k] *= Math.hypot(C.re[k], C.im[k]);
+  if (!draws) return { reason: "intervals are still being computed", band_hz: null };
+  const { std, common } = sizesOf(draws, n);
   const chord = chords(L);
   const past = pastPlaces(loop, between);
   const reach = new Float64Array(n);

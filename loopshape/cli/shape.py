@@ -1,0 +1,38 @@
+"""`loopshape shape`: the page on which one shapes a loop by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+
+
+def shape(
+    run: RunFolder,
+    require: Annotated[Path | None, typer.Option(help="Requirements (TOML) to shape for.")] = None,
+    controller: Annotated[
+        Path | None, typer.Option(help="A controller file (TOML) to start from; default: a gain of 1.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a page on which loops are shaped by hand, with margins and intervals as check gives them.
+
+    One HTML file that works offline: drag blocks, type numbers, see every operating point. It gives controller.toml
+    back, which check signs.
+    """
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.verbs.shaping import page_of, shape_run
+
+    output, path = Output(as_json, quiet), out or run / "shape.html"
+    loops = shape_run(run, require, controller)
+    data = page_of(loops, run.resolve().name)
+    write_bytes_whole(path, data)
+    for one in loops:
+        output.say(f"loop {one.controller.loop}: {len(one.frfs)} FRFs, starts {one.verdict.outcome.value}")
+    output.say(f"page: {path} ({len(data) / 1e6:.1f} MB)")
+    output.json({"page": str(path), "bytes": len(data), "loops": [one.controller.loop for one in loops]})

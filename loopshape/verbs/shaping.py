@@ -1,0 +1,64 @@
+"""A run's FRFs, controllers and requirements -> the page on which its loops are shaped by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from loopshape import __version__
+from loopshape.core.errors import WrongUseError
+from loopshape.data.block import Block
+from loopshape.data.controller import Controller
+from loopshape.data.frf import FRF
+from loopshape.data.model import Fit
+from loopshape.data.requirements import Requirements
+from loopshape.loop.verdict import check
+from loopshape.view.page.page import shape_page
+from loopshape.view.page.payload import Shaped
+
+
+def shaped(
+    frfs: Sequence[FRF], controller: Controller | None, requirements: Requirements | None, fits: Sequence[Fit]
+) -> Shaped:
+    """A loop with what a check says of where its shaping starts: the controller, or a gain of 1."""
+    if not frfs:
+        raise WrongUseError("there is no FRF to shape a loop on", "none", "estimate one: loopshape frf RUN")
+    start = controller or _gain_of_one(frfs[0])
+    wished = requirements or Requirements(start.loop)
+    return Shaped(tuple(frfs), start, wished, tuple(fits), check(frfs, start, wished, fits))
+
+
+def _gain_of_one(frf: FRF) -> Controller:
+    if frf.rate_hz <= 0.0:
+        raise WrongUseError(
+            "a controller's rate is not known", "a FRF without a rate", "give a controller, or the FRF's rate_hz"
+        )
+    return Controller(frf.loop, (Block("gain", {"gain": 1.0}),), frf.rate_hz)
+
+
+def page_of(loops: Sequence[Shaped], title: str) -> bytes:
+    """The page as bytes."""
+    return shape_page(loops, title, __version__).encode("utf-8")
+
+
+def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[Shaped]:
+    """Loops of a requirements file, else those of a controller file, else all that have a FRF."""
+    from loopshape.io.check_files import fits_of
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_frfs
+    from loopshape.io.requirements import read_requirements
+
+    frfs, fits = read_frfs(run), fits_of(run)
+    wished = {} if require is None else {one.loop: one for one in read_requirements(require)}
+    controllers = {} if controller is None else {one.loop: one for one in read_controllers(controller)}
+    measured = list(dict.fromkeys(frf.loop for frf in frfs))
+    asked = list(wished or controllers) or measured
+    names = [name for name in asked if name in measured]
+    if not names:
+        raise WrongUseError(
+            "no loop has a FRF",
+            f"loops {', '.join(asked)}; FRFs of {', '.join(measured) or 'none'}",
+            "give files of this run's loops",
+        )
+    mine = {name: [frf for frf in frfs if frf.loop == name] for name in names}
+    return [shaped(mine[name], controllers.get(name), wished.get(name), fits) for name in names]

@@ -1,0 +1,73 @@
+// What can be taken hold of on the Bode plot: where a block's handle stands, and what dragging it does.
+
+import { blockResponse, type Controller } from "./controller";
+import { db, fromDb } from "./arrays";
+import { parameterRefusal, type DesignBlock } from "./design";
+
+export interface Handle {
+  block: number;
+  name: string;
+  hz: number;
+  label: string;
+}
+
+/** Handles of blocks that are on, in order. */
+export function handlesOf(blocks: DesignBlock[], gainHz: number): Handle[] {
+  const out: Handle[] = [];
+  blocks.forEach((block, k) => {
+    if (block.off) return;
+    const p = block.parameters;
+    const add = (name: string, hz: number, label: string): number => out.push({ block: k, name, hz, label });
+    if (block.kind === "gain") add("gain", gainHz, "K");
+    else if (block.kind === "lead_lag") {
+      add("f1_hz", p.f1_hz, "z");
+      add("f2_hz", p.f2_hz, "p");
+    } else if (block.kind === "notch") add("f1_hz", p.f1_hz, "N");
+    else add("f_hz", p.f_hz, block.kind === "pi" ? "I" : "L");
+  });
+  return out;
+}
+
+function set(block: DesignBlock, values: Record<string, number>): DesignBlock {
+  const parameters = { ...block.parameters };
+  for (const [name, value] of Object.entries(values)) {
+    if (!block.locked.includes(name) && parameterRefusal(name, value) === null) parameters[name] = value;
+  }
+  return { ...block, parameters };
+}
+
+/** A block whose handle was dragged to a frequency, and up by some dB since it was taken hold of at `from`. */
+export function dragged(from: DesignBlock, name: string, hz: number, upDb: number): DesignBlock {
+  const p = from.parameters;
+  if (name === "gain") return set(from, { gain: p.gain * fromDb(upDb) });
+  if (from.kind === "notch") {
+    const tied = p.f1_hz === p.f2_hz;
+    const shift = hz / p.f1_hz;
+    return set(from, {
+      f1_hz: hz,
+      f2_hz: tied || from.locked.includes("f2_hz") ? (tied ? hz : p.f2_hz) : p.f2_hz * shift,
+      damping1: p.damping1 * fromDb(upDb),
+    });
+  }
+  if (from.kind === "low_pass_2") return set(from, { f_hz: hz, damping: p.damping * fromDb(-upDb) });
+  return set(from, { [name]: hz });
+}
+
+/** A block widened by a factor: both dampings of a notch, the distance of a lead's corners, another's damping. */
+export function widened(block: DesignBlock, factor: number): DesignBlock {
+  const p = block.parameters;
+  if (block.kind === "gain") return set(block, { gain: p.gain * factor });
+  if (block.kind === "notch") return set(block, { damping1: p.damping1 * factor, damping2: p.damping2 * factor });
+  if (block.kind === "low_pass_2") return set(block, { damping: p.damping * factor });
+  if (block.kind !== "lead_lag") return set(block, { f_hz: p.f_hz * factor });
+  const wider = p.f1_hz < p.f2_hz ? factor : 1 / factor;
+  return set(block, { f1_hz: p.f1_hz / wider, f2_hz: p.f2_hz * wider });
+}
+
+/** What a block adds at a frequency in Hz: degrees and dB. */
+export function costAt(controller: Controller, block: DesignBlock, hz: number): { deg: number; db: number } | null {
+  if (!(hz > 0 && hz < 0.5 * controller.rate_hz)) return null;
+  const one = blockResponse(controller, block, Float64Array.of(hz));
+  const size = Math.hypot(one.re[0], one.im[0]);
+  return { deg: (Math.atan2(one.im[0], one.re[0]) * 180) / Math.PI, db: db(size) };
+}

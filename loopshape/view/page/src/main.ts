@@ -1,0 +1,401 @@
+// The page: what a person does changes a design, and what is seen follows from it.
+
+import { times } from "./arrays";
+import { BlockList } from "./blocks";
+import { refusal, response, type Controller } from "./controller";
+import {
+  addressOf, controllerOf, controllerText, designOf, fromAddress, History, requirementsText, withFile, type Design,
+  type DesignBlock,
+} from "./design";
+import { button, download, el, shown } from "./dom";
+import { unitCrossings } from "./margins";
+import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
+import { Screen } from "./screen";
+import { badge, RequirementTable } from "./table";
+import { Engine, verdictOn, type Found } from "./verdict";
+import type { Trace } from "./views";
+import { Pool, workHere, type Worked } from "./work";
+import { worstOf } from "./worst";
+
+class Page {
+  private readonly engines: Engine[];
+  private designs: Design[];
+  private others: (Design | null)[];
+  private readonly histories: History[];
+  private current = 0;
+  private found: Found | null = null;
+  private settled = false;
+  private otherFound: Found | null = null;
+  private traces: Trace[] = [];
+  private queued = 0;
+  private worst = 0;
+  private table!: RequirementTable;
+  private blocks!: BlockList;
+  private screen!: Screen;
+  private readonly pool: Pool;
+  private readonly said = el("p", { id: "said", role: "status", "aria-live": "polite" });
+  private readonly verdict = el("span", { id: "verdict-badge" });
+  private readonly certificate = el("p", { class: "quiet", id: "certificate" });
+  private readonly root: HTMLElement;
+  /** Milliseconds from a change to its picture, and to its intervals: read by tests and by who measures. */
+  readonly timings: { picture: number[]; intervals: number[] } = { picture: [], intervals: [] };
+  private changedAt = 0;
+
+  constructor(
+    private readonly payload: Payload,
+    raw: Raw,
+    script: string,
+  ) {
+    this.root = document.getElementById("page") as HTMLElement;
+    this.engines = payload.loops.map((loop) => new Engine(payload, loop));
+    this.designs = payload.loops.map((loop) => designOf(loop.controller, loop.requirements));
+    this.others = payload.loops.map(() => null);
+    this.readAddress();
+    this.histories = this.designs.map((design) => new History(design));
+    this.pool = new Pool(raw, script, (worked) => this.worked(worked));
+    this.build();
+    this.listen();
+    this.refresh();
+  }
+
+  get loop(): PlantLoop {
+    return this.payload.loops[this.current];
+  }
+
+  get design(): Design {
+    return this.designs[this.current];
+  }
+
+  private readAddress(): void {
+    const words = location.hash.slice(1).split(".");
+    words.forEach((word, k) => {
+      const design = word && k < this.designs.length ? fromAddress(word, this.payload) : null;
+      if (design && design.loop === this.payload.loops[k].name && design.rate_hz === this.payload.loops[k].rate_hz) this.designs[k] = design;
+      else if (word) this.say("The design in the address could not be read; the page starts from its own controller.");
+    });
+  }
+
+  private writeAddress(): void {
+    const own = this.designs.map((design, k) => {
+      const first = designOf(this.payload.loops[k].controller, this.payload.loops[k].requirements);
+      return JSON.stringify(design) === JSON.stringify(first) ? "" : addressOf(design);
+    });
+    history.replaceState(null, "", own.some(Boolean) ? `#${own.join(".")}` : location.pathname + location.search);
+  }
+
+  private build(): void {
+    const names = this.loop.points.map((point) => point.name);
+    this.table = new RequirementTable(
+      this.payload.limits, names,
+      (name, value, goesOn) => this.require(name, value, goesOn),
+      (point, hz) => this.screen.look(point, hz),
+    );
+    this.blocks = new BlockList(() => this.design, (blocks, goesOn, words) => this.changeBlocks(blocks, goesOn, words), () => this.crossover());
+    this.screen = new Screen(names, {
+      design: () => this.design,
+      controller: () => this.controller,
+      requirements: () => this.design.requirements,
+      change: (blocks, goesOn) => this.changeBlocks(blocks, goesOn),
+      ended: () => this.histories[this.current].close(),
+      crossover: () => this.crossover(),
+    });
+    this.root.replaceChildren(
+      this.header(),
+      this.said,
+      el("main", {},
+        el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate),
+        el("section", { id: "plots", "aria-label": "Plots" }, this.screen.element),
+        el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.blocks.element),
+      ),
+      el("footer", {}, el("p", { class: "quiet" }, KEYS)),
+    );
+  }
+
+  private header(): HTMLElement {
+    const many = this.payload.loops.length > 1;
+    const choice = el("select", { id: "loop", "aria-label": "Loop", change: () => this.switchTo(Number(choice.value)) });
+    choice.append(...this.payload.loops.map((loop, k) => el("option", { value: String(k) }, loop.name)));
+    choice.value = String(this.current);
+    const file = el("input", { type: "file", id: "file", accept: ".toml,text/plain", "aria-label": "Open a controller or requirements file", change: () => this.opened(file) });
+    const bar = el(
+      "div", { class: "bar", role: "toolbar", "aria-label": "Design" },
+      button("Undo", "undo (Ctrl+Z)", () => this.step(-1), { id: "undo" }),
+      button("Redo", "redo (Ctrl+Y)", () => this.step(1), { id: "redo" }),
+      button("Keep as B", "keep this design to compare with", () => this.keep(), { id: "keep" }),
+      button("Swap A and B", "continue with the design that was kept", () => this.swap(), { id: "swap" }),
+      button("controller.toml", "download the controller", () => this.save("controller.toml"), { id: "save-controller" }),
+      button("requirements.toml", "download the requirements", () => this.save("requirements.toml"), { id: "save-requirements" }),
+      button("Copy", "copy the controller file to the clipboard", () => this.copy(), { id: "copy" }),
+      el("label", { class: "file" }, "Open", file),
+    );
+    return el("header", {}, el("h1", {}, this.payload.title, ...(many ? [" ", choice] : [` ${this.loop.name}`])), bar);
+  }
+
+  private listen(): void {
+    document.addEventListener("keydown", (event) => {
+      if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
+      const key = event.key.toLowerCase();
+      if (key !== "z" && key !== "y") return;
+      event.preventDefault();
+      (document.activeElement as HTMLElement | null)?.blur();
+      this.step(key === "y" || event.shiftKey ? 1 : -1);
+    });
+    document.addEventListener("dragover", (event) => event.preventDefault());
+    document.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) void file.text().then((text) => this.take(text, file.name));
+    });
+    new ResizeObserver(() => this.draw()).observe(this.screen.element);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    addEventListener("hashchange", () => {
+      this.readAddress();
+      this.histories[this.current].push(this.design, false);
+      this.refresh();
+    });
+  }
+
+  say(words: string): void {
+    this.said.textContent = words;
+  }
+
+  private get controller(): Controller {
+    return controllerOf(this.design);
+  }
+
+  private get fromHz(): number | null {
+    const value = this.design.requirements.control_high_frequency_from_hz;
+    return typeof value === "number" ? value : null;
+  }
+
+  private crossover(): number {
+    const trace = this.traces[this.worst];
+    return (trace && unitCrossings(trace.f, trace.L)[0]) ?? 0;
+  }
+
+  /** Blocks as changed, or why not, in words. */
+  private changeBlocks(blocks: DesignBlock[], goesOn: boolean, words?: string): string | null {
+    const next = { ...this.design, blocks };
+    const why = refusal(controllerOf(next));
+    if (why) {
+      this.say(`Not possible: ${why}.`);
+      return why;
+    }
+    this.set(next, goesOn);
+    this.say(words ? `${words}.` : "");
+    return null;
+  }
+
+  private require(name: string, value: number | null, goesOn: boolean): void {
+    const requirements = { ...this.design.requirements };
+    if (value === null) delete requirements[name];
+    else requirements[name] = value;
+    if (name === "control_high_frequency_db") {
+      if (value === null) delete requirements.control_high_frequency_from_hz;
+      else requirements.control_high_frequency_from_hz ??= Number((0.1 * this.design.rate_hz).toPrecision(3));
+    }
+    this.set({ ...this.design, requirements }, goesOn);
+  }
+
+  private set(design: Design, goesOn: boolean): void {
+    this.designs[this.current] = design;
+    this.histories[this.current].push(design, goesOn);
+    this.refresh();
+  }
+
+  private step(by: -1 | 1): void {
+    const design = this.histories[this.current].move(by);
+    if (!design) {
+      this.say(by < 0 ? "Nothing to undo." : "Nothing to redo.");
+      return;
+    }
+    this.designs[this.current] = design;
+    this.refresh();
+  }
+
+  private keep(): void {
+    this.others[this.current] = structuredClone(this.design);
+    this.otherFound = this.settled ? this.found : null;
+    this.say("Kept as B: drawn dashed, its worst cases stand beside yours.");
+    this.refresh();
+  }
+
+  private swap(): void {
+    const other = this.others[this.current];
+    if (!other) {
+      this.say("There is no B yet: keep a design first.");
+      return;
+    }
+    this.others[this.current] = this.design;
+    this.otherFound = this.settled ? this.found : null;
+    this.set(other, false);
+  }
+
+  private switchTo(loop: number): void {
+    this.current = loop;
+    this.otherFound = null;
+    this.build();
+    this.listenAgain();
+    this.refresh();
+  }
+
+  private listenAgain(): void {
+    new ResizeObserver(() => this.draw()).observe(this.screen.element);
+  }
+
+  private text(name: string): string {
+    return name === "controller.toml" ? controllerText(this.designs, this.payload.version) : requirementsText(this.designs);
+  }
+
+  private save(name: string): void {
+    download(name, this.text(name));
+    this.say(`${name} downloaded; verify it: loopshape check RUN controller.toml --require requirements.toml`);
+  }
+
+  private copy(): void {
+    const text = this.text("controller.toml");
+    const failed = (): void => this.say("The browser does not allow the clipboard here: download the file.");
+    if (!navigator.clipboard) failed();
+    else navigator.clipboard.writeText(text).then(() => this.say("controller.toml copied."), failed);
+  }
+
+  private opened(input: HTMLInputElement): void {
+    const file = input.files?.[0];
+    if (file) void file.text().then((text) => this.take(text, file.name));
+    input.value = "";
+  }
+
+  /** The text of a file, as the design, or in words why not. */
+  take(text: string, name: string): void {
+    try {
+      const { design, what } = withFile(this.payload, this.loop, this.design, text);
+      this.set(design, false);
+      this.say(`${what} read from ${name}.`);
+    } catch (error) {
+      this.say(`${name} was not read: ${(error as Error).message}.`);
+    }
+  }
+
+  private refresh(): void {
+    if (!this.changedAt) this.changedAt = performance.now();
+    this.settled = false;
+    if (!this.queued) {
+      this.queued = requestAnimationFrame(() => {
+        this.queued = 0;
+        this.update();
+      });
+    }
+  }
+
+  private update(): void {
+    const controller = this.controller;
+    this.traces = this.traced(controller);
+    const estimates = this.engines[this.current].estimates(controller, this.fromHz);
+    if (!this.settled) this.found = verdictOn(this.payload.limits, this.design.requirements, estimates);
+    this.worst = worstOf(this.found as Found);
+    this.pool.ask(this.current, controller, this.fromHz);
+    this.show();
+    this.timings.picture.push(performance.now() - this.changedAt);
+    this.intervalsFrom ??= this.changedAt;
+    this.changedAt = 0;
+    this.writeAddressSoon();
+  }
+
+  private intervalsFrom: number | null = null;
+  private addressTimer = 0;
+
+  private writeAddressSoon(): void {
+    clearTimeout(this.addressTimer);
+    this.addressTimer = setTimeout(() => this.writeAddress(), 150);
+  }
+
+  private traced(controller: Controller): Trace[] {
+    return this.loop.points.map(({ name, f, P }) => {
+      const C = response(controller, f);
+      return { name, f, P, C, L: times(C, P) };
+    });
+  }
+
+  private worked(worked: Worked): void {
+    if (worked.loop !== this.current || worked.fromHz !== this.fromHz) return;
+    if (this.intervalsFrom !== null) this.timings.intervals.push(performance.now() - this.intervalsFrom);
+    this.intervalsFrom = null;
+    if (JSON.stringify(worked.controller) !== JSON.stringify(this.controller)) return;
+    this.detuned(worked);
+    this.found = verdictOn(this.payload.limits, this.design.requirements, worked.margins);
+    this.worst = worstOf(this.found);
+    this.settled = true;
+    this.show();
+  }
+
+  /** The detuning margin is told by Python's check of the start alone. */
+  private detuned(worked: Worked): void {
+    const { certificate, points } = this.loop;
+    if (!certificate || !this.isStart()) return;
+    worked.margins.forEach((m, k) => {
+      const own = certificate.detuning[points[k].name];
+      if (own?.percent == null) return;
+      m.values.detuning_percent = own.percent;
+      if (own.interval) m.intervals.detuning_percent = own.interval;
+    });
+  }
+
+  private isStart(): boolean {
+    const { controller, requirements } = this.loop;
+    return JSON.stringify([this.controller, this.design.requirements]) === JSON.stringify([controllerOf(designOf(controller, requirements)), requirements]);
+  }
+
+  private show(): void {
+    const found = this.found as Found;
+    const asked = found.rows.length > 0;
+    this.verdict.replaceChildren(badge(this.settled ? found.outcome : null));
+    this.verdict.title = asked ? "" : "stability alone: nothing is required";
+    this.table.show(this.design.requirements, found, this.settled, this.otherFound);
+    this.blocks.show(this.controller);
+    const { certificate } = this.loop;
+    const of = certificate ? `Python's check of the controller that this page started from: ${certificate.outcome}. ` : "";
+    this.certificate.textContent = this.isStart()
+      ? `${of}The numbers above are computed here from the same draws.`
+      : `${of}This design has moved on: the numbers above are computed here from the same draws; sign it with loopshape check.`;
+    (document.getElementById("undo") as HTMLButtonElement).disabled = !this.histories[this.current].can(-1);
+    (document.getElementById("redo") as HTMLButtonElement).disabled = !this.histories[this.current].can(1);
+    (document.getElementById("swap") as HTMLButtonElement).disabled = !this.others[this.current];
+    document.title = `${this.settled ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`;
+    this.draw();
+  }
+
+  private draw(): void {
+    if (!this.found) return;
+    const other = this.others[this.current];
+    this.screen.draw(this.traces, this.worst, other ? this.traced(controllerOf(other)) : null);
+  }
+
+  /** What is found of a controller, as `check` finds it: for scripts and tests. */
+  async ask(controller: Controller): Promise<Found> {
+    const engine = this.engines[this.current];
+    const margins = Array.from({ length: engine.size }, (_, k) => engine.settled(k, controller, this.fromHz));
+    return verdictOn(this.payload.limits, this.design.requirements, margins);
+  }
+
+  /** Where the handles of the Bode plot stand on it, in pixels, by their letters. */
+  get handles(): Record<string, [number, number]> {
+    return this.screen.places;
+  }
+
+  get state(): { settled: boolean; outcome: string | null; rows: string[]; controller: Controller } {
+    const rows = (this.found?.rows ?? []).map((row) => `${row.quantity} ${shown(row.found)} ${row.outcome}`);
+    return { settled: this.settled, outcome: this.settled ? (this.found as Found).outcome : null, rows, controller: this.controller };
+  }
+}
+
+const KEYS =
+  "On the Bode plot drag a handle (z zero, p pole, N notch, L low-pass, I integrator, K gain); the wheel above a handle widens it." +
+  " Keyboard: arrow keys in a number change it by 1 %, with Shift by 10 %, with Alt by 0.1 %; on a plot left and right move the cursor," +
+  " up and down choose the operating point, + and − zoom, 0 shows all. Ctrl+Z and Ctrl+Y undo and redo. Files may be dropped on the page.";
+
+if (typeof document === "undefined") workHere(self as never);
+else {
+  const script = (document.currentScript as HTMLScriptElement).textContent ?? "";
+  const raw = JSON.parse((document.getElementById("data") as HTMLScriptElement).textContent ?? "") as Raw;
+  (window as unknown as { loopshape: Page }).loopshape = new Page(payloadOf(raw), raw, script);
+}

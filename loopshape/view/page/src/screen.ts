@@ -1,0 +1,407 @@
+// The plots with what a pointer, a wheel and keys do on them, linked by one frequency.
+
+import { placeIn } from "./arrays";
+import type { Controller } from "./controller";
+import type { Design, DesignBlock } from "./design";
+import { el, shown } from "./dom";
+import { dragged, handlesOf, widened, type Handle } from "./handles";
+import { axisCrossings, unitCrossings } from "./margins";
+import type { Requirements } from "./payload";
+import { coloursOf, Plot, type Axis } from "./plot";
+import {
+  frequencyAxis, nicholsAxis, nicholsChart, nicholsCurve, nyquistChart, phaseAxis, phaseDeg, responseOf, RESPONSES, sizeAxis,
+  sizeDb, styleOf, type Response, type Trace,
+} from "./views";
+
+export interface Asked {
+  design: () => Design;
+  controller: () => Controller;
+  requirements: () => Requirements;
+  change: (blocks: DesignBlock[], goesOn: boolean) => void;
+  ended: () => void;
+  crossover: () => number;
+}
+
+interface Hold {
+  handle: Handle;
+  from: DesignBlock;
+  startHz: number;
+  startDb: number;
+}
+
+const LINEAR = (low: number, high: number, label: string, ticks: number): Axis => ({ low, high, log: false, label, ticks });
+
+export class Screen {
+  readonly element = el("div", { class: "screen" });
+  private readonly size = this.canvas("magnitude", "Bode plot, magnitude");
+  private readonly phase = this.canvas("phase", "Bode plot, phase");
+  private readonly nichols = this.canvas("nichols", "Nichols plot of L");
+  private readonly nyquist = this.canvas("nyquist", "Nyquist plot of L");
+  private readonly readout = el("p", { class: "readout", id: "readout" });
+  private readonly legend = el("ul", { class: "legend" });
+  private readonly hidden = new Set<number>();
+  private shown: Response = "L";
+  private chosen: number | null = null;
+  private cursorHz: number | null = null;
+  private hold: Hold | null = null;
+  private traces: Trace[] = [];
+  private others: Trace[] | null = null;
+  private worst = 0;
+  private handlePlaces: { handle: Handle; px: number; py: number }[] = [];
+
+  constructor(
+    private readonly names: string[],
+    private readonly asked: Asked,
+  ) {
+    const choice = el("fieldset", { class: "responses" }, el("legend", {}, "Bode plot of"));
+    for (const name of RESPONSES) {
+      const input = el("input", { type: "radio", name: "response", id: `response-${name}`, change: () => this.pick(name) });
+      input.checked = name === this.shown;
+      choice.append(el("label", { for: `response-${name}` }, input, name));
+    }
+    const points = el("details", { class: "points" }, el("summary", {}, `Operating points (${names.length})`), this.legend);
+    if (names.length > 1) points.open = names.length <= 8;
+    this.element.append(
+      choice,
+      el("div", { class: "bode" }, this.size.canvas, this.phase.canvas),
+      el("div", { class: "maps" }, this.nichols.canvas, this.nyquist.canvas),
+      this.readout,
+      points,
+    );
+    this.fillLegend();
+    for (const plot of [this.size, this.phase, this.nichols, this.nyquist]) this.listen(plot);
+  }
+
+  private canvas(id: string, label: string): Plot {
+    const canvas = el("canvas", { id, tabindex: "0", role: "img", "aria-label": label });
+    return new Plot(canvas, { low: 1, high: 10, log: true, label: "" }, { low: -1, high: 1, log: false, label: "" });
+  }
+
+  private pick(name: Response): void {
+    this.shown = name;
+    this.size.reset();
+    this.phase.reset();
+    this.redraw();
+  }
+
+  private fillLegend(): void {
+    this.legend.replaceChildren(...this.names.map((name, k) => {
+      const box = el("input", { type: "checkbox", id: `point-${k}`, change: () => {
+        if (box.checked) this.hidden.delete(k);
+        else this.hidden.add(k);
+        this.redraw();
+      } });
+      box.checked = !this.hidden.has(k);
+      const pick = el("button", { type: "button", class: "link", "aria-label": `highlight ${name}`, click: () => this.look(this.chosen === k ? null : k, null) }, name);
+      return el("li", {}, el("label", { class: "check", for: `point-${k}` }, box, el("span", { class: "hidden-label" }, `show ${name}`)), pick);
+    }));
+  }
+
+  /** Bring an operating point to the front, and the cursor to a frequency. */
+  look(point: number | null, hz: number | null): void {
+    this.chosen = point === this.worst ? null : point;
+    if (hz !== null) this.cursorHz = hz;
+    this.redraw();
+  }
+
+  draw(traces: Trace[], worst: number, others: Trace[] | null): void {
+    [this.traces, this.worst, this.others] = [traces, worst, others];
+    this.redraw();
+  }
+
+  get places(): Record<string, [number, number]> {
+    return Object.fromEntries(this.handlePlaces.map(({ handle, px, py }) => [handle.label, [px, py]]));
+  }
+
+  private get front(): number {
+    return this.chosen ?? this.worst;
+  }
+
+  private redraw(): void {
+    if (!this.traces.length) return;
+    for (const plot of [this.size, this.phase, this.nichols, this.nyquist]) plot.colours = coloursOf(plot.canvas);
+    this.drawBode();
+    this.drawMap(this.nichols);
+    this.drawMap(this.nyquist);
+    this.readValues();
+    [...this.legend.children].forEach((row, k) => row.classList.toggle("worst", k === this.worst));
+  }
+
+  /** Indices of operating points to draw, those in front last. */
+  private order(): number[] {
+    const rest = this.traces.map((_, k) => k).filter((k) => !this.hidden.has(k) && k !== this.worst && k !== this.chosen);
+    const front = [this.worst, this.chosen].filter((k): k is number => k !== null && !this.hidden.has(k));
+    return [...rest, ...new Set(front)];
+  }
+
+  private drawBode(): void {
+    const responses = this.traces.map((trace) => responseOf(trace, this.shown));
+    const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
+    this.size.show(frequencyAxis(this.traces, ""), sizeAxis(sizes, this.shown));
+    this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
+    for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
+      plot.begin();
+      this.guides(plot);
+      if (this.others && !this.hidden.has(this.front)) {
+        const other = responseOf(this.others[this.front], this.shown);
+        const y = plot === this.size ? sizeDb(other) : phaseDeg(other);
+        plot.curve({ x: this.others[this.front].f, y }, { colour: plot.colours.other, width: 2, dash: [7, 4] });
+      }
+      for (const k of this.order()) plot.curve({ x: this.traces[k].f, y: curves[k] }, this.style(plot, k));
+      if (this.cursorHz !== null) plot.upright(this.cursorHz, { colour: plot.colours.ink, width: 1, dash: [2, 3] });
+      this.marks(plot, curves[this.front]);
+      if (plot === this.size && (this.shown === "L" || this.shown === "C")) this.drawHandles(curves[this.front]);
+      plot.end();
+    }
+  }
+
+  private style(plot: Plot, k: number): ReturnType<typeof styleOf> {
+    return styleOf(plot, k, this.worst, this.chosen, this.traces.length === 1);
+  }
+
+  private required(name: string): number | null {
+    const value = this.asked.requirements()[name];
+    return typeof value === "number" ? value : null;
+  }
+
+  /** 0 dB, -180 degrees, and limits of the response that is shown. */
+  private guides(plot: Plot): void {
+    const { ink, limit } = plot.colours;
+    if (plot === this.phase) {
+      if (this.shown === "L") plot.level(-180, { colour: ink, width: 1, dash: [6, 3] });
+      return;
+    }
+    plot.level(0, { colour: ink, width: 1, dash: [6, 3] });
+    const names: Partial<Record<Response, string>> = {
+      S: "sensitivity_peak_db", T: "complementary_peak_db", CS: "control_peak_db", PS: "process_peak_db",
+    };
+    const own = names[this.shown];
+    const most = own ? this.required(own) : null;
+    if (most !== null) plot.level(most, { colour: limit, width: 1.6 }, "required");
+    const high = this.required("control_high_frequency_db");
+    const from = this.required("control_high_frequency_from_hz");
+    if (this.shown === "CS" && high !== null && from !== null) {
+      plot.curve({ x: [from, plot.x.high], y: [high, high] }, { colour: limit, width: 1.6, dash: [5, 3] });
+    }
+  }
+
+  /** Crossovers, crossings of -180 degrees, and the margins between them and the guides, of the point in front. */
+  private marks(plot: Plot, curve: ArrayLike<number>): void {
+    if (this.shown !== "L" || this.hidden.has(this.front)) return;
+    const trace = this.traces[this.front];
+    const { paper, ink } = plot.colours;
+    const value = (hz: number): number => interpolated(trace.f, curve, hz);
+    const isSize = plot === this.size;
+    const upright = (hz: number, from: number): void => plot.curve({ x: [hz, hz], y: [from, value(hz)] }, { colour: ink, width: 2 });
+    for (const hz of unitCrossings(trace.f, trace.L)) {
+      if (!isSize) upright(hz, -180 + 360 * Math.round((value(hz) + 180) / 360));
+      plot.dot(hz, value(hz), 4, paper, ink);
+    }
+    for (const hz of axisCrossings(trace.f, trace.L)) {
+      if (isSize) upright(hz, 0);
+      plot.dot(hz, value(hz), 4, ink, ink);
+    }
+  }
+
+  private drawHandles(curve: ArrayLike<number>): void {
+    const trace = this.traces[this.front];
+    const gainHz = this.size.toX(this.size.px(this.size.x.low) + 26);
+    const { handle: colour, paper } = this.size.colours;
+    this.handlePlaces = handlesOf(this.asked.design().blocks, gainHz).map((handle) => {
+      const hz = Math.min(Math.max(handle.hz, this.size.x.low * 1.01), this.size.x.high / 1.01);
+      const db = interpolated(trace.f, curve, hz);
+      const on = this.hold?.handle.block === handle.block && this.hold.handle.name === handle.name;
+      this.size.dot(hz, db, on ? 11 : 9, on ? colour : paper, colour);
+      const [px, py] = [this.size.px(hz), this.size.py(db)];
+      const { ctx } = this.size;
+      ctx.fillStyle = on ? paper : colour;
+      ctx.textAlign = "center";
+      ctx.textBaseline = "middle";
+      ctx.font = "bold 12px system-ui, sans-serif";
+      ctx.fillText(handle.label, px, py + 0.5);
+      return { handle, px, py };
+    });
+  }
+
+  private drawMap(plot: Plot): void {
+    const isNichols = plot === this.nichols;
+    if (isNichols) plot.show(LINEAR(-360, 0, "phase of L [deg]", 45), nicholsAxis(this.traces));
+    else {
+      const tall = plot.canvas.clientHeight / Math.max(plot.canvas.clientWidth, 1);
+      plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
+    }
+    plot.begin();
+    const [peak, peakT] = [this.required("sensitivity_peak_db"), this.required("complementary_peak_db")];
+    if (isNichols) nicholsChart(plot, peak, peakT);
+    else nyquistChart(plot, peak);
+    const curveOf = ({ L }: Trace) => (isNichols ? nicholsCurve(L) : { x: L.re, y: L.im });
+    if (this.others && !this.hidden.has(this.front)) {
+      plot.curve(curveOf(this.others[this.front]), { colour: plot.colours.other, width: 2, dash: [7, 4] });
+    }
+    for (const k of this.order()) plot.curve(curveOf(this.traces[k]), this.style(plot, k));
+    if (this.cursorHz !== null && !this.hidden.has(this.front)) {
+      const at = this.pointAt(this.traces[this.front], this.cursorHz);
+      const one = curveOf({ ...this.traces[this.front], L: { re: Float64Array.of(at.re), im: Float64Array.of(at.im) } });
+      plot.dot(one.x[0], one.y[0], 5, plot.colours.paper, plot.colours.ink);
+    }
+    plot.end();
+  }
+
+  private pointAt({ f, L }: Trace, hz: number): { re: number; im: number } {
+    return { re: interpolated(f, L.re, hz), im: interpolated(f, L.im, hz) };
+  }
+
+  private readValues(): void {
+    const trace = this.traces[this.front];
+    const who = `${this.names[this.front]}${this.front === this.worst ? " (worst)" : ""}`;
+    if (this.cursorHz === null) {
+      this.readout.textContent = `In front: ${who}. Point at a plot to read its values.`;
+      return;
+    }
+    const hz = this.cursorHz;
+    const { re, im } = this.pointAt(trace, hz);
+    const db = (x: number): string => shown(20 * Math.log10(x));
+    const far = Math.hypot(1 + re, im);
+    const size = Math.hypot(re, im);
+    const phase = (Math.atan2(im, re) * 180) / Math.PI;
+    const down = shown(Number((phase > 0 ? phase - 360 : phase).toFixed(1)));
+    this.readout.textContent =
+      `${shown(hz)} Hz, ${who}: |L| ${db(size)} dB, phase ${down}°, |S| ${db(1 / far)} dB, |T| ${db(size / far)} dB`;
+  }
+
+  private listen(plot: Plot): void {
+    const { canvas } = plot;
+    let last: PointerEvent | null = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      const hold = plot === this.size ? this.taken(event) : null;
+      if (event.pointerType === "touch" && !hold) return;
+      canvas.setPointerCapture(event.pointerId);
+      [last, this.hold] = [event, hold];
+      this.redraw();
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (this.hold) this.drag(event);
+      else if (last) {
+        plot.pan(event.offsetX - last.offsetX, event.offsetY - last.offsetY);
+        this.link(plot);
+        last = event;
+        this.redraw();
+      } else this.point(plot, event);
+    });
+    const up = (): void => {
+      if (this.hold) this.asked.ended();
+      [last, this.hold] = [null, null];
+      this.redraw();
+    };
+    canvas.addEventListener("pointerup", up);
+    canvas.addEventListener("pointercancel", up);
+    canvas.addEventListener("dblclick", () => this.home(plot));
+    canvas.addEventListener("wheel", (event) => this.wheel(plot, event), { passive: false });
+    canvas.addEventListener("keydown", (event) => this.key(plot, event));
+  }
+
+  private nearest(event: PointerEvent | WheelEvent): Handle | null {
+    const far = this.handlePlaces.map(({ px, py }) => Math.hypot(px - event.offsetX, py - event.offsetY));
+    const k = far.indexOf(Math.min(...far));
+    return k >= 0 && far[k] < 18 ? this.handlePlaces[k].handle : null;
+  }
+
+  private taken(event: PointerEvent): Hold | null {
+    const handle = this.nearest(event);
+    if (!handle) return null;
+    event.preventDefault();
+    const from = structuredClone(this.asked.design().blocks[handle.block]);
+    return { handle, from, startHz: this.size.toX(event.offsetX), startDb: this.size.toY(event.offsetY) };
+  }
+
+  private drag(event: PointerEvent): void {
+    const { handle, from, startHz, startDb } = this.hold as Hold;
+    const hz = handle.hz * (this.size.toX(event.offsetX) / startHz);
+    const up = this.size.toY(event.offsetY) - startDb;
+    this.replace(handle.block, dragged(from, handle.name, Number(hz.toPrecision(5)), up));
+  }
+
+  private replace(k: number, block: DesignBlock): void {
+    this.asked.change(this.asked.design().blocks.map((one, i) => (i === k ? block : one)), true);
+  }
+
+  private point(plot: Plot, event: PointerEvent): void {
+    if (plot === this.size) this.size.canvas.style.cursor = this.nearest(event) ? "grab" : "crosshair";
+    if (plot === this.size || plot === this.phase) this.cursorHz = this.inRange(plot.toX(event.offsetX));
+    else {
+      const { f, L } = this.traces[this.front];
+      const curve = plot === this.nichols ? null : L;
+      let [best, least] = [0, Infinity];
+      for (let k = 0; k < f.length; k++) {
+        const one = curve ? { x: curve.re[k], y: curve.im[k] } : first(nicholsCurve({ re: L.re.subarray(k, k + 1), im: L.im.subarray(k, k + 1) }));
+        const far = Math.hypot(plot.px(one.x) - event.offsetX, plot.py(one.y) - event.offsetY);
+        if (far < least) [best, least] = [k, far];
+      }
+      this.cursorHz = f[best];
+    }
+    this.redraw();
+  }
+
+  private inRange(hz: number): number {
+    const { f } = this.traces[this.front];
+    return Math.min(Math.max(hz, f[0]), f[f.length - 1]);
+  }
+
+  private link(plot: Plot): void {
+    if (plot === this.size) this.phase.follow(plot.x);
+    if (plot === this.phase) this.size.follow(plot.x);
+  }
+
+  private home(plot: Plot): void {
+    plot.reset();
+    if (plot === this.size) this.phase.reset();
+    if (plot === this.phase) this.size.reset();
+    this.redraw();
+  }
+
+  private wheel(plot: Plot, event: WheelEvent): void {
+    const handle = plot === this.size ? this.nearest(event) : null;
+    if (!handle && !event.ctrlKey && document.activeElement !== plot.canvas) return;
+    event.preventDefault();
+    if (handle) {
+      const share = event.shiftKey ? 1.01 : 1.05;
+      this.replace(handle.block, widened(this.asked.design().blocks[handle.block], event.deltaY < 0 ? share : 1 / share));
+      return;
+    }
+    plot.zoom(event.deltaY > 0 ? 1.15 : 1 / 1.15, event.offsetX, event.offsetY);
+    this.link(plot);
+    this.redraw();
+  }
+
+  private key(plot: Plot, event: KeyboardEvent): void {
+    const { f } = this.traces[this.front];
+    const k = placeIn(f, this.cursorHz ?? this.asked.crossover());
+    const steps: Record<string, () => void> = {
+      ArrowRight: () => (this.cursorHz = f[Math.min(k + (event.shiftKey ? 10 : 1), f.length - 1)]),
+      ArrowLeft: () => (this.cursorHz = f[Math.max(k - (event.shiftKey ? 10 : 1), 0)]),
+      ArrowDown: () => this.look((this.front + 1) % this.traces.length, null),
+      ArrowUp: () => this.look((this.front + this.traces.length - 1) % this.traces.length, null),
+      "+": () => this.zoomKey(plot, 1 / 1.25),
+      "-": () => this.zoomKey(plot, 1.25),
+      "0": () => this.home(plot),
+    };
+    const step = steps[event.key];
+    if (!step || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    step();
+    this.redraw();
+  }
+
+  private zoomKey(plot: Plot, factor: number): void {
+    plot.zoom(factor, plot.width / 2, plot.height / 2);
+    this.link(plot);
+  }
+}
+
+const first = ({ x, y }: { x: ArrayLike<number>; y: ArrayLike<number> }): { x: number; y: number } => ({ x: x[0], y: y[0] });
+
+function interpolated(f: Float64Array, y: ArrayLike<number>, hz: number): number {
+  const k = Math.min(Math.max(placeIn(f, hz, true) - 1, 0), f.length - 2);
+  const share = Math.min(Math.max(Math.log(hz / f[k]) / Math.log(f[k + 1] / f[k]), 0), 1);
+  return y[k] + share * (y[k + 1] - y[k]);
+}

@@ -1,0 +1,95 @@
+"""The page of `shape`, in a real browser, finds what `check` finds: values, intervals, bounds, stability, verdicts."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import page_in_browser
+import pytest
+import shaped_cases
+
+import loopshape as ls
+from loopshape.data.controller import Controller
+from loopshape.data.requirements import LIMITS, Requirements, Verdict
+from loopshape.loop.verdict import check
+from loopshape.verbs.shaping import page_of, shaped
+from loopshape.view.page.payload import controller_words
+
+AGREES = 1e-6
+LAGS = ls.controller(ls.gain(3.0), ls.lead_lag(5.0, 60.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
+WANTED = Requirements(
+    "x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, gain_margin_db=5.0, disk_margin=0.5, delay_margin_s=1e-3,
+    bandwidth_hz=5.0, integrators=0, unstable_poles=0, control_high_frequency_db=30.0,
+    control_high_frequency_from_hz=200.0, controller_bandwidth_hz=400.0,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Any]:
+    with page_in_browser.browser() as browser:
+        yield browser.new_context()
+
+
+def asked(page: Any, controller: Controller) -> dict[str, Any]:
+    words = "c => loopshape.ask(c).then(v => JSON.stringify(v, (k, x) => Number.isFinite(x) || typeof x !== 'number'"
+    text = page.evaluate(f"{words} ? x : String(x)))", controller_words(controller))
+    return dict(json.loads(text))
+
+
+def far(one: float, other: Any) -> float:
+    other = float("nan" if other is None else str(other).replace("Infinity", "inf").replace("NaN", "nan"))
+    if one == other or (np.isnan(one) and np.isnan(other)):
+        return 0.0
+    return float(abs(one - other) / max(abs(one), 1.0))
+
+
+def differences(verdict: Verdict, found: dict[str, Any]) -> list[str]:
+    out = []
+    for (name, m), other in zip(verdict.margins.items(), found["margins"], strict=True):
+        if m.stable != other["stability"]["outcome"]:
+            out.append(f"{name}: {m.stable} ({m.stability_reason}), and {other['stability']}")
+        for limit in LIMITS:
+            if limit.name == "detuning_percent":
+                continue
+            pairs = [(getattr(m, limit.name), other["values"][limit.name])]
+            pairs += list(zip(m.intervals.get(limit.name, ()), other["intervals"].get(limit.name, ()), strict=True))
+            pairs += [(m.bounds[limit.name], other["bounds"].get(limit.name))] if limit.name in m.bounds else []
+            worst = max(far(a, b) for a, b in pairs)
+            out += [] if worst < AGREES else [f"{name}: {limit.name} {pairs}"]
+    rows = [(line.quantity, line.outcome) for line in verdict.lines]
+    others = [(row["quantity"], row["outcome"]) for row in found["rows"]]
+    out += [] if rows == others else [f"{rows} and {others}"]
+    return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
+
+
+def page_on(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: Requirements) -> Any:
+    file = folder / "shape.html"
+    file.write_bytes(page_of([shaped(frfs, C, R, ())], "test"))
+    return page_in_browser.opened(context, file)
+
+
+def compared(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: Requirements, count: int) -> list[str]:
+    page, rng = page_on(context, folder, frfs, C, R), np.random.default_rng(3)
+    out = list(page.errors)
+    for controller in [C, *(shaped_cases.moved(C, rng) for _ in range(count))]:
+        out += differences(check(frfs, controller, R, detuned=False), asked(page, controller))
+    page.close()
+    return out
+
+
+def test_the_bench_and_its_controller(context: Any, tmp_path: Path) -> None:
+    P, R, C = shaped_cases.bench()
+    assert not compared(context, tmp_path, [P], C, R, 2)
+
+
+@pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
+def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
+    assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
+
+
+@pytest.mark.long
+def test_fifty_controllers_on_the_bench(context: Any, tmp_path: Path) -> None:
+    P, R, C = shaped_cases.bench()
+    assert not compared(context, tmp_path, [P], C, R, 50)

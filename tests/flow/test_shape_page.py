@@ -1,0 +1,253 @@
+"""The page of `shape` as a person uses it: shaping from gain 1 to a passing loop, drag, type, keys, undo, files."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import page_in_browser
+import pytest
+import shaped_cases
+
+import loopshape as ls
+from loopshape.core.errors import WrongUseError
+from loopshape.io.controllers import write_controllers
+from loopshape.loop.verdict import check
+from loopshape.view.page import page as page_module
+
+SOURCES = Path(page_module.__file__).parent
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The motor bench from a gain of 1, under its shipped requirements."""
+    P, R, _ = shaped_cases.bench()
+    return ls.shape(P, None, R, tmp_path_factory.mktemp("shape") / "bench.html")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with page_in_browser.browser() as made:
+        yield made
+
+
+@pytest.fixture
+def page(browser: Any, file: Path) -> Iterator[Any]:
+    context = browser.new_context(viewport={"width": 1440, "height": 1000}, accept_downloads=True)
+    made = page_in_browser.opened(context, file)
+    yield made
+    assert not made.errors
+    context.close()
+
+
+def state(page: Any) -> dict[str, Any]:
+    return dict(page.evaluate("loopshape.state"))
+
+
+def typed(page: Any, label: str, value: float) -> None:
+    page.get_by_label(label, exact=True).fill(str(value))
+    page.keyboard.press("Enter")
+
+
+def added(page: Any, kind: str) -> None:
+    page.get_by_label("New block").select_option(kind)
+    page.get_by_role("button", name="add a block of this kind").click()
+
+
+def saved(page: Any, name: str, folder: Path) -> Path:
+    with page.expect_download() as download:
+        page.get_by_role("button", name=f"download the {name}").click()
+    download.value.save_as(folder / f"{name}.toml")
+    return folder / f"{name}.toml"
+
+
+def handle(page: Any, label: str) -> tuple[float, float]:
+    """Where a handle of the Bode plot stands on the screen."""
+    box = page.locator("#magnitude").bounding_box()
+    places = page.evaluate("loopshape.handles")
+    x, y = places[label]
+    return box["x"] + x, box["y"] + y
+
+
+def test_the_bench_is_shaped_by_hand_from_gain_1_and_check_signs_it(page: Any, tmp_path: Path) -> None:
+    assert state(page)["outcome"] == "failed"
+    typed(page, "gain of block 1, gain", 12)
+    added(page, "lead_lag")
+    typed(page, "zero [Hz] of block 2, lead or lag", 1)
+    typed(page, "pole [Hz] of block 2, lead or lag", 50)
+    added(page, "notch")
+    typed(page, "zero [Hz] of block 3, notch", 70)
+    typed(page, "zero damping of block 3, notch", 0.1)
+    typed(page, "pole damping of block 3, notch", 0.6)
+    added(page, "low_pass_2")
+    typed(page, "corner [Hz] of block 4, low-pass, order 2", 400)
+    typed(page, "damping of block 4, low-pass, order 2", 1)
+    page_in_browser.settled(page)
+    assert state(page)["outcome"] != "passed"
+    x, y = handle(page, "N")  # and the notch is dragged onto the resonance
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for _ in range(60):
+        x += 2.0
+        page.mouse.move(x, y)
+        page.wait_for_timeout(20)
+        notch = state(page)["controller"]["blocks"][2]["parameters"]
+        if notch["f1_hz"] > 77.2:
+            break
+    page.mouse.up()
+    page_in_browser.settled(page)
+    assert notch["f1_hz"] == notch["f2_hz"]
+    assert state(page)["outcome"] == "passed"
+    (C,) = ls.read_controllers(saved(page, "controller", tmp_path))
+    (R,) = ls.read_requirements(saved(page, "requirements", tmp_path))
+    assert check([shaped_cases.bench()[0]], C, R).passed
+
+
+def test_files_are_byte_for_byte_those_of_python(page: Any, tmp_path: Path) -> None:
+    C = ls.controller(
+        ls.gain(-2.5e-5), ls.lead_lag(3.0, 33.25), ls.notch(80.1, 0.09, 0.3), ls.low_pass(300.0, 0.7), ls.pi(0.1),
+        rate_hz=2500.0, loop="motor", computation_delay_s=1e-5, prewarp_hz=80.0, precision="q8.30",
+    )  # fmt: skip
+    write_controllers(tmp_path / "mine.toml", [C])
+    page.set_input_files("#file", tmp_path / "mine.toml")
+    page.get_by_text("controller read from mine.toml").wait_for()
+    assert saved(page, "controller", tmp_path).read_bytes() == (tmp_path / "mine.toml").read_bytes()
+    again = ls.read_requirements(saved(page, "requirements", tmp_path))[0]
+    R = shaped_cases.bench()[1]
+    assert repr(again) == repr(R)
+    assert [(b.kind, b.parameters, b.tie) for b in again.structure] == [
+        (b.kind, b.parameters, b.tie) for b in R.structure
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gain = ", "line 1: a value is missing"),
+        ('format = "loopshape-controllers/1"\nrate_hz = 10.0\n[[loop]]\nname = "motor"\n', "rate is 10 Hz"),
+        ('format = "loopshape-controllers/2"\n', 'format must be "loopshape-controllers/1"'),
+        (
+            'format = "loopshape-controllers/1"\nrate_hz = 2500.0\n[[loop]]\nname = "motor"\n'
+            'controller = [{ kind = "notch", f1_hz = 1.0 }]\n',
+            "a notch block has the parameters f1_hz, f2_hz, damping1, damping2",
+        ),
+        (
+            'format = "loopshape-controllers/1"\nrate_hz = 2500.0\n[[loop]]\nname = "motor"\n'
+            'controller = [{ kind = "pi", f_hz = -1.0 }]\n',
+            "corner [Hz] must be positive",
+        ),
+    ],
+)
+def test_a_broken_file_is_refused_in_words(text: str, words: str, page: Any, tmp_path: Path) -> None:
+    (tmp_path / "bad.toml").write_text(text)
+    before = state(page)["controller"]
+    page.set_input_files("#file", tmp_path / "bad.toml")
+    page.get_by_text("bad.toml was not read").wait_for()
+    assert words in page.locator("#said").inner_text()
+    assert state(page)["controller"] == before
+
+
+def test_keys_undo_redo_lock_and_a_link_is_a_design(page: Any, browser: Any) -> None:
+    field = page.get_by_label("gain of block 1, gain", exact=True)
+    field.focus()
+    page.keyboard.press("Shift+ArrowUp")
+    page.keyboard.press("ArrowUp")
+    assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == pytest.approx(1.111)
+    typed(page, "gain of block 1, gain", -3)
+    page.keyboard.press("Control+z")
+    assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == pytest.approx(1.111)
+    page.keyboard.press("Control+y")
+    assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == -3
+    page.get_by_role("button", name="lock gain of block 1, gain", exact=True).press("Enter")
+    assert page.get_by_label("gain of block 1, gain", exact=True).is_disabled()
+    page.wait_for_timeout(250)
+    other = browser.new_context().new_page()
+    other.goto(page.url)
+    page_in_browser.settled(other)
+    assert state(other)["controller"] == state(page)["controller"]
+    other.context.close()
+
+
+def test_a_wrong_number_is_refused_beside_its_field(page: Any) -> None:
+    added(page, "notch")
+    typed(page, "zero [Hz] of block 2, notch", -5)
+    field = page.get_by_label("zero [Hz] of block 2, notch", exact=True)
+    assert field.get_attribute("aria-invalid") == "true"
+    assert "must be positive" in str(field.get_attribute("title"))
+    assert state(page)["controller"]["blocks"][1]["parameters"]["f1_hz"] > 0
+
+
+def test_a_design_is_compared_with_one_that_was_kept(page: Any) -> None:
+    page.get_by_role("button", name="keep this design to compare with").click()
+    typed(page, "gain of block 1, gain", 50)
+    page_in_browser.settled(page)
+    assert page.get_by_text("B: ").count() > 0
+    page.get_by_role("button", name="continue with the design that was kept").click()
+    assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == 1
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (1024, "dark"), (390, "light")])
+def test_nothing_is_too_small_unlabelled_or_wider_than_the_screen(
+    width: int, scheme: str, browser: Any, file: Path
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page = page_in_browser.opened(context, file)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    small = "[...document.querySelectorAll('#page *')].filter(x => x.innerText && parseFloat(getComputedStyle(x).fontSize) < 12)"
+    assert page.evaluate(f"{small}.length") == 0
+    unnamed = (
+        "[...document.querySelectorAll('button, select, canvas, input')].filter(x =>"
+        " !(x.getAttribute('aria-label') || x.labels?.length || x.innerText)).map(x => x.outerHTML)"
+    )
+    assert page.evaluate(unnamed) == []
+    assert all(ratio >= 4.5 for ratio in page.evaluate(CONTRAST))
+    context.close()
+
+
+#: contrast of the page's words and signs with what they stand on (WCAG 2.2, relative luminance)
+CONTRAST = """(() => {
+  const lum = c => { const [r, g, b] = c.match(/[\\d.]+/g).map(Number).map(v => v / 255)
+    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * r + 0.7152 * g + 0.0722 * b }
+  const probe = document.createElement('i'); document.body.append(probe)
+  const of = name => { probe.style.color = `var(--${name})`; return lum(getComputedStyle(probe).color) }
+  const pairs = [['ink', 'bg'], ['quiet', 'bg'], ['quiet', 'soft'], ['link', 'bg'], ['link', 'soft'], ['ink', 'paper'],
+    ['quiet', 'paper'], ['worst', 'bg'], ['worst', 'paper'], ['chosen', 'paper'], ['other', 'bg'], ['limit', 'paper'],
+    ['handle', 'paper'], ['passed', 'passed-bg'], ['failed', 'failed-bg'], ['undecided', 'undecided-bg'], ['none', 'none-bg']]
+  const found = pairs.map(([a, b]) => [of(a), of(b)].sort((x, y) => y - x)).map(([a, b]) => (a + 0.05) / (b + 0.05))
+  probe.remove(); return found })()"""
+
+
+def test_operating_points_may_have_names_of_their_own(tmp_path: Path) -> None:
+    one, two = shaped_cases.plants("lag")
+    C = ls.controller(ls.gain(2.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
+    text = ls.shape({"cold": one, "hot": two}, C, out=tmp_path / "two.html").read_text()
+    data = json.loads(text.split('id="data">')[1].split("</script>")[0])
+    assert [point["name"] for point in data["loops"][0]["points"]] == ["cold", "hot"]
+
+
+def test_a_plant_without_a_rate_needs_a_controller(tmp_path: Path) -> None:
+    P = ls.FRF.from_arrays(np.geomspace(1.0, 10.0, 20), np.ones(20), relative_std=0.01)
+    with pytest.raises(WrongUseError, match="rate"):
+        ls.shape(P, out=tmp_path / "none.html")
+
+
+def test_the_page_loads_nothing_and_is_small(file: Path) -> None:
+    text = file.read_text()
+    assert "default-src &#x27;none&#x27;" in text
+    assert not [word for word in ('src="http', "href=", "@import", "//cdn") if word in text]
+    assert len(text) < 300_000
+
+
+def test_the_script_is_built_from_its_sources(tmp_path: Path) -> None:
+    tools = SOURCES / "node_modules" / ".bin"
+    if shutil.which("node") is None or not (tools / "esbuild").exists():
+        pytest.skip("no node, or no node_modules: run npm ci in loopshape/view/page")
+    command = json.loads((SOURCES / "package.json").read_text())["scripts"]["build"].split()
+    command = [str(tools / "esbuild"), *command[1:-1], f"--outfile={tmp_path / 'shape.js'}"]
+    subprocess.run(command, cwd=SOURCES, check=True, capture_output=True, timeout=60)
+    assert (tmp_path / "shape.js").read_bytes() == (SOURCES / "shape.js").read_bytes(), "npm run build makes it anew"
+    typed_well = subprocess.run([tools / "tsc", "--noEmit"], cwd=SOURCES, capture_output=True, text=True, timeout=60)
+    assert not typed_well.stdout
