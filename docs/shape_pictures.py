@@ -13,9 +13,16 @@ SIZES = {1440: 940, 1024: 900, 390: 844}
 
 
 def page(folder: Path) -> Path:
-    """The motor bench under its shipped controller."""
+    """The motor bench at the end of the walk in shape.md."""
     P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
-    (R,), (C,) = ls.read_requirements(BENCH / "requirements.toml"), ls.read_controllers(BENCH / "controller.toml")
+    (R,) = ls.read_requirements(BENCH / "requirements.toml")
+    walk = (
+        ls.gain(12.0),
+        ls.lead_lag(1.0, 50.0),
+        ls.notch(77.5, 0.1, 0.6),
+        ls.low_pass(400.0, 1.0),
+    )
+    C = ls.controller(*walk, rate_hz=P.rate_hz, loop=P.loop)
     return ls.shape(P, C, R, folder / "bench.html")
 
 
@@ -26,7 +33,9 @@ def draw(file: Path, name: str, out: Path) -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"))
         for width, height in SIZES.items():
             for scheme in ("light", "dark"):
-                context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+                context = browser.new_context(
+                    viewport={"width": width, "height": height}, color_scheme=scheme
+                )
                 one = context.new_page()
                 one.goto(file.as_uri())
                 one.wait_for_selector("#verdict-badge .badge:not(.none)")

@@ -23,8 +23,7 @@ def bench() -> tuple[ls.FRF, ls.Requirements, Controller]:
 def noisy(f_hz: np.ndarray, P: np.ndarray, share: float, name: str, seed: int) -> ls.FRF:
     rng = np.random.default_rng(seed)
     error = (rng.standard_normal(f_hz.size) + 1j * rng.standard_normal(f_hz.size)) * np.sqrt(0.5) * share
-    made = ls.FRF.from_arrays(f_hz, P * (1.0 + error), relative_std=share, rate_hz=RATE_HZ, recording=name, loop="x")
-    return made
+    return ls.FRF.from_arrays(f_hz, P * (1.0 + error), relative_std=share, rate_hz=RATE_HZ, recording=name, loop="x")
 
 
 def plants(kind: str) -> list[ls.FRF]:

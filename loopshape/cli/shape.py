@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+
+if TYPE_CHECKING:
+    from loopshape.view.page.payload import Shaped
 
 
 def shape(
@@ -17,6 +20,13 @@ def shape(
         Path | None, typer.Option(help="A controller file (TOML) to start from; default: a gain of 1.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
+    serve: Annotated[
+        bool,
+        typer.Option("--serve", help="Serve the page on this machine alone, with buttons to check, tune and save."),
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(help="With --serve: where Save writes; default: controller.toml in the run.")
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -30,9 +40,24 @@ def shape(
 
     output, path = Output(as_json, quiet), out or run / "shape.html"
     loops = shape_run(run, require, controller)
+    if serve:
+        _serve(loops, run.resolve().name, save or run / "controller.toml")
+        return
     data = page_of(loops, run.resolve().name)
     write_bytes_whole(path, data)
     for one in loops:
         output.say(f"loop {one.controller.loop}: {len(one.frfs)} FRFs, starts {one.verdict.outcome.value}")
     output.say(f"page: {path} ({len(data) / 1e6:.1f} MB)")
     output.json({"page": str(path), "bytes": len(data), "loops": [one.controller.loop for one in loops]})
+
+
+def _serve(loops: list[Shaped], title: str, save: Path) -> None:
+    """The page until Ctrl+C."""
+    from contextlib import suppress
+
+    from loopshape.verbs.shape_server import ShapeServer
+
+    server = ShapeServer(loops, title, save)
+    print(f"open {server.url} in a browser; Ctrl+C ends it", flush=True)
+    with suppress(KeyboardInterrupt):
+        server.serve()

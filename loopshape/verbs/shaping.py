@@ -41,6 +41,11 @@ def page_of(loops: Sequence[Shaped], title: str) -> bytes:
     return shape_page(loops, title, __version__).encode("utf-8")
 
 
+def served_page(loops: Sequence[Shaped], title: str) -> bytes:
+    """The page as bytes with the buttons that ask a server."""
+    return shape_page(loops, title, __version__, served=True).encode("utf-8")
+
+
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[Shaped]:
     """Loops of a requirements file, else those of a controller file, else all that have a FRF."""
     from loopshape.io.check_files import fits_of

@@ -4,7 +4,9 @@ import json
 import shutil
 import subprocess
 from collections.abc import Iterator
+from http.client import HTTPConnection
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,8 @@ import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.io.controllers import write_controllers
 from loopshape.loop.verdict import check
+from loopshape.verbs.shape_server import ShapeServer
+from loopshape.verbs.shaping import shaped
 from loopshape.view.page import page as page_module
 
 SOURCES = Path(page_module.__file__).parent
@@ -79,7 +83,7 @@ def test_the_bench_is_shaped_by_hand_from_gain_1_and_check_signs_it(page: Any, t
     typed(page, "zero [Hz] of block 2, lead or lag", 1)
     typed(page, "pole [Hz] of block 2, lead or lag", 50)
     added(page, "notch")
-    typed(page, "zero [Hz] of block 3, notch", 70)
+    typed(page, "zero [Hz] of block 3, notch", 55)
     typed(page, "zero damping of block 3, notch", 0.1)
     typed(page, "pole damping of block 3, notch", 0.6)
     added(page, "low_pass_2")
@@ -196,7 +200,8 @@ def test_nothing_is_too_small_unlabelled_or_wider_than_the_screen(
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page = page_in_browser.opened(context, file)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    small = "[...document.querySelectorAll('#page *')].filter(x => x.innerText && parseFloat(getComputedStyle(x).fontSize) < 12)"
+    size = "x.innerText && parseFloat(getComputedStyle(x).fontSize) < 12"
+    small = f"[...document.querySelectorAll('#page *')].filter(x => {size})"
     assert page.evaluate(f"{small}.length") == 0
     unnamed = (
         "[...document.querySelectorAll('button, select, canvas, input')].filter(x =>"
@@ -215,7 +220,8 @@ CONTRAST = """(() => {
   const of = name => { probe.style.color = `var(--${name})`; return lum(getComputedStyle(probe).color) }
   const pairs = [['ink', 'bg'], ['quiet', 'bg'], ['quiet', 'soft'], ['link', 'bg'], ['link', 'soft'], ['ink', 'paper'],
     ['quiet', 'paper'], ['worst', 'bg'], ['worst', 'paper'], ['chosen', 'paper'], ['other', 'bg'], ['limit', 'paper'],
-    ['handle', 'paper'], ['passed', 'passed-bg'], ['failed', 'failed-bg'], ['undecided', 'undecided-bg'], ['none', 'none-bg']]
+    ['handle', 'paper'], ['passed', 'passed-bg'], ['failed', 'failed-bg'], ['undecided', 'undecided-bg'],
+    ['none', 'none-bg']]
   const found = pairs.map(([a, b]) => [of(a), of(b)].sort((x, y) => y - x)).map(([a, b]) => (a + 0.05) / (b + 0.05))
   probe.remove(); return found })()"""
 
@@ -251,3 +257,66 @@ def test_the_script_is_built_from_its_sources(tmp_path: Path) -> None:
     assert (tmp_path / "shape.js").read_bytes() == (SOURCES / "shape.js").read_bytes(), "npm run build makes it anew"
     typed_well = subprocess.run([tools / "tsc", "--noEmit"], cwd=SOURCES, capture_output=True, text=True, timeout=60)
     assert not typed_well.stdout
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ShapeServer]:
+    """The bench's page on loopback, from the controller at the end of the walk in docs/shape.md."""
+    P, R, _ = shaped_cases.bench()
+    C = ls.controller(
+        ls.gain(12.0), ls.lead_lag(1.0, 50.0), ls.notch(77.5, 0.1, 0.6), ls.low_pass(400.0, 1.0),
+        rate_hz=2500.0, loop="motor",
+    )  # fmt: skip
+    made = ShapeServer([shaped([P], C, R, ())], "bench", tmp_path_factory.mktemp("saved") / "controller.toml")
+    thread = Thread(target=made.serve)
+    thread.start()
+    yield made
+    made.http.shutdown()
+    thread.join()
+
+
+def status(server: ShapeServer, path: str, body: bytes | None = None, **headers: str) -> int:
+    line = HTTPConnection("127.0.0.1", server.http.server_address[1], timeout=20)
+    line.request("GET" if body is None else "POST", path, body, headers)
+    code = line.getresponse().status
+    line.close()
+    return code
+
+
+def test_no_other_page_can_ask_the_server(server: ShapeServer) -> None:
+    assert status(server, f"/{server.token}/") == 200
+    assert status(server, f"/{server.token}/", Origin="http://elsewhere.example") == 403
+    assert status(server, f"/{server.token}/", Host="elsewhere.example") == 403
+    assert status(server, "/") == 403
+    assert status(server, f"/{server.token[:-1]}/") == 403
+    assert status(server, f"/{server.token}/save", b"{}", Origin="null") == 403
+    assert status(server, f"/{server.token}/save", b"{}", **{"Content-Type": "text/plain"}) == 400
+    assert status(server, f"/{server.token}/save", b"[]", **{"Content-Type": "application/json"}) == 400
+    assert not server.save_to.exists()
+
+
+def test_served_the_page_certifies_tunes_and_saves(browser: Any, server: ShapeServer, tmp_path: Path) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(server.url)
+    page_in_browser.settled(page)
+    typed(page, "gain of block 1, gain", 10)
+    assert "of an earlier design" in page.locator("#certificate").inner_text()
+    page.get_by_role("button", name="let loopshape check this design").click()
+    page.get_by_text("Certificate of loopshape check for this design: passed").wait_for()
+    for name in ("zero [Hz]", "zero damping", "pole damping"):
+        page.get_by_role("button", name=f"lock {name} of block 3, notch", exact=True).click()
+    page.get_by_role("button", name="let loopshape tune what is not locked").click()
+    page.get_by_text("tuned from here").wait_for()
+    page_in_browser.settled(page)
+    tuned = state(page)
+    assert tuned["outcome"] == "passed"
+    assert tuned["controller"]["blocks"][0]["parameters"]["gain"] != 10
+    assert tuned["controller"]["blocks"][2]["parameters"]["damping1"] == 0.1
+    page.get_by_role("button", name="save the controller on this machine").click()
+    page.get_by_text("saved to").wait_for()
+    (C,) = ls.read_controllers(server.save_to)
+    assert [dict(block.parameters) for block in C.blocks] == [x["parameters"] for x in tuned["controller"]["blocks"]]
+    write_controllers(tmp_path / "python.toml", [C])
+    assert server.save_to.read_bytes() == (tmp_path / "python.toml").read_bytes()
+    context.close()

@@ -14,15 +14,15 @@ from loopshape.view.page.payload import Shaped, payload
 SCRIPT, STYLE = "shape.js", "shape.css"
 
 
-def shape_page(loops: Sequence[Shaped], title: str, version: str) -> str:
-    """The whole page as HTML; the same loops give the same text."""
+def shape_page(loops: Sequence[Shaped], title: str, version: str, *, served: bool = False) -> str:
+    """The whole page as HTML; the same loops give the same text. `served` by a server, it may ask it and no other."""
     script = resource(SCRIPT)
     body = [
         tag("div", tag("p", "This page needs JavaScript."), id="page"),
-        json_block("data", payload(loops, title, version)),
+        json_block("data", payload(loops, title, version) | {"served": served}),
         tag("script", Markup(script)),
     ]
-    html = tag("html", _head(script, title), tag("body", *body), lang="en")
+    html = tag("html", _head(script, title, served), tag("body", *body), lang="en")
     return f"<!DOCTYPE html>\n{html}\n"
 
 
@@ -31,10 +31,11 @@ def resource(name: str) -> str:
     return files("loopshape.view.page").joinpath(name).read_text(encoding="utf-8")
 
 
-def _head(script: str, title: str) -> Markup:
+def _head(script: str, title: str, served: bool) -> Markup:
     """Title, style, and a policy under which the page can neither load nor run anything but its own."""
     digest = b64encode(sha256(script.encode()).digest()).decode("ascii")
     policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; worker-src blob:"
+    policy += "; connect-src 'self'" if served else ""
     return tag(
         "head",
         tag("meta", charset="utf-8"),

@@ -54,7 +54,6 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
         "loops": [_loop(one) for one in loops],
-        "server": None,
     }
 
 
@@ -104,7 +103,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
         "requirements": _requirements(one.requirements),
         "controller": controller_words(one.controller),
         "points": [_point(name, loop) for name, loop in zip(one.verdict.margins, loops, strict=True)],
-        "certificate": _certificate(one.verdict),
+        "certificate": certificate_words(one.verdict),
         "notes": list(notes),
     }
 
@@ -142,7 +141,7 @@ def controller_words(controller: Controller) -> dict[str, Any]:
     return made | {"blocks": blocks}
 
 
-def _certificate(verdict: Verdict) -> dict[str, Any]:
+def certificate_words(verdict: Verdict) -> dict[str, Any]:
     """What Python's check says of the start: the outcome, and what the page does not compute."""
     return {
         "outcome": verdict.outcome.value,

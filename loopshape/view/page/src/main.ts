@@ -20,6 +20,7 @@ import { worstOf } from "./worst";
 class Page {
   private readonly engines: Engine[];
   private designs: Design[];
+  private readonly first: string[];
   private others: (Design | null)[];
   private readonly histories: History[];
   private current = 0;
@@ -49,6 +50,7 @@ class Page {
     this.root = document.getElementById("page") as HTMLElement;
     this.engines = payload.loops.map((loop) => new Engine(payload, loop));
     this.designs = payload.loops.map((loop) => designOf(loop.controller, loop.requirements));
+    this.first = this.designs.map((design) => JSON.stringify(design));
     this.others = payload.loops.map(() => null);
     this.readAddress();
     this.histories = this.designs.map((design) => new History(design));
@@ -76,10 +78,7 @@ class Page {
   }
 
   private writeAddress(): void {
-    const own = this.designs.map((design, k) => {
-      const first = designOf(this.payload.loops[k].controller, this.payload.loops[k].requirements);
-      return JSON.stringify(design) === JSON.stringify(first) ? "" : addressOf(design);
-    });
+    const own = this.designs.map((design, k) => (JSON.stringify(design) === this.first[k] ? "" : addressOf(design)));
     history.replaceState(null, "", own.some(Boolean) ? `#${own.join(".")}` : location.pathname + location.search);
   }
 
@@ -127,8 +126,53 @@ class Page {
       button("requirements.toml", "download the requirements", () => this.save("requirements.toml"), { id: "save-requirements" }),
       button("Copy", "copy the controller file to the clipboard", () => this.copy(), { id: "copy" }),
       el("label", { class: "file" }, "Open", file),
+      ...(this.payload.served ? this.servedButtons() : []),
     );
     return el("header", {}, el("h1", {}, this.payload.title, ...(many ? [" ", choice] : [` ${this.loop.name}`])), bar);
+  }
+
+  private servedButtons(): HTMLElement[] {
+    return [
+      button("Tune from here", "let loopshape tune what is not locked, from this design", () => void this.tune(), { id: "tune" }),
+      button("Certify", "let loopshape check this design", () => void this.certify(), { id: "certify" }),
+      button("Save", "save the controller on this machine", () => void this.serverSays("save"), { id: "save" }),
+    ];
+  }
+
+  /** Asks the server that gave this page; what it answers, or null after an error was said. */
+  private async serverSays(what: string): Promise<Record<string, unknown> | null> {
+    const on = this.design.blocks.filter((block) => !block.off);
+    const asked = { controller: this.controller, requirements: this.design.requirements, locked: on.length ? on.map((block) => block.locked) : [[]] };
+    this.say("Asking loopshape …");
+    try {
+      const headers = { "Content-Type": "application/json" };
+      const response = await fetch(what, { method: "POST", headers, body: JSON.stringify(asked) });
+      const answer = (await response.json()) as Record<string, unknown>;
+      this.say(String(answer.error ?? answer.words));
+      return response.ok ? answer : null;
+    } catch {
+      this.say("The server does not answer: is loopshape shape --serve still running?");
+      return null;
+    }
+  }
+
+  private async certify(): Promise<void> {
+    const { loop, controller } = this;
+    const { requirements } = this.design;
+    const answer = await this.serverSays("check");
+    if (!answer) return;
+    Object.assign(loop, { certificate: answer.certificate, controller, requirements });
+    this.refresh();
+  }
+
+  private async tune(): Promise<void> {
+    const before = this.design;
+    const answer = await this.serverSays("tune");
+    if (!answer || this.design !== before) return;
+    const found = answer.controller as Controller;
+    let next = 0;
+    const blocks = before.blocks.map((block) => (block.off ? block : { ...block, ...found.blocks[next++] }));
+    this.set({ ...before, blocks }, false);
   }
 
   private listen(): void {
@@ -353,10 +397,11 @@ class Page {
     this.table.show(this.design.requirements, found, this.settled, this.otherFound);
     this.blocks.show(this.controller);
     const { certificate } = this.loop;
-    const of = certificate ? `Python's check of the controller that this page started from: ${certificate.outcome}. ` : "";
+    const here = "The numbers above are computed here, from the same draws.";
+    const word = certificate?.outcome ?? "none";
     this.certificate.textContent = this.isStart()
-      ? `${of}The numbers above are computed here from the same draws.`
-      : `${of}This design has moved on: the numbers above are computed here from the same draws; sign it with loopshape check.`;
+      ? `Certificate of loopshape check for this design: ${word}. ${here}`
+      : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape check.`;
     (document.getElementById("undo") as HTMLButtonElement).disabled = !this.histories[this.current].can(-1);
     (document.getElementById("redo") as HTMLButtonElement).disabled = !this.histories[this.current].can(1);
     (document.getElementById("swap") as HTMLButtonElement).disabled = !this.others[this.current];

@@ -114,15 +114,9 @@ export interface Point {
   hidden: Hidden[];
 }
 
-export interface CertifiedLine {
-  quantity: string;
-  outcome: string;
-}
-
 /** What Python's check said of the controller that the page was made with. */
 export interface Certificate {
   outcome: string;
-  controller: string;
   detuning: Record<string, { percent: number | null; interval: [number, number] | null }>;
 }
 
@@ -150,7 +144,7 @@ export interface Raw {
   constants: Constants;
   random: { smoothing: State; between: State };
   loops: RawLoop[];
-  server: { token: string } | null;
+  served: boolean;
 }
 
 export interface Payload extends Omit<Raw, "loops"> {

@@ -137,8 +137,11 @@ export class Screen {
   private drawBode(): void {
     const responses = this.traces.map((trace) => responseOf(trace, this.shown));
     const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
-    this.size.show(frequencyAxis(this.traces, ""), sizeAxis(sizes, this.shown));
-    this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
+    if (!this.hold) {
+      // axes stand still while something is dragged on them
+      this.size.show(frequencyAxis(this.traces, ""), sizeAxis(sizes, this.shown));
+      this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
+    }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
       plot.begin();
       this.guides(plot);
@@ -248,7 +251,8 @@ export class Screen {
   }
 
   private pointAt({ f, L }: Trace, hz: number): { re: number; im: number } {
-    return { re: interpolated(f, L.re, hz), im: interpolated(f, L.im, hz) };
+    const k = nearestLine(f, hz);
+    return { re: L.re[k], im: L.im[k] };
   }
 
   private readValues(): void {
@@ -344,7 +348,7 @@ export class Screen {
 
   private inRange(hz: number): number {
     const { f } = this.traces[this.front];
-    return Math.min(Math.max(hz, f[0]), f[f.length - 1]);
+    return f[nearestLine(f, hz)];
   }
 
   private link(plot: Plot): void {
@@ -399,6 +403,12 @@ export class Screen {
 }
 
 const first = ({ x, y }: { x: ArrayLike<number>; y: ArrayLike<number> }): { x: number; y: number } => ({ x: x[0], y: y[0] });
+
+/** The line of rising frequencies that is nearest to a frequency. */
+function nearestLine(f: Float64Array, hz: number): number {
+  const k = Math.min(Math.max(placeIn(f, hz), 1), f.length - 1);
+  return hz * hz < f[k - 1] * f[k] ? k - 1 : k;
+}
 
 function interpolated(f: Float64Array, y: ArrayLike<number>, hz: number): number {
   const k = Math.min(Math.max(placeIn(f, hz, true) - 1, 0), f.length - 2);

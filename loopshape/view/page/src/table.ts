@@ -66,10 +66,11 @@ export class RequirementTable {
     const compare = before ? el("span", { class: "other" }, `B: ${shown(before.found)}`) : null;
     cells.found.replaceChildren(el("b", {}, shown(row.found)), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
     cells.slack.textContent = shown(row.spare);
-    const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz, `;
-    cells.where.replaceChildren(
-      button(`${at}${this.names[row.point]}`, "show this operating point there", () => this.choose(row.point, row.at_hz), { class: "link" }),
-    );
+    const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz`;
+    const name = this.names[row.point];
+    const show = button("", `show ${name} ${at}`, () => this.choose(row.point, row.at_hz), { class: "link" });
+    show.append(...(at ? [el("span", {}, at), " "] : []), el("span", {}, name));
+    cells.where.replaceChildren(show);
     cells.outcome.replaceChildren(badge(row.outcome));
     if (row.bound !== null && row.outcome === "undecided") {
       cells.outcome.append(el("small", {}, "decided above the last frequency"));

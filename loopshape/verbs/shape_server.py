@@ -1,0 +1,174 @@
+"""The page of `shape` on loopback, with three more buttons: check, tune from here, save.
+
+Only this machine is served, under a path with a random token; a request of another origin or host is refused, so that
+no other page in the browser can ask.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from secrets import compare_digest, token_urlsafe
+from threading import Lock
+from typing import Any
+
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.data.block import BLOCK_KINDS, Block
+from loopshape.data.controller import Controller
+from loopshape.data.requirements import BlockTemplate, Free, Requirements
+from loopshape.loop.verdict import check
+from loopshape.verbs.shaping import served_page
+from loopshape.view.page.payload import Shaped, certificate_words, controller_words
+
+#: a request of the page is far smaller
+MOST_BYTES = 1_000_000
+#: a free parameter may be tuned to so many times its value and as little
+REACH = 10.0
+
+
+class ShapeServer:
+    """Answers of one page; `serve` runs until it is interrupted, `url` has the token."""
+
+    def __init__(self, loops: Sequence[Shaped], title: str, save: Path) -> None:
+        self.loops = {one.controller.loop: one for one in loops}
+        self.save_to, self.token, self.lock = save, token_urlsafe(24), Lock()
+        self.page = served_page(loops, title)
+        self.http = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
+        self.http.daemon_threads = True
+
+    @property
+    def origin(self) -> str:
+        """Scheme, address and port."""
+        return f"http://127.0.0.1:{self.http.server_address[1]}"
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"{self.origin}/{self.token}/"
+
+    def serve(self) -> None:
+        """Answer until interrupted."""
+        try:
+            self.http.serve_forever()
+        finally:
+            self.http.server_close()
+
+    def answer(self, name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+        """What a button asks: "check", "tune" or "save"; one at a time."""
+        does: dict[str, Callable[[Shaped, Mapping[str, Any]], dict[str, Any]]]
+        does = {"check": self._check, "tune": self._tune, "save": self._save}
+        if name not in does:
+            raise WrongUseError("the page asks for what is not known", name, f"one of {', '.join(does)}")
+        controller = asked.get("controller")
+        loop = controller.get("loop") if isinstance(controller, Mapping) else None
+        if loop not in self.loops:
+            raise WrongUseError("the page asks about another loop", repr(loop), f"one of {', '.join(self.loops)}")
+        with self.lock:
+            return does[name](self.loops[loop], asked)
+
+    def _check(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+        verdict = check(one.frfs, _controller(asked["controller"]), _requirements(asked), one.fits)
+        return {"certificate": certificate_words(verdict), "words": repr(verdict)}
+
+    def _tune(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+        from loopshape.design.tune import tune
+
+        start = _controller(asked["controller"])
+        structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
+        found = tune(one.frfs, replace(_requirements(asked), structure=structure), one.fits, start=start, starts=1)
+        word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
+        return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
+
+    def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+        from loopshape.io.controllers import write_controllers
+
+        mine = _controller(asked["controller"])
+        self.loops[mine.loop] = replace(one, controller=mine)
+        write_controllers(self.save_to, [x.controller for x in self.loops.values()], None)
+        return {"words": f"saved to {self.save_to}"}
+
+
+def _controller(words: Mapping[str, Any]) -> Controller:
+    known = {name: words[name] for name in words if name != "blocks"}
+    return Controller(**known, blocks=tuple(Block(x["kind"], x["parameters"]) for x in words["blocks"]))
+
+
+def _requirements(asked: Mapping[str, Any]) -> Requirements:
+    table = dict(asked["requirements"])
+    return Requirements.from_table({"name": table.pop("loop", ""), **table})
+
+
+def _template(block: Block, locked: Sequence[str]) -> BlockTemplate:
+    """A block as a structure: what is not locked may move, a notch's equal frequencies together."""
+    values = dict(block.parameters)
+    tied = block.kind == "notch" and values["f1_hz"] == values["f2_hz"] and not {"f1_hz", "f2_hz"} & set(locked)
+    tie = {"f2_hz": "f1_hz"} if tied else {}
+    fixed = {name for name in BLOCK_KINDS[block.kind].parameters if name in locked or values[name] <= 0.0}
+    made = {
+        name: value if name in fixed else Free(value / REACH, value * REACH, value)
+        for name, value in values.items()
+        if name not in tie
+    }
+    return BlockTemplate(block.kind, made, tie)
+
+
+def _handler(server: ShapeServer) -> type[BaseHTTPRequestHandler]:
+    """The class that answers requests for a server."""
+
+    class Handler(BaseHTTPRequestHandler):
+        """Requests of the page alone."""
+
+        def do_GET(self) -> None:
+            """The page."""
+            if self._allowed(""):
+                self._send(200, "text/html; charset=utf-8", server.page)
+
+        def do_POST(self) -> None:
+            """A button's request."""
+            name = self.path.rsplit("/", 1)[-1]
+            if not self._allowed(name):
+                return
+            try:
+                answer = server.answer(name, self._asked())
+            except LoopshapeError as error:
+                self._send(400, "application/json", json.dumps({"error": str(error)}).encode())
+            except (KeyError, TypeError, ValueError) as error:
+                self._send(400, "application/json", json.dumps({"error": f"a request without sense: {error}"}).encode())
+            else:
+                self._send(200, "application/json", json.dumps(answer).encode())
+
+        def _allowed(self, name: str) -> bool:
+            own = f"/{server.token}/{name}"
+            same = self.headers.get("Host") == server.origin.removeprefix("http://")
+            origin = self.headers.get("Origin")
+            if same and origin in (None, server.origin) and compare_digest(self.path.encode(), own.encode()):
+                return True
+            self._send(403, "text/plain; charset=utf-8", b"refused: another origin, or no token\n")
+            return False
+
+        def _asked(self) -> Mapping[str, Any]:
+            size = int(self.headers.get("Content-Length") or 0)
+            if not 0 < size <= MOST_BYTES or self.headers.get("Content-Type") != "application/json":
+                raise WrongUseError("a request of the page is JSON of up to 1 MB", f"{size} bytes")
+            asked = json.loads(self.rfile.read(size))
+            if not isinstance(asked, dict):
+                raise WrongUseError("a request of the page is a JSON object", type(asked).__name__)
+            return asked
+
+        def _send(self, code: int, kind: str, body: bytes) -> None:
+            self.send_response(code)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing: the command's own words are enough."""
+
+    return Handler

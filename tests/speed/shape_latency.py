@@ -1,0 +1,60 @@
+"""How fast the page of `shape` follows a drag: 24 FRFs of 500 frequencies with 200 draws, in the system's Chromium.
+
+python tests/speed/shape_latency.py
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import page_in_browser
+import shaped_cases
+
+import loopshape as ls
+from loopshape.data.requirements import Requirements
+from loopshape.verbs.shaping import page_of, shaped
+
+POINTS, LINES, MOVES = 24, 500, 150
+WANTED = Requirements(
+    "x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, gain_margin_db=5.0, complementary_peak_db=6.0,
+    bandwidth_hz=5.0, integrators=1, unstable_poles=0,
+)  # fmt: skip
+
+
+def plants() -> list[ls.FRF]:
+    """A motion axis with a resonance that moves from operating point to operating point."""
+    f = np.geomspace(0.5, 300.0, LINES)
+    s, out = 2j * np.pi * f, []
+    for k in range(POINTS):
+        w = 2.0 * np.pi * (50.0 + k)
+        P = 30.0 / (s * (1.0 + s / 60.0)) * w**2 / (s**2 + 0.1 * w * s + w**2)
+        out.append(shaped_cases.noisy(f, P, 0.02, f"point {k + 1}", seed=k))
+    return out
+
+
+def main() -> None:
+    C = ls.controller(ls.gain(1.0), ls.notch(60.0, 0.1, 0.6), rate_hz=shaped_cases.RATE_HZ, loop="x")
+    with tempfile.TemporaryDirectory() as folder, page_in_browser.browser() as browser:
+        file = Path(folder) / "shape.html"
+        file.write_bytes(page_of([shaped(plants(), C, WANTED, ())], "speed"))
+        page = page_in_browser.opened(browser.new_context(viewport={"width": 1440, "height": 1000}), file)
+        page.evaluate("Object.values(loopshape.timings).forEach(x => x.length = 0)")
+        box, (x, y) = page.locator("#magnitude").bounding_box(), page.evaluate("loopshape.handles.N")
+        page.mouse.move(box["x"] + x, box["y"] + y)
+        page.mouse.down()
+        for k in range(MOVES):
+            page.mouse.move(box["x"] + x + 60.0 * np.sin(0.1 * k), box["y"] + y + 5.0 * np.cos(0.07 * k))
+            page.wait_for_timeout(16)
+        page.mouse.up()
+        page_in_browser.settled(page)
+        print(f"{POINTS} FRFs of {LINES} frequencies, 200 draws; the file has {file.stat().st_size / 1e6:.2f} MB")
+        for name, values in page.evaluate("loopshape.timings").items():
+            half, most, worst = np.quantile(values, (0.5, 0.95, 1.0))
+            print(f"{name}: median {half:.0f} ms, 95 % within {most:.0f} ms, all within {worst:.0f} ms ({len(values)})")
+
+
+if __name__ == "__main__":
+    main()
