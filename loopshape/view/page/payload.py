@@ -160,14 +160,12 @@ def certificate_words(verdict: Verdict) -> dict[str, Any]:
 
 
 def _point(name: str, loop: Loop) -> dict[str, Any]:
-    raw, scatter = loop.raw or loop.plant, loop.scatter
+    raw = loop.raw or loop.plant
     recipe = recipe_of(raw)
-    reference = loop.plant.siso if scatter is None else scatter.reference
     return {
         "name": name,
         "f": _packed(loop.frequency_hz),
         "P": _packed(loop.plant.siso),
-        "reference": _packed(reference),
         "raw": _packed(raw.siso),
         "variance": _packed(recipe.variance),
         "halves": b64encode(recipe.halves.astype(np.uint8).tobytes()).decode("ascii"),

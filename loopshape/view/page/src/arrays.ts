@@ -78,7 +78,7 @@ export function rint(value: number): number {
 }
 
 export function magnitudes(z: Complex): Real {
-  return z.re.map((re, k) => Math.hypot(re, z.im[k]));
+  return z.re.map((re, k) => Math.sqrt(re * re + z.im[k] * z.im[k]));
 }
 
 function bytes(text: string): ArrayBuffer {

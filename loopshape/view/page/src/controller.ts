@@ -98,6 +98,17 @@ export function response(c: Controller, f: Real): Complex {
   return own;
 }
 
+const responses = new WeakMap<Controller, Map<Real, Complex>>();
+
+/** The same, once for a controller and frequencies that several plants share. */
+export function responseOn(c: Controller, f: Real): Complex {
+  const known = responses.get(c) ?? new Map<Real, Complex>();
+  responses.set(c, known);
+  const found = known.get(f) ?? response(c, f);
+  known.set(f, found);
+  return found;
+}
+
 /** One block's response as it runs, for what it costs and for its handles. */
 export function blockResponse(c: Controller, block: Block, f: Real): Complex {
   return series([block], warped(c, f));
@@ -181,6 +192,14 @@ export function poles(c: Controller): [number, number][] {
 
 /** Highest frequency in Hz at which |C|, without integrators, is within 3 dB of its largest. */
 export function bandwidthHz(c: Controller): number {
+  const found = bandwidths.get(c) ?? bandwidthOf(c);
+  bandwidths.set(c, found);
+  return found;
+}
+
+const bandwidths = new WeakMap<Controller, number>();
+
+function bandwidthOf(c: Controller): number {
   const f = geometric(1e-6 * c.rate_hz, 0.4999 * c.rate_hz, 360);
   const own = series(c.blocks.filter((block) => block.kind !== "pi"), warped(c, f));
   const size = own.re.map((re, k) => Math.log(Math.hypot(re, own.im[k])));

@@ -116,13 +116,14 @@ export class Source {
 /** The plant's lines and what is known between them; with draws where they are asked for. */
 export function knownPlant(point: Point, source: Source, drawn: boolean): Dense {
   const lines = drawn ? drawnLines(point, source) : null;
-  if (!point.terms.length) return { f: point.f, P: point.P, reference: point.reference, draws: lines && lines.moved };
+  if (!point.terms.length) return { f: point.f, P: point.P, reference: lines?.reference ?? point.P, draws: lines && lines.moved };
   const f = point.f;
   const places = point.terms.flatMap((x) => source.constants.places.map((p) => x.pole[0] + Math.abs(x.pole[1]) * p));
   const between = Float64Array.from(places.filter((x) => x > f[0] && x < f[f.length - 1]));
   const at = unique(concat(f, between));
   const poles = termResponse(point, f);
-  const smooth: Dense = { f, P: minus(point.P, poles), reference: minus(point.reference, poles), draws: lines && lines.strayed };
+  const rest = minus(point.P, poles);
+  const smooth: Dense = { f, P: rest, reference: lines ? minus(lines.reference, poles) : rest, draws: lines && lines.strayed };
   const dense = densified(smooth, at, source);
   const more = termResponse(point, at);
   if (dense.draws && lines) {
@@ -144,6 +145,7 @@ function minus(a: Complex, b: Complex): Complex {
 }
 
 interface Drawn {
+  reference: Complex;
   errors: Draws;
   strayed: Draws;
   moved: Draws;
@@ -153,7 +155,7 @@ function drawnLines(point: Point, source: Source): Drawn {
   const n = point.f.length;
   if (point.variance.every((v) => v === 0)) {
     const none = { count: 1, re: new Float64Array(n), im: new Float64Array(n) };
-    return { errors: none, strayed: none, moved: none };
+    return { reference: point.P, errors: none, strayed: none, moved: none };
   }
   const errors = source.errors(point.variance, point.taps);
   const poles = termMoves(point, point.f, errors);
@@ -168,7 +170,13 @@ function drawnLines(point: Point, source: Source): Drawn {
     re: strayed.re.map((x, k) => x + poles.re[k]),
     im: strayed.im.map((x, k) => x + poles.im[k]),
   };
-  return { errors, strayed, moved };
+  return { reference: referenceOf(point, source.constants.degree), errors, strayed, moved };
+}
+
+/** What the smoothing makes of its own answer: what draws are added to. */
+function referenceOf(point: Point, degree: number): Complex {
+  const poles = termResponse(point, point.f);
+  return plus(smoothedDraws(point, { count: 1, ...minus(point.P, poles) }, degree), poles);
 }
 
 /** What narrow resonances add at f: r/(j (f - z)) and its mirror is in P already, as Python's `Resonance.response`. */
@@ -323,16 +331,16 @@ interface Curve {
 
 const curves = new WeakMap<Real, Curve>();
 
-/** The plant without the power of f that its lowest lines follow, and its splines; remembered by its frequencies. */
+/** The plant without the power of f that its lowest lines follow, and its splines; remembered by its reference. */
 function curveOf(dense: Dense, constants: Constants): Curve {
-  const found = curves.get(dense.P.re);
+  const found = curves.get(dense.reference.re);
   if (found) return found;
   const power = lowestPower(dense.f, dense.P, constants);
   const own = powers(dense.f, dense.f[0], [-power[0], -power[1]]);
   const P = productOf(dense.P, own);
   const reference = productOf(dense.reference, own);
   const made = { own, power, P, reference, slopeP: slopes(dense.f, P), slopeReference: slopes(dense.f, reference) };
-  curves.set(dense.P.re, made);
+  curves.set(dense.reference.re, made);
   return made;
 }
 

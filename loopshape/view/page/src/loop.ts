@@ -39,10 +39,10 @@ export class Loop {
   ) {
     const { point, source } = plant;
     this.f = point.f;
-    this.C = control.response(controller, point.f);
+    this.C = control.responseOn(controller, point.f);
     this.L = times(this.C, point.P);
     this.dense = followed(plant.dense, controller, source);
-    this.denseC = this.dense.f === point.f ? this.C : control.response(controller, this.dense.f);
+    this.denseC = control.responseOn(controller, this.dense.f);
     this.denseL = times(this.denseC, this.dense.P);
     const own = this.dense.draws;
     this.draws = own && scaled(own, this.denseC, this.dense === plant.dense ? fresh(own) : own);
@@ -63,15 +63,15 @@ function followed(known: Dense, controller: Controller, source: Source): Dense {
   let dense = known;
   const own = controllerPlaces(controller, dense.f, source);
   if (own.length) dense = densified(dense, unique(concat(dense.f, own)), source);
-  const L = times(control.response(controller, dense.f), dense.P);
+  const L = times(control.responseOn(controller, dense.f), dense.P);
   const gaps = dense.f.length - 1;
   const [moved, room] = [new Float64Array(gaps), new Float64Array(gaps)];
-  const near = L.re.map((re, k) => Math.hypot(1 + re, L.im[k]));
+  const near = L.re.map((re, k) => Math.sqrt((1 + re) ** 2 + L.im[k] * L.im[k]));
   const size = magnitudes(L);
   for (let k = 0; k < gaps; k++) {
     room[k] = Math.min(near[k], near[k + 1]);
     const small = Math.max(size[k], size[k + 1]) < constants.small;
-    moved[k] = small ? 0 : Math.hypot(L.re[k + 1] - L.re[k], L.im[k + 1] - L.im[k]);
+    moved[k] = small ? 0 : Math.sqrt((L.re[k + 1] - L.re[k]) ** 2 + (L.im[k + 1] - L.im[k]) ** 2);
   }
   return withBetween(dense, moved, room, source);
 }
@@ -129,7 +129,7 @@ function judged(loop: Loop): { lines: Judged; led: number } {
   const { draws } = loop;
   if (!led) return { lines: { f: dense.f, L: denseL, C: denseC, reference, draws }, led };
   const first = head(found.L, led);
-  const share = quotient(point.reference, point.P, 0);
+  const share = quotient(loop.plant.dense.reference, point.P, 0);
   const own = loop.plant.dense.draws;
   return {
     led,

@@ -2,7 +2,7 @@
 
 import { times } from "./arrays";
 import { BlockList } from "./blocks";
-import { refusal, response, type Controller } from "./controller";
+import { refusal, responseOn, type Controller } from "./controller";
 import {
   addressOf, controllerOf, controllerText, designOf, fromAddress, History, requirementsText, withFile, type Design,
   type DesignBlock,
@@ -355,7 +355,7 @@ class Page {
 
   private traced(controller: Controller): Trace[] {
     return this.loop.points.map(({ name, f, P }) => {
-      const C = response(controller, f);
+      const C = responseOn(controller, f);
       return { name, f, P, C, L: times(C, P) };
     });
   }

@@ -87,7 +87,7 @@ function gridOf(loop: Loop, j: Judged, fromHz: number): kernel.Grid {
   const known = grids.get(j);
   if (known) return known;
   const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
-  const aboveC2 = kernel.squares(control.response(loop.controller, aboveF));
+  const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
   const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, fromHz);
   grids.set(j, made);
   return made;
@@ -102,8 +102,13 @@ function readingsOf(grid: kernel.Grid, j: Judged, draws: Draws): kernel.Readings
   return found;
 }
 
+const above = new Map<string, Real>();
+
 function aboveHz(last: number, rate_hz: number): Real {
-  return last < 0.45 * rate_hz ? geometric(last, 0.45 * rate_hz, 80).subarray(1) : new Float64Array(0);
+  const key = `${last} ${rate_hz}`;
+  const made = above.get(key) ?? (last < 0.45 * rate_hz ? geometric(last, 0.45 * rate_hz, 80).subarray(1) : new Float64Array(0));
+  above.set(key, made);
+  return made;
 }
 
 function nominal(loop: Loop, j: Judged, fromHz: number, bounded = true): kernel.Reading {
@@ -210,7 +215,7 @@ function places(at: Float64Array, first_hz: number): Record<string, number> {
 
 /** Frequencies in Hz where |L| = 1; between lines ln L is linear in ln f. */
 export function unitCrossings(f: Real, L: Complex): number[] {
-  const size = L.re.map((re, k) => Math.log(Math.hypot(re, L.im[k])));
+  const size = L.re.map((re, k) => 0.5 * Math.log(re * re + L.im[k] * L.im[k]));
   const out: number[] = [];
   for (let k = 0; k < f.length; k++) {
     if (size[k] === 0) out.push(f[k]);

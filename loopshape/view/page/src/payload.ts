@@ -47,7 +47,6 @@ interface RawPoint {
   name: string;
   f: string;
   P: string;
-  reference: string;
   raw: string;
   variance: string;
   halves: string;
@@ -95,7 +94,6 @@ export interface Point {
   name: string;
   f: Real;
   P: Complex;
-  reference: Complex;
   raw: Complex;
   variance: Real;
   halves: Uint8Array;
@@ -151,13 +149,21 @@ export interface Payload extends Omit<Raw, "loops"> {
   loops: PlantLoop[];
 }
 
+const known = new Map<string, Real>();
+
+/** Frequencies that several operating points have in common, once. */
+function shared(text: string): Real {
+  const found = known.get(text) ?? realOf(text);
+  known.set(text, found);
+  return found;
+}
+
 function pointOf(raw: RawPoint): Point {
   const complex = complexOf;
   return {
     ...raw,
-    f: realOf(raw.f),
+    f: shared(raw.f),
     P: complex(raw.P),
-    reference: complex(raw.reference),
     raw: complex(raw.raw),
     variance: realOf(raw.variance),
     halves: halvesOf(raw.halves),
