@@ -50,10 +50,16 @@ export function placeIn(rising: Real, value: number, right = false): number {
   return low;
 }
 
-/** Rising numbers, each once. */
-export function unique(values: Real): Real {
-  const sorted = Float64Array.from(values).sort();
-  return sorted.filter((value, k) => k === 0 || value !== sorted[k - 1]);
+/** Rising numbers with some more among them, each once. */
+export function union(rising: Real, more: Real): Real {
+  const others = Float64Array.from(more).sort();
+  const out = new Float64Array(rising.length + others.length);
+  let n = 0;
+  for (let i = 0, j = 0; i < rising.length || j < others.length; ) {
+    const value = j >= others.length || rising[i] <= others[j] ? rising[i++] : others[j++];
+    if (n === 0 || out[n - 1] !== value) out[n++] = value;
+  }
+  return out.slice(0, n);
 }
 
 export function geometric(start: number, stop: number, count: number, endpoint = true): Real {

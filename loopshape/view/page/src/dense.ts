@@ -1,6 +1,6 @@
 // A smoothed plant with draws of its error, on its lines and on places between them (Python: data/smoothed.py).
 
-import { clip, placeIn, unique, concat, zeros, type Complex, type Real } from "./arrays";
+import { clip, concat, placeIn, union, zeros, type Complex, type Real } from "./arrays";
 import type { Constants, Point } from "./payload";
 import { Normals, type State } from "./random";
 import { slopes, valueAt } from "./spline";
@@ -120,11 +120,11 @@ export function knownPlant(point: Point, source: Source, drawn: boolean): Dense 
   const f = point.f;
   const places = point.terms.flatMap((x) => source.constants.places.map((p) => x.pole[0] + Math.abs(x.pole[1]) * p));
   const between = Float64Array.from(places.filter((x) => x > f[0] && x < f[f.length - 1]));
-  const at = unique(concat(f, between));
+  const at = union(f, between);
   const poles = termResponse(point, f);
   const rest = minus(point.P, poles);
   const smooth: Dense = { f, P: rest, reference: lines ? minus(lines.reference, poles) : rest, draws: lines && lines.strayed };
-  const dense = densified(smooth, at, source);
+  const dense = densified(smooth, at, source, newDraws);
   const more = termResponse(point, at);
   if (dense.draws && lines) {
     const moved = termMoves(point, at, lines.errors);
@@ -382,7 +382,7 @@ function curved(f: Real, values: Complex, slope: Complex, k: number, at: number,
 }
 
 /** The same at other frequencies within these: by splines, draws straight from line to line (`Dense.at`). */
-export function densified(dense: Dense, at: Real, source: Source): Dense {
+export function densified(dense: Dense, at: Real, source: Source, make: MakeDraws = passingDraws): Dense {
   const { f, draws } = dense;
   const [n, m] = [f.length, at.length];
   const curve = curveOf(dense, source.constants);
@@ -415,7 +415,7 @@ export function densified(dense: Dense, at: Real, source: Source): Dense {
     const bentBack = product(b, bent);
     put(off, j, [size * bentBack[0], size * bentBack[1]]);
   }
-  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.count));
+  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.count), make);
   return out;
 }
 
@@ -433,9 +433,25 @@ interface Weights {
   off: Complex;
 }
 
-function densifiedDraws(draws: Draws, n: number, { gap, between, low, high, off }: Weights, sides: Complex): Draws {
+type MakeDraws = (count: number, n: number) => Draws;
+
+const newDraws: MakeDraws = (count, n) => ({ count, re: new Float64Array(count * n), im: new Float64Array(count * n) });
+
+const kept = [newDraws(0, 0), newDraws(0, 0)];
+let turn = 0;
+
+/** Draws in memory that is used again: they are good until two more were made so. */
+export const passingDraws: MakeDraws = (count, n) => {
+  turn = 1 - turn;
+  if (kept[turn].re.length < count * n) kept[turn] = newDraws(count, Math.ceil(1.3 * n));
+  return { count, re: kept[turn].re.subarray(0, count * n), im: kept[turn].im.subarray(0, count * n) };
+};
+
+function densifiedDraws(
+  draws: Draws, n: number, { gap, between, low, high, off }: Weights, sides: Complex, make: MakeDraws,
+): Draws {
   const m = gap.length;
-  const out = { count: draws.count, re: new Float64Array(draws.count * m), im: new Float64Array(draws.count * m) };
+  const out = make(draws.count, m);
   for (let d = 0; d < draws.count; d++) {
     const sr = sides.re[d];
     const si = sides.im[d];
@@ -472,5 +488,5 @@ export function withBetween(dense: Dense, moved: Real, room: Real, source: Sourc
     const count = clip(Math.ceil(ratio), 2, most);
     for (let i = 1; i < count; i++) more.push(f[k] + ((f[k + 1] - f[k]) * i) / count);
   }
-  return more.length ? densified(dense, unique(concat(f, Float64Array.from(more))), source) : dense;
+  return more.length ? densified(dense, union(f, Float64Array.from(more)), source) : dense;
 }

@@ -1,10 +1,10 @@
 // One operating point under one controller: the lines that margins are read from (Python: loop/between.py, low_end.py,
 // and the first half of loop/margins.py).
 
-import { concat, joined, magnitudes, placeIn, times, unique, zeros, type Complex, type Real } from "./arrays";
+import { concat, joined, magnitudes, placeIn, times, union, zeros, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
 import type { Controller } from "./controller";
-import { densified, knownPlant, withBetween, type Dense, type Draws, type Source } from "./dense";
+import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "./dense";
 import type { Down, Point } from "./payload";
 
 /** A measured plant with what is known between its lines, with draws or without. */
@@ -30,7 +30,7 @@ export class Loop {
   readonly dense: Dense;
   readonly denseC: Complex;
   readonly denseL: Complex;
-  /** Draws of the error of denseL. */
+  /** Draws of the error of denseL, good until another loop is made. */
   readonly draws: Draws | null;
 
   constructor(
@@ -45,7 +45,7 @@ export class Loop {
     this.denseC = control.responseOn(controller, this.dense.f);
     this.denseL = times(this.denseC, this.dense.P);
     const own = this.dense.draws;
-    this.draws = own && scaled(own, this.denseC, this.dense === plant.dense ? fresh(own) : own);
+    this.draws = own && scaled(own, this.denseC, this.dense === plant.dense ? passingDraws(own.count, this.dense.f.length) : own);
   }
 
   get point(): Point {
@@ -62,7 +62,7 @@ function followed(known: Dense, controller: Controller, source: Source): Dense {
   const { constants } = source;
   let dense = known;
   const own = controllerPlaces(controller, dense.f, source);
-  if (own.length) dense = densified(dense, unique(concat(dense.f, own)), source);
+  if (own.length) dense = densified(dense, union(dense.f, own), source);
   const L = times(control.responseOn(controller, dense.f), dense.P);
   const gaps = dense.f.length - 1;
   const [moved, room] = [new Float64Array(gaps), new Float64Array(gaps)];
@@ -184,8 +184,6 @@ function before(draws: Draws, led: number, at: (d: number, k: number) => [number
   }
   return out;
 }
-
-const fresh = ({ count, re }: Draws): Draws => ({ count, re: new Float64Array(re.length), im: new Float64Array(re.length) });
 
 /** Draws of P as draws of C P, into `out`, which may be the same. */
 function scaled(draws: Draws, C: Complex, out: Draws): Draws {
