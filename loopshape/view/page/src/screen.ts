@@ -29,6 +29,8 @@ interface Hold {
   startDb: number;
 }
 
+const KEY = [["worst", "worst operating point"], ["chosen", "chosen"], ["point", "others"], ["other", "B"]];
+
 const LINEAR = (low: number, high: number, label: string, ticks: number): Axis => ({ low, high, log: false, label, ticks });
 
 export class Screen {
@@ -66,6 +68,7 @@ export class Screen {
       el("div", { class: "bode" }, this.size.canvas, this.phase.canvas),
       el("div", { class: "maps" }, this.nichols.canvas, this.nyquist.canvas),
       this.readout,
+      el("p", { class: "key", "aria-hidden": "true" }, ...KEY.map(([name, words]) => el("span", { class: name }, words))),
       points,
     );
     this.fillLegend();
@@ -211,7 +214,9 @@ export class Screen {
     const gainHz = this.size.toX(this.size.px(this.size.x.low) + 26);
     const { handle: colour, paper } = this.size.colours;
     this.handlePlaces = handlesOf(this.asked.design().blocks, gainHz).map((handle) => {
-      const hz = Math.min(Math.max(handle.hz, this.size.x.low * 1.01), this.size.x.high / 1.01);
+      const { x } = this.size;
+      const edge = (hz: number, off: number): number => this.size.toX(this.size.px(hz) + off);
+      const hz = Math.min(Math.max(handle.hz, edge(x.low, 12)), edge(x.high, -12));
       const db = interpolated(trace.f, curve, hz);
       const on = this.hold?.handle.block === handle.block && this.hold.handle.name === handle.name;
       this.size.dot(hz, db, on ? 11 : 9, on ? colour : paper, colour);
