@@ -77,9 +77,15 @@ class Page {
     });
   }
 
-  private writeAddress(): void {
+  /** What stands behind # for these designs; nothing where they are those that the page came with. */
+  get address(): string {
     const own = this.designs.map((design, k) => (JSON.stringify(design) === this.first[k] ? "" : addressOf(design)));
-    history.replaceState(null, "", own.some(Boolean) ? `#${own.join(".")}` : location.pathname + location.search);
+    return own.some(Boolean) ? own.join(".") : "";
+  }
+
+  private writeAddress(): void {
+    const { address } = this;
+    history.replaceState(null, "", address ? `#${address}` : location.pathname + location.search);
   }
 
   private build(): void {
