@@ -109,6 +109,18 @@ def test_a_saturation_that_the_recording_refutes_is_no_hypothesis():
     assert all(limit.low == 1.2 for limit in limits)
 
 
+def test_forces_are_looked_for_up_to_what_the_actuator_gives():
+    # found in an exam: friction of 4 % of the torque was out of bounds, since little force moves a machine far
+    ready, _, _ = OwnMachine(own_machine.MODEL).readied(run(), ["r0", "r1", "r2"])
+    u = np.concatenate([run().recordings[k].column("torque_nm") for k in range(3)])
+    peak, travel = np.quantile(np.abs(u), 0.999), 2.0
+    first = {f.effect.split("@")[0]: f.free[0] for f in reversed(ready.effects)}
+    assert first["coulomb_friction"].high >= peak
+    assert first["cable_stiffness"].high >= peak / travel
+    limits = first["actuator_saturation"].starts
+    assert min(abs(limit / np.quantile(np.abs(u), 0.99) - 1.0) for limit in limits) < 0.05
+
+
 def test_the_kernel_is_the_simulation_of_another_engine():
     prepared = OwnMachine(own_machine.MODEL)
     f = prepared.prepare(run().recordings[0], run(), 4.0)

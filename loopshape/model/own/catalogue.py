@@ -8,7 +8,7 @@ hypothesis: a motion that such a limit allows would not follow its commands at a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,12 +23,20 @@ _LARGE = 1e300  # no upper bound
 
 @dataclass(frozen=True)
 class PortScale:
-    """Force that moves a port as far as it was seen moving, its speed, and where it was."""
+    """Force that moves a port as far as it was seen moving, its speed, where it was, and the largest force to expect.
+
+    The first is small where windows are long beside the motion; what an actuator gives is of the size of what it
+    works against.
+    """
 
     force: float
     speed: float
     low: float
     high: float
+    largest: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "largest", max(self.largest, 3.0 * self.force))
 
     @property
     def travel(self) -> float:
@@ -38,12 +46,16 @@ class PortScale:
 
 @dataclass(frozen=True)
 class Scales:
-    """What occurs in a run: by input its largest command and the one exceeded half of the time, by output, by port."""
+    """What occurs in a run: by input its largest command and the one exceeded half of the time, by output, by port.
+
+    `rare` has commands that are exceeded seldom, from which a limit may be looked for.
+    """
 
     window_s: float
     command: Mapping[str, tuple[float, float]]
     output: Mapping[str, float]
     port: Mapping[str, PortScale]
+    rare: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 def forms(model: Model, s: Scales) -> tuple[EffectForm, ...]:
@@ -81,7 +93,8 @@ def _late(kind: str, place: str, at: str, s: Scales) -> Iterator[EffectForm]:
 def _actuator(i: Input, s: Scales) -> Iterator[EffectForm]:
     at, (peak, usual) = f"{INPUT}.{i.name}", s.command[i.name]
     gain = Free(f"{at}.gain", -0.9, 3.0, (-0.15, 0.15))
-    limits = tuple(share * peak for share in (0.95, 0.8, 0.65, 0.5) if share * peak > usual) or (0.99 * peak,)
+    rare = (*s.rare.get(i.name, ()), *(share * peak for share in (0.95, 0.8, 0.65, 0.5)))
+    limits = tuple(sorted({v for v in rare if usual < v <= peak})) or (0.99 * peak,)
     yield from _late("actuator", i.name, at, s)
     yield _form("actuator_gain_error", i.name, "gain", "1", (gain,), usual=(BEYOND * i.tolerance, _LARGE))
     yield _form("actuator_saturation", i.name, "cut", i.unit, (Free(f"{at}.limit", usual, peak, limits),))
@@ -102,18 +115,19 @@ def _sensor(o: Output, s: Scales) -> Iterator[EffectForm]:
 
 def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
     at, x = f"{PORT}.{p.name}", s.port[p.name]
-    level = Free(f"{at}.coulomb", 0.0, 3.0 * x.force, (0.03 * x.force, 0.2 * x.force))
+    level = Free(f"{at}.coulomb", 0.0, x.largest, (0.03 * x.force, 0.2 * x.force, 0.05 * x.largest))
     slow = Free(f"{at}.coulomb_speed", 1e-4 * x.speed, 0.3 * x.speed, (0.01 * x.speed,))
     bend = Free(f"{at}.bristle", 1e-5 * x.travel, 0.05 * x.travel, (3e-3 * x.travel,))
     share = Free(f"{at}.stribeck", 0.05, 3.0, (0.4,))
     fall = Free(f"{at}.stribeck_speed", 5e-3 * x.speed, x.speed, (0.1 * x.speed,))
     per_speed, per_travel = x.force / x.speed, x.force / x.travel
-    viscous = Free(f"{at}.viscous", -per_speed, 3.0 * per_speed, (-0.1 * per_speed, 0.1 * per_speed))
-    stiff = Free(f"{at}.stiffness", 0.0, 5.0 * per_travel, (0.1 * per_travel,))
+    most_per_speed, most_per_travel = x.largest / x.speed, x.largest / x.travel
+    viscous = Free(f"{at}.viscous", -per_speed, most_per_speed, (-0.1 * per_speed, 0.1 * per_speed))
+    stiff = Free(f"{at}.stiffness", 0.0, 3.0 * most_per_travel, (0.1 * per_travel, 0.1 * most_per_travel))
     rests = tuple(x.low + share * x.travel for share in (0.2, 0.5, 0.8))
     rest = Free(f"{at}.rest", x.low - x.travel, x.high + x.travel, rests)
     hard = Free(f"{at}.hardening", 0.0, 30.0 / x.travel**2, (2.0 / x.travel**2,))
-    constant = Free(f"{at}.offset", -x.force, x.force, (-0.1 * x.force, 0.1 * x.force))
+    constant = Free(f"{at}.offset", -x.largest, x.largest, (-0.1 * x.force, 0.1 * x.force))
     yield _form("coulomb_friction", p.name, "tanh", p.unit, (level, slow), source="Coulomb")
     yield _form("coulomb_friction", p.name, "bristles", p.unit, (level, bend), source="Dahl 1968")
     yield _form("coulomb_friction", p.name, "higher at break-away", p.unit, (level, slow, share, fall),

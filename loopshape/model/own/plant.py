@@ -24,6 +24,7 @@ from loopshape.model.own.composed import Composed
 from loopshape.model.own.following import Followed
 
 ENOUGH = 12  # recordings times outputs, below which recordings are cut into pieces
+RARE = (0.8, 0.95, 0.99, 0.997)  # shares of the commands
 _FEWEST = 3  # windows a piece
 
 
@@ -80,10 +81,15 @@ class OwnMachine:
         u, y = np.concatenate([f.u for f in prepared]), np.concatenate([f.y for f in prepared])
         command = {i.name: (_peak(u[:, k]), float(np.median(np.abs(u[:, k])))) for k, i in enumerate(model.inputs)}
         output = {o.name: max(_peak(y[:, k]), 1e-12) for k, o in enumerate(model.outputs)}
-        return Scales(model.window_s, command, output, {p.name: self._port(p.name, prepared) for p in model.ports})
+        rare = {i.name: tuple(np.quantile(np.abs(u[:, k]), RARE).tolist()) for k, i in enumerate(model.inputs)}
+        ports = {p.name: self._port(p.name, prepared, command[p.input][0]) for p in model.ports}
+        return Scales(model.window_s, command, output, ports, rare)
 
-    def _port(self, name: str, prepared: Sequence[Followed]) -> PortScale:
-        """Force by the simulator: one that moves the machine within a window as far as it was seen moving."""
+    def _port(self, name: str, prepared: Sequence[Followed], most: float) -> PortScale:
+        """Force by the simulator: one that moves the machine within a window as far as it was seen moving.
+
+        `most` is the largest command where it acts.
+        """
         c = self.composed
         port = next(p for p in self.model.ports if p.name == name)
         place, speed = (self.model.states.index(s) for s in (port.position, port.speed))
@@ -96,7 +102,7 @@ class OwnMachine:
         starts = np.concatenate([f.start for f in prepared])
         force = float(np.sum(seen) / max(float(np.nansum(driven)), 1e-300))
         low, high = float(starts[:, place].min()), float(starts[:, place].max())
-        return PortScale(force, max(float(np.std(starts[:, speed])), 1e-12), low, max(high, low + 1e-9))
+        return PortScale(force, max(float(np.std(starts[:, speed])), 1e-12), low, max(high, low + 1e-9), most)
 
     def stays_in_range(self, recording: Recording, run: Run) -> bool:
         """Always: a user's model states no range."""
