@@ -48,7 +48,7 @@ def reference(k, t):
     return np.sum(parts, axis=0) + 0.3 * np.sin(2 * np.pi * 0.11 * t + k)
 
 
-def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, role="estimation"):
+def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, cogging=0.0, role="estimation"):
     """One recording: the lever follows a reference under a PD law that sees the sensor."""
     n, rng = round(SECONDS * RATE_HZ), np.random.default_rng(100 + k)
     t = np.arange(n) / RATE_HZ
@@ -58,6 +58,7 @@ def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, role="es
 
     def slope(_, x, u):
         dry = coulomb * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
+        dry += cogging * np.sin(9.0 * x[0])
         own = u - 1.04 * DAMPING * x[1] - 0.985 * SPRING * x[0] - 1.01 * WEIGHT * np.sin(x[0])
         return [x[1], (own - dry) / (1.01 * inertia)]
 

@@ -47,9 +47,17 @@ def test_a_healthy_machine_within_its_tolerances_has_no_gap():
 
 @pytest.mark.long
 def test_an_effect_that_is_in_no_list_is_unknown():
-    found = diagnosed(drag=0.02)
+    found = diagnosed(cogging=0.06)
     assert found.verdict == "unknown"
     assert found.probability > 0.6
+
+
+@pytest.mark.long
+def test_drag_that_grows_faster_than_the_speed_is_a_viscous_error():
+    found = diagnosed(drag=0.02)
+    assert found.verdict == "viscous_error@bearing"
+    assert found.ranking[0].form == "power of the speed"
+    assert found.gap.after < 1.0
 
 
 @pytest.mark.long
