@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def import_frf(
-    file: Annotated[Path, typer.Argument(help="MAT, CSV and other tables, UFF, Touchstone.", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(help="MAT, CSV and other tables, UFF, Touchstone, LIGO XML.", show_default=False)
+    ],
     out: Annotated[Path, typer.Option(help="The folder to write, or to add to; fit and check take it as a run.")],
     recording: Annotated[str, typer.Option(help="Its name; default: the file's.")] = "",
     loop: Annotated[str, typer.Option(help="Its loop's name, as requirements name it; default: the outputs.")] = "",
@@ -79,6 +81,7 @@ def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
 
     from loopshape.core.errors import WrongUseError
     from loopshape.data.algebra import channels
+    from loopshape.data.frf_arrays import valid_frequencies
 
     if not pairs:
         return [frf]
@@ -91,7 +94,10 @@ def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
         output, slash, source = pair.partition("/")
         if not slash:
             raise WrongUseError("an element is picked by its output and input", repr(pair), "write OUTPUT/INPUT")
-        found.append(replace(channels(frf, [output.strip()], [source.strip()]), loop=loop or output.strip()))
+        one = replace(channels(frf, [output.strip()], [source.strip()]), loop=loop or output.strip())
+        if len(frf.inputs) == 1 and frf.multiple_coherence is not None:  # each output is as sure as its own coherence
+            one = replace(one, trusted=valid_frequencies(one.frequency_hz, one.response, one.covariance))
+        found.append(one)
     return found
 
 

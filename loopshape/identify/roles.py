@@ -95,7 +95,8 @@ def rows_of_a_period(x: Array) -> tuple[int, int]:
     if noise > _REPEATED * late.std():
         return 0, 0
     begins = _last_crowd(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
-    return (period, begins) if begins + 2 * period <= n else (0, 0)
+    still = begins + 2 * period > n or x[begins:].std() < 0.3 * late.std()  # what rests repeats too
+    return (0, 0) if still else (period, begins)
 
 
 def _last_crowd(marked: np.ndarray, width: int) -> int:

@@ -35,7 +35,7 @@ _AFTER_SLASH = re.compile(r"\s+/\s*(\S.*)$")
 _TAIL = re.compile(r"[_ ]([^_ ]+)$")
 
 _TIME = {"t", "time", "zeit", "timestamp", "timestamps", "stamp", "temps", "tiempo", "clock", "date", "datetime",
-         "uhrzeit", "zeitstempel", "utc", "elapsed", "sec", "seconds"}  # fmt: skip
+         "uhrzeit", "zeitstempel", "utc", "elapsed", "sec", "secs", "seconds", "ms", "us"}  # fmt: skip
 #: words of a role and their weight: what says which signal goes before what says of what quantity it is
 _WEIGHTS: dict[Role, dict[str, float]] = {
     Role.REFERENCE: {
@@ -63,6 +63,11 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
     },
     Role.ERROR: dict.fromkeys(("e", "err", "error", "regelabweichung", "following", "deviation", "schleppfehler"), 9.0),
 }  # fmt: skip
+
+
+_DRIVING = {"V", "mV", "A", "mA", "N", "kN", "Nm", "N m"}
+_ORDERS = {"cmd", "command", "commanded", "input"}
+_CONTAINERS = {"values", "value", "data", "signals", "time"}
 
 
 def unit_of_word(word: str) -> str | None:
@@ -102,7 +107,17 @@ def is_time(name: str) -> bool:
 
 def role_weights(name: str) -> dict[Role, float]:
     """How strongly the words of a name speak for each part in a loop; nothing where none does."""
-    found = {role: sum(_weight(weights, word) for word in words_of(name)) for role, weights in _WEIGHTS.items()}
+    parts = [part for part in re.split(r"[./]", name) if part and part.lower() not in _CONTAINERS]
+    return (_weights(parts[-1]) if len(parts) > 1 else {}) or _weights(name)
+
+
+def _weights(name: str) -> dict[Role, float]:
+    words = words_of(name)
+    found = {role: sum(_weight(weights, word) for word in words) for role, weights in _WEIGHTS.items()}
+    drives = found[Role.CONTROL] > 0.0 or unit_of_word(split_unit(name)[1] or "?") in _DRIVING
+    if drives and set(words) & _ORDERS:  # a commanded voltage is the control, a commanded position the reference
+        found[Role.CONTROL] += found[Role.REFERENCE]
+        found[Role.REFERENCE] = 0.0
     return {role: weight for role, weight in found.items() if weight > 0.0}
 
 

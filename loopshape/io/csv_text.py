@@ -200,14 +200,19 @@ def _open(path: Path, encoding: str) -> IO[str]:
 
 
 def first_text(path: Path, most_bytes: int) -> tuple[str, str]:
-    """The beginning of a file of text, and its encoding: a byte order mark's, else UTF-8, else Windows-1252."""
+    """The beginning of a file of text in whole lines, and its encoding: a mark's, else UTF-8, else Windows-1252."""
     with reading(path, "text"), _bytes(path) as file:
         data = file.read(most_bytes)
+    text, encoding = _decoded(path, data, len(data) == most_bytes)
+    return (text[: text.rfind("\n") + 1] or text if len(data) == most_bytes else text), encoding
+
+
+def _decoded(path: Path, data: bytes, cut: bool) -> tuple[str, str]:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data[: len(data) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"
     if b"\0" in data:
         raise UnreadableInputError(f"{path} is no file of text", "it holds zero bytes", "name its kind by its ending")
-    whole = data if len(data) < most_bytes else data[: data.rfind(b"\n") + 1] or data
+    whole = data[: data.rfind(b"\n") + 1] or data if cut else data
     try:
         return whole.decode("utf-8-sig"), "utf-8-sig"
     except UnicodeDecodeError:

@@ -23,10 +23,12 @@ from loopshape.io.csv_text import CsvShape
 from loopshape.io.draft_roles import Roles, find_roles
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.import_map import FORMAT
+from loopshape.io.mdf4 import TIME_OF
 from loopshape.io.sources import Place, Source, is_text, open_source
 from loopshape.io.stamps import ON_GRID, read_stamps
-from loopshape.io.text_layout import TextLayout, read_layout
+from loopshape.io.text_layout import DATE, TextLayout, read_layout
 from loopshape.io.toml_text import toml_text
+from loopshape.io.ulog import rate_loop
 
 _MOST_COLUMNS = 64
 _RATE_WORDS = re.compile(
@@ -35,7 +37,7 @@ _RATE_WORDS = re.compile(
     re.IGNORECASE,
 )
 _PERIOD_WORDS = re.compile(
-    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sampleinterval"
+    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sample[ _]?interval"
     r"|abtastzeit|cycle ?time|zykluszeit)\b[^0-9\n]{0,12}([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(us|µs|ms|s)?",
     re.IGNORECASE,
 )
@@ -43,12 +45,16 @@ _PERIOD_WORDS = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """A signal of the file: its name there, where it stands, the unit that it bears ("" for none), and its values."""
+    """A signal of the file: its name there, where it stands, the unit that it bears ("" for none), and its values.
+
+    `own_time` names stamps of its own, from which the values were brought to the recording's.
+    """
 
     name: str
     place: Place
     unit: str
     values: Array
+    own_time: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,11 +87,11 @@ def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     """
     layout = read_layout(file) if is_text(file) else None
     source = open_source(file, CsvShape() if layout is None else layout.shape)
-    columns, scalars = _columns(source, layout)
+    columns, scalars = _rate_loop(source) if file.suffix.lower() == ".ulg" else _columns(source, layout)
     found = _time(columns, layout, scalars)
     if rate_hz is not None:
         found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
-    signals = [c for c in columns if c.name != found.column]
+    signals = [c for c in columns if c.name != found.column and not c.name.startswith(TIME_OF)]
     still = [c.name for c in signals if np.ptp(c.values) == 0.0]
     moving = tuple(c for c in signals if c.name not in still)
     roles = find_roles([c.name for c in moving], np.stack([c.values for c in moving], axis=1)) if moving else Roles()
@@ -116,6 +122,8 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
     for k, name in enumerate(source.names[:_MOST_COLUMNS]):
         if layout is not None and layout.shape.header:
             k = layout.names.index(name)
+        if layout is not None and layout.clocks[k] == DATE:
+            continue
         if layout is not None and layout.clocks[k]:
             found.append(_stamped(source, layout, name, k))
             continue
@@ -135,6 +143,31 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
         )  # fmt: skip
     rows = max(lengths, key=lambda size: (lengths[size], size))
     return tuple(_trimmed(c) for c in found if c.values.size == rows), scalars
+
+
+def _rate_loop(source: Source) -> tuple[tuple[Column, ...], dict[str, float]]:
+    """The roll axis of a PX4 log's rate loop at the stamps of its gyro, each topic's own stamps beside it."""
+    parts = rate_loop(source.names, 0)
+    if not {"control", "output"} <= set(parts):
+        raise UnreadableInputError(
+            f"{source.path.name} holds no rate loop", f"of roll only {', '.join(parts.values()) or 'nothing'}",
+            "log vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE with system identification)",
+        )  # fmt: skip
+    main = _stamps_of(parts["output"])
+    t = np.asarray(source.load(main))
+    columns = [Column(main, Place(main), "s", t)]
+    for part, name in parts.items():
+        own, values = _stamps_of(name), np.asarray(source.load(name), dtype=float)
+        unit = "1" if part == "control" else "rad/s"
+        if own == main:
+            columns.append(Column(name, Place(name), unit, values))
+        else:
+            columns.append(Column(name, Place(name), unit, np.interp(t, np.asarray(source.load(own)), values), own))
+    return tuple(columns), {}
+
+
+def _stamps_of(signal: str) -> str:
+    return TIME_OF + signal.partition(".")[0]
 
 
 def _trimmed(column: Column) -> Column:
@@ -200,15 +233,17 @@ def _stamps(columns: Sequence[Column]) -> Column | None:
         if c.place.clock:
             return c
     rising = [c for c in columns if np.all(np.diff(c.values) >= 0.0) and c.values[-1] > c.values[0]]
-    named = [c for c in rising if is_time(c.name)]
+    named = [c for c in rising if is_time(c.name) or c.name.startswith(TIME_OF)]
     if named:
         return named[0]
-    for c in rising:
-        steps = np.diff(c.values)
-        step = float(np.median(steps))
-        if step > 0.0 and step != 1.0 and np.all(np.abs(steps - step) <= 0.01 * step):
-            return c
-    return None
+    return next((c for c in rising if _even(c.values)), None)
+
+
+def _even(values: Array) -> bool:
+    """Whether values rise in steps other than 1 that are even to a tenth, rms."""
+    steps = np.diff(values)
+    step = float(np.median(steps))
+    return step > 0.0 and step != 1.0 and float(np.sqrt(np.mean((steps / step - 1.0) ** 2))) < 0.1
 
 
 def _time_unit(stamps: Column) -> tuple[str, str]:
@@ -322,7 +357,8 @@ def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], l
             said.append(f"{c.name!r} is in {unit}: {c.unit!r} stands with its name.")
         unit = unit or "1"
         stored[c.name] = column_name(c.name, to_stored(unit)[0], set(rules))
-        rules[stored[c.name]] = _place_table(c.place) | {"unit": unit}
+        own = {} if c.own_time is None else {"time": c.own_time}
+        rules[stored[c.name]] = _place_table(c.place) | {"unit": unit} | own
     if bare:
         said.append(f"no unit stands with {', '.join(bare)}: the numbers are taken as they are (unit 1).")
     if unknown:

@@ -96,7 +96,9 @@ def _by_answers(seen: _Seen, roles: Roles) -> None:
     if alone and not outer and len(driven) + sum(r in roles.by_role for r in (Role.CONTROL, Role.OUTPUT)) >= 2:
         roles.give(Role.INJECTED, alone.pop(0), "the past of the others says nothing of it, and of the rest it does")
     missing = [role for role in (Role.CONTROL, Role.OUTPUT) if role not in roles.by_role]
-    if missing == [Role.CONTROL] and len(alone + driven) == 1:
+    if len(missing) == 2 and len(alone) == 2 and len(driven) == 1 and not outer:
+        _passed_on(seen, roles, alone, driven[0])
+    elif missing == [Role.CONTROL] and len(alone + driven) == 1:
         roles.give(Role.CONTROL, (alone + driven)[0], "the only signal left")
     elif missing == [Role.OUTPUT] and driven:
         roles.give(Role.OUTPUT, driven[0], "it answers the others, and no other signal answers them more")
@@ -105,6 +107,16 @@ def _by_answers(seen: _Seen, roles: Roles) -> None:
         roles.give(Role.OUTPUT, driven[0], f"it answers {alone[0]!r}")
     elif len(missing) == 2 and len(driven) == 2 and Role.INJECTED in roles.by_role:
         _apart(seen, roles, driven)
+
+
+def _passed_on(seen: _Seen, roles: Roles, alone: Sequence[str], driven: str) -> None:
+    """Of two signals that seem to move by themselves, at the same row, the control is that which answers a little."""
+    first, second = sorted(alone, key=lambda name: seen.answered[name])
+    size = at_once(seen.values, seen.names.index(first), seen.names.index(second))
+    if abs(size) > _AT_ONCE:
+        roles.give(Role.INJECTED, first, "of the two that others' past does not explain, it answers least")
+        roles.give(Role.CONTROL, second, f"it follows {first!r} in the same row (correlation {size:.2f})")
+        roles.give(Role.OUTPUT, driven, "it answers both, later")
 
 
 def _apart(seen: _Seen, roles: Roles, pair: Sequence[str]) -> None:
@@ -128,7 +140,7 @@ def _experiment(seen: _Seen, roles: Roles) -> None:
     if Role.INJECTED in by:
         source = by[Role.INJECTED]
         _injection(seen, roles, source)
-    elif Role.REFERENCE in by and not moved_alone:
+    elif Role.REFERENCE in by:
         source = by[Role.REFERENCE]
         roles.recording |= {"injection": "reference", "closed_loop": True}
         roles.guesses.append(f"the loop was closed and {source!r} moved it: nothing was injected beside it.")
@@ -136,6 +148,23 @@ def _experiment(seen: _Seen, roles: Roles) -> None:
         source = by[Role.CONTROL]
         _open_or_closed(seen, roles, moved_alone)
     _kind(seen, roles, source)
+    _reaches(seen, roles, source)
+
+
+def _reaches(seen: _Seen, roles: Roles, source: str) -> None:
+    """Ask for another recording where nothing of what moved is seen in the output."""
+    output = roles.by_role[Role.OUTPUT]
+    pair = np.stack([seen.column(source), seen.column(output)], axis=1)
+    means = [pair[: len(pair) // m * m].reshape(-1, m, 2).mean(axis=1) for m in (1, 4, 16)]  # slow plants answer late
+    shares = [float(answers(part)[1]) for part in means]
+    share = float(np.nanmax([0.0, *shares]))
+    seen_at_all = any(found >= beyond_chance(*part.shape) for found, part in zip(shares, means, strict=True))
+    if np.isfinite(shares[0]) and not seen_at_all:  # nan: the output's own past leaves nothing open
+        roles.open.append(
+            f"nothing that {source!r} did is seen in {output!r} (it explains {max(100.0 * share, 0.0):.1f} % of what is"
+            " new there), so no response can be identified: record again with a sweep or multisine over the loop's"
+            " band, added to the reference or the control, large enough to be seen, and logged at the loop's rate."
+        )
 
 
 def _open_or_closed(seen: _Seen, roles: Roles, moved_alone: bool) -> None:

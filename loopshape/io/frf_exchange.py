@@ -14,6 +14,7 @@ from loopshape.data.frf import FRF
 from loopshape.io.files import PART, inside, make_folder, put, staged, writing
 from loopshape.io.frf_csv import frf_csv, read_frf_csv
 from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
+from loopshape.io.frf_ligo import read_ligo_xml
 from loopshape.io.frf_mat import read_frf_mat, write_frf_mat
 from loopshape.io.frf_table import read_frf_table
 from loopshape.io.frf_touchstone import read_touchstone
@@ -58,8 +59,9 @@ _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
     **{name: one.read for name, one in FORMATS.items()},
     "table": lambda path, _: read_frf_table(path),
     "touchstone": lambda path, _: read_touchstone(path),
+    "ligo": lambda path, _: read_ligo_xml(path),
 }
-_READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone"}
+_READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone", ".xml": "ligo"}
 _ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
 
 

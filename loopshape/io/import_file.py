@@ -39,10 +39,14 @@ def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accep
     places = [rule.place for rule in (*rules.columns, rules.time) if rule is not None]
     source = open_source(file, rules.csv, places, beside)
     columns: Mapping[str, Signal] = {rule.stored: _signal(source, rule) for rule in rules.columns}
-    _check_lengths(columns, file)
     notes = [f"{rules.info.name}: imported from {file.name}"]
     notes += [f"{rules.info.name}: from a draft map that nobody confirmed: {guess}" for guess in rules.guesses]
     stamps = _signal(source, rules.time) if rules.time else None
+    for rule in rules.columns:
+        if rule.own_time is not None:
+            columns, note = _to_one_rate(columns, rule, source, stamps, file)
+            notes.append(f"{rules.info.name}: {note}")
+    _check_lengths(columns, file)
     if stamps is not None:
         _check_lengths({TIME: stamps, **columns}, file)
         stamps = _cut(stamps, rules, file)
@@ -81,6 +85,27 @@ def _signal(source: Source, rule: ColumnRule) -> Signal:
     if isinstance(found, LongSignal):
         return LongSignal(found.size, lambda start, stop: rule.scale * found[start:stop] + rule.shift)
     return rule.scale * found + rule.shift
+
+
+def _to_one_rate(
+    columns: Mapping[str, Signal], rule: ColumnRule, source: Source, stamps: Signal | None, file: Path
+) -> tuple[Mapping[str, Signal], str]:
+    """A column with stamps of its own at the recording's stamps, by straight lines, and what that costs."""
+    own = np.asarray(source.signal(rule.own_time or rule.place))
+    if stamps is None or own.size < 2 or not np.all(np.diff(own) > 0.0):
+        raise WrongUseError(
+            f"{rule.stored} of {file.name} has stamps of its own",
+            "no time of the recording, or stamps that do not rise",
+            "write time = { from = ..., unit = ... } for the recording too",
+        )  # fmt: skip
+    values, t = np.asarray(columns[rule.stored]), np.asarray(stamps)
+    _check_lengths({rule.stored: values, "its stamps": own}, file)
+    step = float(np.median(np.diff(own)))
+    note = (
+        f"{rule.stored} was brought from its own {1.0 / step:.4g} Hz to the recording's stamps by straight lines: it is"
+        f" smoothed above {0.1 / step:.3g} Hz, and its delay is known to {0.5 * step:.2g} s"
+    )
+    return {**columns, rule.stored: np.interp(t, own, values)}, note
 
 
 def _check_lengths(columns: Mapping[str, Signal], file: Path) -> None:

@@ -17,6 +17,7 @@
     [columns]                                  # stored name = where it comes from
     theta_m_rad = { from = "theta_mx", unit = "deg", sign = -1 }
     force_n = { from = "data", column = 3, unit = "V", gain = 50.0, offset = -0.1 }
+    gyro_rad_s = { from = "gyro.x", unit = "rad/s", time = "time of gyro" }   # stamps in s of its own, another rate
 
     [[loop]]                                   # as in run.toml
     [recording]                                # as in run.toml without file, and with
@@ -68,12 +69,16 @@ _SEPARATORS = {"tab": "\t", "blank": " ", " ": " "}
 
 @dataclass(frozen=True)
 class ColumnRule:
-    """How one stored column comes out of a file: scale is factor sign gain, shift is factor offset."""
+    """How one stored column comes out of a file: scale is factor sign gain, shift is factor offset.
+
+    `own_time` are stamps in s of its own, where its rate is another than the recording's.
+    """
 
     stored: str
     place: Place
     scale: float
     shift: float
+    own_time: Place | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +199,7 @@ def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
 
 
 def _read_rule(stored: str, words: Words) -> ColumnRule:
-    words.only("from", "column", "row", "unit", "sign", "gain", "offset", *(("clock",) if stored == TIME else ()))
+    words.only("from", "column", "row", "unit", "sign", "gain", "offset", "clock" if stored == TIME else "time")
     unit = words.text("unit")
     with said_in(words.where):
         suffix, factor = to_stored(unit)
@@ -209,7 +214,8 @@ def _read_rule(stored: str, words: Words) -> ColumnRule:
     if sign not in (1.0, -1.0):
         raise WrongUseError(f"{words.where}: sign is 1 or -1", f"{sign:g}", "use gain for other factors")
     scale = factor * sign * words.number("gain", 1.0)
-    return ColumnRule(stored, _read_place(words), scale, factor * words.number("offset", 0.0))
+    own = Place(words.text("time")) if stored != TIME and "time" in words.table else None
+    return ColumnRule(stored, _read_place(words), scale, factor * words.number("offset", 0.0), own)
 
 
 def _read_place(words: Words) -> Place:

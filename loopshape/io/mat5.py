@@ -24,6 +24,9 @@ _NUMERIC_CLASSES = range(6, 16)
 _CELL, _CHAR = 1, 4
 _CODES = {1: "ascii", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _OPAQUE = 17
+_STRUCT = 2
+_DEEPEST = 8  # structures within structures
+_LABELS = ("Name", "name", "label", "Label", "blockName")
 _COMPLEX = 0x0800
 
 
@@ -33,10 +36,12 @@ class _Element:
     data: memoryview
 
 
-def read_mat5(path: Path, *, texts: bool = False) -> dict[str, np.ndarray]:
+def read_mat5(path: Path, *, texts: bool = False, structs: bool = False) -> dict[str, np.ndarray]:
     """Arrays by name with MATLAB's shape, real or complex; what is not numeric is an empty array of objects.
 
-    With `texts` a text of one row is an array () of it, and a cell of texts one (n,) of them.
+    With `texts` a text of one row is an array () of it, and a cell of texts one (n,) of them. With `structs` the
+    members of a structure are arrays `outer.field`, those of a list of structures `outer.LABEL.field` by the text in
+    their field Name or label, else `outer(1).field`.
     Raises `ValueError` for a file that is damaged or of another version; `zlib.error` and `struct.error` too.
     """
     raw = path.read_bytes()
@@ -47,9 +52,60 @@ def read_mat5(path: Path, *, texts: bool = False) -> dict[str, np.ndarray]:
             unpacked = inflated(path, element.data, grown)
             grown += len(unpacked)
             element = _next(_elements(memoryview(unpacked), order))
-        if element.kind == _MATRIX and (named := _matrix(element.data, order, texts)) and named[0]:
+        if element.kind != _MATRIX:
+            continue
+        if structs and (members := _members(element.data, order, "", 0)):
+            arrays |= members
+        elif (named := _matrix(element.data, order, texts)) and named[0]:
             arrays[named[0]] = named[1]
     return arrays
+
+
+def _members(data: memoryview, order: str, outer: str, depth: int) -> dict[str, np.ndarray]:
+    """The arrays within a structure by their names; empty for anything else."""
+    if not data:
+        return {}
+    parts = _elements(data, order)
+    if struct.unpack_from(order + "I", _next(parts).data)[0] & 0xFF != _STRUCT:
+        return {}
+    if depth >= _DEEPEST:
+        raise ValueError(f"structures lie more than {_DEEPEST} deep in each other")
+    sizes = np.frombuffer(_next(parts).data, dtype=order + "i4")
+    name = outer or bytes(_next(parts).data).decode("ascii")
+    if outer:
+        _next(parts)  # its own name, which is empty
+    fields = _field_names(parts, order)
+    count = math.prod(int(n) for n in sizes) if fields else 0
+    rows = [[_next(parts).data for _ in fields] for _ in range(count)]
+    places = [name] if count == 1 else _places(name, fields, rows, order)
+    found: dict[str, np.ndarray] = {}
+    for place, row in zip(places, rows, strict=True):
+        for field, inner in zip(fields, row, strict=True):
+            deeper = _members(inner, order, f"{place}.{field}", depth + 1)
+            value = None if deeper else _matrix(inner, order, False)
+            found |= deeper or ({} if value is None else {f"{place}.{field}": value[1]})
+    return found
+
+
+def _field_names(parts: Iterator[_Element], order: str) -> list[str]:
+    length = struct.unpack_from(order + "i", _next(parts).data)[0]
+    raw = bytes(_next(parts).data)
+    if length <= 0 or len(raw) % length:
+        raise ValueError("a structure has no names of its fields")
+    return [raw[k : k + length].split(b"\0")[0].decode("ascii") for k in range(0, len(raw), length)]
+
+
+def _places(name: str, fields: list[str], rows: list[list[memoryview]], order: str) -> list[str]:
+    """What the structures of a list are called: by their labels where each has one of its own, else by their number."""
+    label = next((fields.index(known) for known in _LABELS if known in fields), None)
+    if label is not None:
+        found = [_matrix(row[label], order, True) for row in rows]
+        texts = [
+            str(one[1]) if one is not None and one[1].dtype.kind == "U" and not one[1].ndim else "" for one in found
+        ]
+        if all(texts) and len(set(texts)) == len(texts):
+            return [f"{name}.{text}" for text in texts]
+    return [f"{name}({k + 1})" for k in range(len(rows))]
 
 
 def _byte_order(raw: bytes) -> str:

@@ -1,8 +1,8 @@
-"""Other people's files: the arrays that a CSV, MAT, Parquet, NPZ or MDF file holds, by name."""
+"""Other people's files: the arrays that a CSV, MAT, Parquet, NPZ, MDF, ULog, TDMS, JSON or WAV file holds, by name."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -18,8 +18,11 @@ from loopshape.io.files import reading, short
 from loopshape.io.growth import check_growth, check_zip
 from loopshape.io.mat5 import read_mat5
 from loopshape.io.mdf4 import mdf_array, mdf_names
+from loopshape.io.plain_arrays import read_json_arrays, read_wav
 from loopshape.io.spool import Spool
 from loopshape.io.tables import TableColumns
+from loopshape.io.tdms import read_tdms
+from loopshape.io.ulog import read_ulog
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
 #: cures for files that are not read
@@ -29,6 +32,10 @@ _OTHERS = {
     ".toml": "name the recording first and the map behind --map; ",
 }
 _MDF = (".mf4", ".mdf")
+#: readers of formats whose arrays are read all at once
+_WHOLE: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
+    ".ulg": read_ulog, ".tdms": read_tdms, ".json": read_json_arrays, ".wav": read_wav,
+}  # fmt: skip
 #: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
 LONG_TEXT = 200_000_000
 
@@ -149,9 +156,12 @@ def open_source(
         return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
     if name.endswith(_MDF):
         return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
+    if (whole := _WHOLE.get(path.suffix.lower())) is not None:
+        arrays = whole(path)
+        return Source(path, tuple(arrays), arrays.__getitem__)
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
-        f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF))}",
+        f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_WHOLE))}",
     )  # fmt: skip
 
 
@@ -219,8 +229,11 @@ def _mat_source(path: Path) -> Source:
 
 def _mat5_source(path: Path) -> Source:
     with reading(path, "MAT"):
-        arrays = read_mat5(path)
+        arrays = read_mat5(path, structs=True)
     return Source(path, tuple(arrays), arrays.__getitem__)
+
+
+_DEEPEST = 8  # structures within structures
 
 
 def _mat73_source(path: Path) -> Source:
@@ -228,28 +241,42 @@ def _mat73_source(path: Path) -> Source:
     import h5py
 
     with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-        names = tuple(key for key in file if not key.startswith("#") and _own_array(file, key))
+        names = tuple(_own_arrays(file, "", 0))
 
     def load(name: str) -> np.ndarray:
         with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            check_growth(path, file[name].nbytes)
-            return np.asarray(file[name][()]).T
+            check_growth(path, file[name.replace(".", "/")].nbytes)
+            return np.asarray(file[name.replace(".", "/")][()]).T
 
     def long(name: str) -> LongSignal | None:
         with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            check_growth(path, file[name].nbytes)
-            shape, kind = file[name].shape, file[name].dtype.kind
+            check_growth(path, file[name.replace(".", "/")].nbytes)
+            shape, kind = file[name.replace(".", "/")].shape, file[name.replace(".", "/")].dtype.kind
         if max(shape, default=0) < LONG or np.prod(shape) != max(shape) or kind not in "biuf":
             return None
         return LongSignal(max(shape), lambda start, stop: stretch(name, start, stop))
 
     def stretch(name: str, start: int, stop: int) -> Array:
         with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            values = file[name]
+            values = file[name.replace(".", "/")]
             rows = tuple(slice(start, stop) if n == values.size else slice(None) for n in values.shape)
             return np.asarray(values[rows], dtype=float).ravel()
 
     return Source(path, names, load, long=long)
+
+
+def _own_arrays(group: Any, outer: str, depth: int) -> Iterator[str]:
+    """Names of the arrays of a file and, as `outer.field`, of its structures, which are groups."""
+    import h5py
+
+    for key in group:
+        if key.startswith("#"):
+            continue
+        if _own_array(group, key):
+            yield f"{outer}{key}"
+        own = isinstance(group.get(key, getlink=True), h5py.HardLink)
+        if own and depth < _DEEPEST and isinstance(group[key], h5py.Group):
+            yield from _own_arrays(group[key], f"{outer}{key}.", depth + 1)
 
 
 def _own_array(file: Any, key: str) -> bool:

@@ -16,7 +16,10 @@ _LOOKED_AT = 1 << 18  # bytes
 _SEPARATORS = (";", "\t", ",", "|", " ")
 _NAMED = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+#: what a cell is called that holds a day alone
+DATE = "date"
 _CLOCKS = (
+    (DATE, re.compile(r"\d\d?\.\d\d?\.\d{4}|\d{4}-\d\d-\d\d|\d\d?/\d\d?/\d{4}")),
     ("iso", re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?")),
     ("%d.%m.%Y %H:%M:%S.%f", re.compile(r"\d\d?\.\d\d?\.\d{4} \d\d?:\d\d:\d\d\.\d+")),
     ("%d.%m.%Y %H:%M:%S,%f", re.compile(r"\d\d?\.\d\d?\.\d{4} \d\d?:\d\d:\d\d,\d+")),
@@ -61,8 +64,6 @@ def read_layout(path: Path) -> TextLayout:
     """The layout that the first lines of a file show; refuses one without rows of numbers (`UnreadableInputError`)."""
     text, encoding = first_text(path, _LOOKED_AT)
     lines = text.splitlines()
-    if len(text.encode(errors="ignore")) >= _LOOKED_AT - 4 and len(lines) > 2:
-        lines = lines[:-1]  # cut within
     made = [_rows(lines, s, d) for s, d in product(_SEPARATORS, (".", ",")) if s != d]
     best = max((rows for rows in made if rows is not None), key=lambda rows: rows.worth, default=None)
     if best is None:
