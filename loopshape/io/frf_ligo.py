@@ -94,7 +94,7 @@ def _responses(path: Path, source: str, mine: Mapping[str, _Result], test: Mappi
     outputs, n = cross.others, density.values.size
     if coherence.others != outputs or cross.values.reshape(-1, n).shape[0] != len(outputs):
         raise ValueError("cross-spectra and coherences are of other channels")
-    f = float(density.words["f0"]) + float(density.words["df"]) * np.arange(n)
+    f = float(density.words["f0"]) + float(density.words["df"]) * np.arange(n, dtype=np.float64)
     power = np.asarray(density.values, dtype=float) ** 2
     response = np.conj(cross.values.reshape(-1, n)).astype(complex) / power
     gamma2 = np.asarray(coherence.values, dtype=float).reshape(-1, n)

@@ -46,7 +46,8 @@ def read_mat5(path: Path, *, texts: bool = False, structs: bool = False) -> dict
     """
     raw = path.read_bytes()
     order = _byte_order(raw)
-    arrays, grown = {}, 0
+    arrays: dict[str, np.ndarray] = {}
+    grown = 0
     for element in _elements(memoryview(raw)[_HEADER:], order):
         if element.kind == _COMPRESSED:
             unpacked = inflated(path, element.data, grown)
