@@ -2,7 +2,8 @@
 
 scipy's reader ends the process with a segmentation fault on some damaged files, so the few elements that
 carry numbers and texts are read here, every length checked against what is there. Format: MathWorks, "MAT-File
-Format", chapter 1 (level 5). Objects and other cells than lists of texts are named and left closed; structures are opened where it is asked for.
+Format", chapter 1 (level 5). Objects and other cells than lists of texts
+are named and left closed; structures are opened where it is asked for.
 """
 
 from __future__ import annotations
