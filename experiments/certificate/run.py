@@ -30,7 +30,7 @@ STEP_COLUMNS = ("step", "noise", "loops", "right", "undecided", "wrong")
 REASON_COLUMNS = ("reason", *(f"noise {x:g}" for x in NOISES))
 REASONS = {
     "errors of the lines": ("-1 lies within", "errors of L"),
-    "resonances between lines": ("a resonance between", "neither noise"),
+    "resonances between lines": ("a resonance between", "resonances between", "neither noise"),
     "L passes -1": ("L passes",),
     "turns or bends between lines": ("L bends",),
     "ends": ("|L| is", "the phase of L"),

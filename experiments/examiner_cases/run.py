@@ -41,7 +41,7 @@ TOLD = ("declared", "recorded loop", "nothing")
 COLUMNS = ("told", "noise", "unstable_poles", "loops", "stable", "right", "undecided", "wrong")
 REASONS = {
     "errors of the lines": ("-1 lies within", "errors of L"),
-    "resonances between lines": ("a resonance between", "neither noise"),
+    "resonances between lines": ("a resonance between", "resonances between", "neither noise"),
     "L passes -1": ("L passes",),
     "turns or bends between lines": ("L bends",),
     "the last line": ("|L| is still",),

@@ -18,6 +18,7 @@ from loopshape.data.smoothed import Dense
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.smoothing import SEED, drawn_errors
 from loopshape.loop.crossings import chords_to_minus_one
+from loopshape.loop.crowded import Crowd
 from loopshape.loop.sampling import SHARPEST, HiddenPole
 
 #: draws of the errors of lines that were not smoothed
@@ -31,6 +32,8 @@ ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
 BULGE = 0.5
 #: the path past a pole is followed over this many lines more on either side, where its tails bend
 ASIDE = 2
+#: steps past crowded resonances are halved where 1 + L turns by more than this in rad, so many times
+FAR, ROUNDS = 1.0, 8
 #: resonances of the controller as wide as this many lines need no places of their own
 WIDE = 16
 
@@ -140,6 +143,33 @@ def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int,
     bulge = bulges(own, loop.controller.response(own) * smooth[0])[gap]
     sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
     return first, last, int(turns.min()), int(turns.max()), sure
+
+
+def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
+    """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
+
+    Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,); the last
+    answer is False where L turns too fast about -1 to be followed.
+    """
+    own = loop.frequency_hz[crowd.first : crowd.last + 1]
+    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
+    at = np.concatenate([_places(own, z[:, None]) for z in crowd.pole_hz.T], axis=1)
+    at.sort(axis=1)
+    turns, ways = np.zeros(len(at)), np.arange(len(at))
+    for k in range(ROUNDS):
+        L = loop.controller.response(at) * crowd.response(at, ways)
+        if not k:
+            near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
+        turns[ways] = turn(1.0 + L)
+        far = np.abs(np.angle((1.0 + L[:, 1:]) / (1.0 + L[:, :-1]))) > FAR
+        coarse = far.any(axis=1)
+        if not coarse.any():
+            break
+        most = int(far.sum(axis=1).max())
+        middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0])[coarse], axis=1)[:, -most:]
+        ways, at = ways[coarse], np.sort(np.concatenate([at[coarse], middles], axis=1), axis=1)
+    more = np.rint((turns - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
+    return int(more.min()), int(more.max()), near, not coarse.any()
 
 
 def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:

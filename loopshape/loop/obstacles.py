@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,12 @@ import numpy as np
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.loop import Loop
 from loopshape.identify.pooling import FREEDOM, pooled_variance
-from loopshape.loop.between import Path, measured, turns_past, without_narrow
+from loopshape.loop.between import Path, measured, turns_past, turns_past_crowd, without_narrow
 from loopshape.loop.crossings import chords_to_minus_one
+from loopshape.loop.crowded import BESIDE, SHARPEST, Crowd, Left, crowd_of, strays, stretches
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.holes import hole
-from loopshape.loop.sampling import SHARPEST, HiddenPole, hidden_poles, roughness, scattered, visible_residue
+from loopshape.loop.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
 #: a count is not given where the chance that the lines' errors make it wrong is above this
 WRONG = 0.005
@@ -24,6 +25,8 @@ REACH_95 = float(np.sqrt(-np.log(0.05)))
 ASIDE = 1.05
 #: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
 TAILS = 3.0
+#: the peak of one 0.03 gaps wide is no more than so many times how far lines leave a polynomial
+PEAK = 33.0
 #: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
 SCATTER = 2.0
 #: a place between lines that is known so many times worse than they are is a matter of finer lines
@@ -63,9 +66,12 @@ class Sampling:
 
 def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
-    f, turns, unclear = loop.frequency_hz, 0, None
-    followed = np.zeros(max(f.size - 1, 0), dtype=bool)
+    f = loop.frequency_hz
+    crowds = _crowds(loop, path)
+    turns, followed, unclear = _past_crowds(loop, path, [x for x in crowds if x.left is not Left.SCATTER])
     for pole in hidden_in(loop):
+        if followed[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
+            continue
         first, last, least, most, sure = turns_past(pole, loop, path)
         turns += least
         followed[first:last] = True
@@ -75,31 +81,60 @@ def sampling(loop: Loop, path: Path) -> Sampling:
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
             )
-    return Sampling(turns, followed, unclear or _rough(loop, path))
+    return Sampling(turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Left.SCATTER]))
 
 
-def _rough(loop: Loop, path: Path) -> Obstacle | None:
-    """Gaps about which several resonances between lines, by what they leave of the lines, might encircle -1.
+def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, np.ndarray, Obstacle | None]:
+    """Turns past resonances that stand close together, gaps (nf - 1,) where they do, what is unclear of them."""
+    f, C, unclear = loop.frequency_hz, _larger(np.abs(loop.C)), None
+    turns, followed = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
+    for crowd in crowds:
+        least, most, near, sure = turns_past_crowd(crowd, loop, path)
+        gaps, turns = slice(crowd.first, crowd.last), turns + least
+        followed[gaps] = True
+        hidden = np.flatnonzero(C[gaps] * crowd.hidden > SHARPEST * f[gaps] * near)
+        if unclear is None and hidden.size:
+            unclear = _unexplained(float(f[crowd.first + hidden[0]]), float(f[crowd.first + hidden[-1] + 1]))
+        elif unclear is None and (least != most or not sure):
+            low, high = float(f[crowd.first]), float(f[crowd.last])
+            reason = f"resonances between {low:.4g} and {high:.4g} Hz, close together, may or may not encircle -1"
+            unclear = Obstacle(f"{reason}: measure finer there", (low, high))
+    return turns, followed, unclear
 
-    Where the lines scatter all along that is their error, and L lies within a disk of it.
-    """
-    f, reach = loop.frequency_hz, rough_reach(loop)
-    if not reach.any():
+
+def _scatters(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> Obstacle | None:
+    """Gaps about which lines that scatter lie so near -1 that their error, a disk about them, holds it."""
+    f, seen = loop.frequency_hz, (loop.frequency_hz, without_narrow(loop), *_spread(loop))
+    scatter = np.array(scattered(*seen, unstable=may_be_oscillatory(loop)))
+    for crowd in crowds:
+        scatter[crowd.first : crowd.last] = True
+    if not scatter.any():
         return None
-    chords, C = chords_to_minus_one(path.L)[0], np.abs(loop.C)
-    near = np.minimum.reduceat(chords, np.flatnonzero(path.line)[:-1])
-    gaps = np.flatnonzero(np.maximum(C[1:], C[:-1]) * reach > near)
-    if not gaps.size:
-        return None
-    low, high = float(f[gaps[0]]), float(f[gaps[-1] + 1])
-    reason = (
-        f"neither noise nor one resonance explains the lines between {low:.4g} and {high:.4g} Hz: measure finer there"
-    )
-    return Obstacle(reason, (low, high))
+    rough = np.where(scatter, roughness(*seen, unstable=may_be_oscillatory(loop)), 0.0)
+    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * rough > _nearest(path))
+    return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
+
+
+def _larger(values: Array) -> Array:
+    """The larger of the values (nf,) on either side of each gap (nf - 1,)."""
+    return np.asarray(np.maximum(values[1:], values[:-1]))
+
+
+def _nearest(path: Path) -> Array:
+    """How near a path comes to -1 in each gap between lines (nf - 1,)."""
+    return np.asarray(np.minimum.reduceat(chords_to_minus_one(path.L)[0], np.flatnonzero(path.line)[:-1]))
+
+
+def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
+    reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
+    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz))
 
 
 def rough_reach(loop: Loop) -> Array:
-    """How far from its lines P may come within each gap (nf - 1,) that neither noise nor one pole explains; else 0."""
+    """How far from its lines P may come within each gap (nf - 1,) that neither noise nor one pole explains; else 0.
+
+    A bound for those that do not follow resonances close together; `sampling` does.
+    """
     seen = (loop.frequency_hz, without_narrow(loop), *_spread(loop))
     rough = roughness(*seen, unstable=may_be_oscillatory(loop))
     if not rough.any():
@@ -122,6 +157,35 @@ def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
     """Resonances between the lines of a loop's plant, by their tails."""
     rest = without_narrow(loop)
     return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
+
+
+def _crowds(loop: Loop, path: Path) -> list[Crowd]:
+    """Resonances close together that might encircle -1, of measured lines: a narrow one may have been several."""
+    f, (variance, freedom), unstable = loop.frequency_hz, _spread(loop), may_be_oscillatory(loop)
+    rough = _not_one(loop, variance, freedom)
+    if not rough.any():
+        return []
+    P, near = measured(loop).siso, _nearest(path)
+    reach = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
+    return [
+        crowd_of(f, P, variance, freedom, stretch, unstable=unstable)
+        for stretch in stretches(f, rough)
+        if np.any((strays(f, P, variance, stretch) * reach > near)[stretch.low : stretch.high])
+    ]
+
+
+def _not_one(loop: Loop, variance: Array, freedom: float) -> np.ndarray:
+    """Gaps (nf - 1,) about which neither noise nor one pole explains the lines, and poles beside these."""
+    f, unstable = loop.frequency_hz, may_be_oscillatory(loop)
+    seen = f, without_narrow(loop), variance, freedom
+    rough = np.where(scattered(*seen, unstable=unstable), 0.0, roughness(*seen, unstable=unstable)) > 0.0
+    if rough.any():
+        narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
+        known = np.concatenate([[pole.centre_hz[0] for pole in hidden_in(loop)], narrow])
+        gaps = np.clip(np.searchsorted(f, known) - 1, 0, rough.size - 1)
+        beside = np.convolve(rough, np.ones(2 * BESIDE + 1), "same")[: rough.size] > 0.0
+        rough[gaps[beside[gaps]]] = True
+    return rough
 
 
 def unseen_resonance(loop: Loop) -> tuple[float, float]:

@@ -15,12 +15,11 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify.pole_terms import CAREFUL, ROUNDED
+from loopshape.loop.crowded import SHARPEST, UNEXACT
 from loopshape.loop.windows import HALF, LEFT, Windows, windows_of
 
 #: chance of a pole where there is none, over all gaps of a record
 FALSE_ALARM = 1e-3
-#: less damping than this no resonance is taken to have, as half width over frequency
-SHARPEST = 1e-4
 #: wider than this a pole is resolved by the lines, in gaps
 RESOLVED = 2.0
 #: how far from the best fit a pole is still allowed, in standard deviations
@@ -30,12 +29,10 @@ SURE = 2.2
 #: lines from f to so many times f and more are no neighbours whom one polynomial should follow
 WIDEST = 4.0
 #: what is left of lines counts where it is more than this share of |P|
-ROUGH = 0.02
+ROUGH = 0.005
 #: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
 #: more than noise, and in deviations this share of what the rough one leaves at least
 MOSTLY, ALONG, COMPARABLE = 0.75, 60, 0.1
-#: what a polynomial beside a pole rounds off of it, as a share of residue and half width
-UNEXACT = 0.01
 #: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
 _PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
 
@@ -160,7 +157,8 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
             continue
         z = _improved(window, left, _start(window, left, reach=HALF - 0.5))
         rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
-        rough[k] = np.sqrt(rest / LEFT) * window.std[0] if rest > enough else 0.0
+        if rest > enough or abs(z.imag) < RESOLVED * window.gap[0]:
+            rough[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
     return rough
 
 

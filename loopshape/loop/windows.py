@@ -60,9 +60,20 @@ class Windows:
 
 def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
     """Windows about each gap of lines f (nf,); near an end the gap is no longer their middle."""
+    rows = np.clip(np.arange(f.size - 1) - HALF + 1, 0, f.size - 2 * HALF)[:, None] + np.arange(2 * HALF)
+    return _of_rows(f, P, variance, rows, np.arange(f.size - 1))
+
+
+def window_over(f: Array, P: ComplexArray, variance: Array, first: int, last: int, order: int) -> Windows:
+    """One window of lines `first` .. `last` with a polynomial of an `order`; its gap is the first."""
+    return _of_rows(f, P, variance, np.arange(first, last + 1)[None, :], np.array([first]), order)
+
+
+def _of_rows(
+    f: Array, P: ComplexArray, variance: Array, rows: np.ndarray, gap: np.ndarray, order: int = ORDER
+) -> Windows:
     std = np.sqrt(variance + (_FLOOR * np.abs(P)) ** 2)
     std = np.maximum(std, 1e-300)
-    rows = np.clip(np.arange(f.size - 1) - HALF + 1, 0, f.size - 2 * HALF)[:, None] + np.arange(2 * HALF)
     around, ln_f = f[rows], np.log(f)
     middle = np.exp(ln_f[rows].mean(axis=1))
     power = _slopes(ln_f, P, std, rows)
@@ -70,9 +81,10 @@ def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
     weight = np.abs(reference) / std[rows]
     x = np.log(around / around[:, :1])
     x = 2.0 * x / x[:, -1:] - 1.0
-    basis = np.linalg.qr(np.stack([x**s for s in range(ORDER + 1)], axis=-1) * weight[:, :, None])[0]
-    ends = np.maximum(std[1:], std[:-1]), np.minimum(np.abs(P[1:]), np.abs(P[:-1]))
-    return Windows(around, weight, P[rows] / reference * weight, basis, power, middle, f[:-1], np.diff(f), *ends)
+    basis = np.linalg.qr(np.stack([x**s for s in range(order + 1)], axis=-1) * weight[:, :, None])[0]
+    ends = np.maximum(std[1:], std[:-1])[gap], np.minimum(np.abs(P[1:]), np.abs(P[:-1]))[gap]
+    data = P[rows] / reference * weight
+    return Windows(around, weight, data, basis, power, middle, f[:-1][gap], np.diff(f)[gap], *ends)
 
 
 def _slopes(ln_f: Array, P: ComplexArray, std: Array, rows: np.ndarray) -> ComplexArray:
