@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
@@ -49,13 +50,27 @@ class LoopSetup:
         return shared_unit(self.output, f"the output of loop {self.name!r}")
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Told:
+    """What goes unchanged from a study's experiment to the experiment that is done and to what `run.toml` says of it.
+
+    `parameters` are settings of the rig that hold for this one alone (a supply pressure, a load), in the plant's names.
+    """
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def told(self) -> dict[str, Any]:
+        """These fields by name, as the next noun takes them."""
+        return {f.name: getattr(self, f.name) for f in fields(Told)}
+
+
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Told):
     """Setpoints and injected signals (n, loops) at `rate_hz`, in the unit of the place they act at.
 
     `injection` says where `injected` enters: the controller's input, the plant's input, or (`control`) as
     z itself with the loops open; with `reference` it is zero and the setpoints move. `start` is the
-    operating point at which the plant rests at t = 0; `parameters` of the plant differ in this one alone.
+    operating point at which the plant rests at t = 0.
     `excites_also` are further loops excited at once with `excites`; refused without it, doubled, or no loops.
     """
 
@@ -73,7 +88,6 @@ class Experiment:
     period_s: float | None = None
     periodic_from_s: float | None = None
     seed: int = 0
-    parameters: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
     excites_also: tuple[str, ...] = ()
 

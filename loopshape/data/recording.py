@@ -12,16 +12,15 @@ from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import ByStretches, LongSignal, Signal
 from loopshape.core.units import Array
 from loopshape.data.channel import sum_terms
-from loopshape.data.experiment import Experiment
+from loopshape.data.experiment import Experiment, Told
 
 
 @dataclass(frozen=True)
-class RecordingInfo:
+class RecordingInfo(Told):
     """What `run.toml` says of one recording; docs/files.md explains each word.
 
-    `parameters` are settings of the rig that held for this recording alone (a supply pressure, a load), in
-    the plant's names; `excites_also` are further loops excited at once with `excites`; `ended_early` says why
-    a recording is shorter than asked.
+    `excites_also` are further loops excited at once with `excites`; `ended_early` says why a recording is shorter than
+    asked. What an experiment tells unchanged stands in `Told`.
     """
 
     file: str
@@ -33,7 +32,6 @@ class RecordingInfo:
     operating_point: Mapping[str, float] = field(default_factory=dict)
     period_s: float | None = None
     periodic_from_s: float | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
     ended_early: str | None = None
     excites_also: tuple[str, ...] = ()
 
@@ -50,7 +48,7 @@ class RecordingInfo:
             operating_point=dict(e.operating_point),
             period_s=e.period_s,
             periodic_from_s=e.periodic_from_s,
-            parameters=dict(e.parameters),
+            **e.told(),
             excites_also=e.excites_also,
             ended_early=ended_early,
         )

@@ -31,34 +31,85 @@ class Outcome(StrEnum):
     UNDECIDED = "undecided"
 
 
+NEVER = "no loop whose |L| falls off has more"
+
+
 @dataclass(frozen=True)
 class Limit:
-    """How a quantity is compared: `at_least` or `at_most`, its unit, and its name for people."""
+    """A row of the table that check, tune, tables, report and JSON loop over: a quantity and how it is limited.
+
+    `sense` is `at_least` or `at_most`; `label` is its name for people. A value asked for is finite, `positive` or not
+    below `least`, and at most `most`, for the reason `why_most`. `plot` is the response (S, T, CS, PS, L, L phase) on
+    which its worst place is marked, and its limit drawn where that is a ceiling in dB. `margin` puts it in the report's
+    table of margins, not of peaks. `closeness` ranks, from 1, what says how close L comes to -1; 0 says nothing of it.
+    `keeps_off` marks what alone is enough to keep L off -1: a tuning needs one.
+    """
 
     name: str
     sense: str
     unit: str
     label: str
+    plot: str = ""
+    positive: bool = False
+    least: float = -np.inf
+    most: float = np.inf
+    why_most: str = NEVER
+    margin: bool = False
+    closeness: int = 0
+    keeps_off: bool = False
+
+    def refuse(self, value: float | None, loop: str) -> None:
+        """Refuse a value that makes no sense."""
+        of = f"{self.name} of loop {loop!r}"
+        if value is None:
+            return
+        if self.positive:
+            refuse_not_positive(of, value)
+        if not np.isfinite(value):
+            raise WrongUseError(f"{of} must be finite", f"{value!r}")
+        if value < self.least:
+            raise WrongUseError(f"{of} must not be {_below(self.least)}", f"{value!r}")
+        if value > self.most:
+            raise WrongUseError(f"{of} must not exceed {self.most:g}", f"{value!r}", self.why_most)
 
 
+def refuse_not_positive(what: str, value: float) -> None:
+    """Refuse a number that is not above zero and finite."""
+    if not 0.0 < value < np.inf:
+        raise WrongUseError(f"{what} must be above zero and finite", f"{value!r}")
+
+
+def _below(least: float) -> str:
+    return "negative" if least == 0.0 else f"below {least:g}"
+
+
+_SEARCHED = "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states"
 LIMITS: tuple[Limit, ...] = (
-    Limit("gain_margin_db", "at_least", "dB", "gain margin"),
-    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin"),
-    Limit("phase_margin_deg", "at_least", "deg", "phase margin"),
-    Limit("modulus_margin", "at_least", "1", "modulus margin"),
-    Limit("delay_margin_s", "at_least", "s", "delay margin"),
-    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|"),
-    Limit("complementary_peak_db", "at_most", "dB", "peak |T|"),
-    Limit("control_peak_db", "at_most", "dB", "peak |CS|"),
-    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency"),
-    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)"),
-    Limit("disk_margin", "at_least", "1", "disk margin"),
-    Limit("process_peak_db", "at_most", "dB", "peak |PS|"),
-    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)"),
-    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)"),
-    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)"),
-    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)"),
-)
+    Limit("gain_margin_db", "at_least", "dB", "gain margin",
+          plot="L", least=0.0, margin=True, closeness=5, keeps_off=True),
+    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin",
+          plot="L", least=0.0, margin=True, closeness=6),
+    Limit("phase_margin_deg", "at_least", "deg", "phase margin",
+          plot="L phase", least=0.0, most=180.0, margin=True, closeness=4, keeps_off=True),
+    Limit("modulus_margin", "at_least", "1", "modulus margin",
+          plot="S", positive=True, most=1.0, margin=True, closeness=1, keeps_off=True),
+    Limit("delay_margin_s", "at_least", "s", "delay margin",
+          plot="L phase", positive=True, margin=True, closeness=7, keeps_off=True),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|", plot="S", closeness=2, keeps_off=True),
+    Limit("complementary_peak_db", "at_most", "dB", "peak |T|", plot="T", closeness=8),
+    Limit("control_peak_db", "at_most", "dB", "peak |CS|", plot="CS"),
+    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency", plot="CS"),
+    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)",
+          plot="L", positive=True, margin=True),
+    Limit("disk_margin", "at_least", "1", "disk margin",
+          positive=True, most=2.0, margin=True, closeness=3, keeps_off=True),
+    Limit("process_peak_db", "at_most", "dB", "peak |PS|", plot="PS"),
+    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)", positive=True),
+    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)", positive=True),
+    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)", positive=True),
+    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)",
+          positive=True, most=SEARCHED_PERCENT, why_most=_SEARCHED, margin=True),
+)  # fmt: skip
 LIMIT_OF = {limit.name: limit for limit in LIMITS}
 
 
@@ -268,45 +319,22 @@ class Requirements:
             )
 
     def _check_values(self) -> None:
-        for name in (
-            "modulus_margin",
-            "delay_margin_s",
-            "bandwidth_hz",
-            "control_high_frequency_from_hz",
-            "disk_margin",
-            "sensitivity_bandwidth_hz",
-            "complementary_bandwidth_hz",
-            "controller_bandwidth_hz",
-            "detuning_percent",
-        ):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < np.inf:
-                raise WrongUseError(f"{name} of loop {self.loop!r} must be above zero and finite", f"{value!r}")
-        for name in (limit.name for limit in LIMITS):
-            value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise WrongUseError(f"{name} of loop {self.loop!r} must be finite", f"{value!r}")
-        for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
-            value = getattr(self, name)
-            if value is not None and value < 0.0:
-                raise WrongUseError(f"{name} of loop {self.loop!r} must not be negative", f"{value!r}")
-        for name, most in (("phase_margin_deg", 180.0), ("modulus_margin", 1.0), ("disk_margin", 2.0)):
-            value = getattr(self, name)
-            if value is not None and value > most:
-                raise WrongUseError(
-                    f"{name} of loop {self.loop!r} must not exceed {most:g}: no loop whose |L| falls off has it",
-                    f"{value!r}",
-                )
-        if self.detuning_percent is not None and self.detuning_percent > SEARCHED_PERCENT:
-            raise WrongUseError(
-                f"detuning_percent of loop {self.loop!r} must not exceed {SEARCHED_PERCENT:g}",
-                f"{self.detuning_percent!r}",
-                "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states",
-            )
+        for limit in LIMITS:
+            limit.refuse(getattr(self, limit.name), self.loop)
+        if self.control_high_frequency_from_hz is not None:
+            what = f"control_high_frequency_from_hz of loop {self.loop!r}"
+            refuse_not_positive(what, self.control_high_frequency_from_hz)
         for name, least in (("integrators", -2), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
                 raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
+
+    def ceilings_db(self, plot: str) -> list[tuple[float, float | None]]:
+        """Upper limits of a response in dB that are asked for, each with the frequency it begins at (None: all)."""
+        begins = {"control_high_frequency_db": self.control_high_frequency_from_hz}
+        drawn = [x for x in LIMITS if (x.plot, x.sense, x.unit) == (plot, "at_most", "dB")]
+        asked = ((getattr(self, x.name), begins.get(x.name)) for x in drawn)
+        return [(limit, from_hz) for limit, from_hz in asked if limit is not None]
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Requirements:

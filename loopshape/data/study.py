@@ -10,7 +10,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block
 from loopshape.data.excitation import Excitation, Profile, Staircase
 from loopshape.data.excitation_sets import MOST_REALISATIONS, realised, together
-from loopshape.data.experiment import LoopSetup
+from loopshape.data.experiment import LoopSetup, Told
 from loopshape.data.target_settings import TargetSettings
 
 FORMAT = "loopshape-study/1"
@@ -18,15 +18,15 @@ Setpoint = Staircase | Profile
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentTemplate:
+class ExperimentTemplate(Told):
     """One `[[experiment]]` of a study, to be done at each of its operating points.
 
     `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored
     units. The excitation starts after `lead_s` at rest and is followed by `tail_s`; `duration_s` is the
     whole length where there is no excitation. `excites_also` are excitations of further loops at once with that
     of `excites`, in the unit of the place they enter; `expanded` makes them orthogonal over several templates.
-    `operating_points` None takes the study's; `parameters` are changes of the plant for this experiment, on
-    top of the study's. Refuses `excites_also` without `excites` and `excitation`, or with the loop of `excites`.
+    `operating_points` None takes the study's; `parameters` come on top of the study's. Refuses `excites_also` without
+    `excites` and `excitation`, or with the loop of `excites`.
     """
 
     name: str
@@ -41,7 +41,6 @@ class ExperimentTemplate:
     tail_s: float = 0.0
     duration_s: float | None = None
     operating_points: tuple[Mapping[str, float], ...] | None = None
-    parameters: Mapping[str, float] = field(default_factory=dict)
     excites_also: Mapping[str, Excitation] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

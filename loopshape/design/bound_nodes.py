@@ -17,7 +17,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirements import LIMITS, Requirements
 from loopshape.loop.stability import closed_loop_stability
 
 #: nodes per decade between a plant's first and last line, and outside
@@ -29,10 +29,7 @@ COUNTED = (
     "sensitivity_peak_db", "modulus_margin", "complementary_peak_db", "control_peak_db", "control_high_frequency_db",
     "disk_margin", "process_peak_db", "sensitivity_bandwidth_hz",
 )  # fmt: skip
-LEFT_OUT = (
-    "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s", "complementary_bandwidth_hz",
-    "detuning_percent",
-)  # fmt: skip
+LEFT_OUT = tuple(x.name for x in LIMITS if x.name not in (*COUNTED, "bandwidth_hz"))  # that it bounds itself
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,10 @@ from dataclasses import dataclass
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Free, Requirements
+from loopshape.data.requirements import LIMITS, Free, Requirements
 
 #: a problem needs one of these: without them a loop comes as near to -1 as it likes
-NEAR = (
-    "sensitivity_peak_db",
-    "modulus_margin",
-    "phase_margin_deg",
-    "gain_margin_db",
-    "delay_margin_s",
-    "disk_margin",
-)
+NEAR = tuple(limit.name for limit in LIMITS if limit.keeps_off)
 
 
 @dataclass(frozen=True)

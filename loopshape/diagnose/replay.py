@@ -107,7 +107,7 @@ def _experiment(run: Run, recording: Recording, seed: int) -> Experiment:
         role=info.role,
         closed_loop=True,
         seed=seed,
-        parameters=info.parameters,
+        **info.told(),
         pwm=run.pwm,
     )
 

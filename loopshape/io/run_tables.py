@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.channel import sum_terms
 from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, shared_unit
+from loopshape.data.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, Told, shared_unit
 from loopshape.data.recording import RecordingInfo
 from loopshape.io.files import plain_name
 from loopshape.io.tables import check_ending
@@ -16,10 +18,60 @@ from loopshape.io.words import Words, refuse_doubles, said_in
 #: keys of a controller's table, beside the name of its loop
 CONTROLLER_KEYS = ("discretisation", "prewarp_hz", "computation_delay_s", "added_hold", "precision", "controller")
 LOOP_KEYS = ("name", "reference", "injected", "control", "output", *CONTROLLER_KEYS)
-INFO_KEYS = (
-    "role", "kind", "excites", "excites_also", "injection", "closed_loop", "operating_point", "period_s",
-    "periodic_from_s", "parameters", "ended_early",
-)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of `[[recording]]` and field of `RecordingInfo`: how it is read, and how the field's value is written.
+
+    A value written as None is left out of the file.
+    """
+
+    name: str
+    read: Callable[[Words], Any]
+    write: Callable[[Any], Any] = lambda value: value
+
+
+def _closed_loop(words: Words) -> bool:
+    injection = words.one_of("injection", INJECTIONS)
+    closed_loop = words.truth("closed_loop", injection != "control")
+    if closed_loop == (injection == "control"):
+        raise WrongUseError(
+            f'{words.where}: closed_loop = false goes with injection = "control", and with no other',
+            f"closed_loop = {str(closed_loop).lower()} and injection = {injection!r}",
+            "say what was done",
+        )
+    return closed_loop
+
+
+def _from_zero(words: Words) -> float | None:
+    from_s = words.maybe_number("periodic_from_s")
+    if from_s is not None and from_s < 0.0:
+        raise WrongUseError(f"{words.where}: periodic_from_s must not be negative", f"{from_s:g}")
+    return from_s
+
+
+def _filled(values: Mapping[str, float]) -> dict[str, float] | None:
+    return dict(values) or None
+
+
+#: what `run.toml` says of a recording beside its file, in the order in which it is written
+INFO = (
+    Key("role", lambda words: words.one_of("role", ROLES, "estimation")),
+    Key("kind", lambda words: words.one_of("kind", KINDS)),
+    Key("excites", lambda words: words.maybe_text("excites")),
+    Key("excites_also", lambda words: words.list_of_texts("excites_also"), lambda loops: list(loops) or None),
+    Key("injection", lambda words: words.one_of("injection", INJECTIONS)),
+    Key("closed_loop", _closed_loop),
+    Key("operating_point", lambda words: words.numbers("operating_point"), _filled),
+    Key("period_s", lambda words: words.positive("period_s") if "period_s" in words.table else None),
+    Key("periodic_from_s", _from_zero),
+    Key("parameters", lambda words: words.numbers("parameters"), _filled),
+    Key("ended_early", lambda words: words.maybe_text("ended_early")),
+)
+INFO_KEYS = tuple(key.name for key in INFO)
+#: what a study's experiment says in the same words
+TOLD = tuple(key for key in INFO if key.name in (f.name for f in fields(Told)))
 
 
 def read_blocks(words: Words) -> tuple[Block, ...]:
@@ -140,36 +192,12 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
 def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
     """What is said of a recording beside its file; refuses unknown words, excited loops that are none or doubled."""
     words.need("kind", "injection")
-    excites, *excites_also = _read_excited(words, [loop.name for loop in loops])
-    injection = words.one_of("injection", INJECTIONS)
-    closed_loop = words.truth("closed_loop", injection != "control")
-    if closed_loop == (injection == "control"):
-        raise WrongUseError(
-            f'{words.where}: closed_loop = false goes with injection = "control", and with no other',
-            f"closed_loop = {str(closed_loop).lower()} and injection = {injection!r}",
-            "say what was done",
-        )
-    periodic_from_s = words.maybe_number("periodic_from_s")
-    if periodic_from_s is not None and periodic_from_s < 0.0:
-        raise WrongUseError(f"{words.where}: periodic_from_s must not be negative", f"{periodic_from_s:g}")
-    return RecordingInfo(
-        file=file,
-        kind=words.one_of("kind", KINDS),
-        injection=injection,
-        role=words.one_of("role", ROLES, "estimation"),
-        excites=excites,
-        excites_also=tuple(str(loop) for loop in excites_also),
-        closed_loop=closed_loop,
-        operating_point=words.numbers("operating_point"),
-        period_s=words.positive("period_s") if "period_s" in words.table else None,
-        periodic_from_s=periodic_from_s,
-        parameters=words.numbers("parameters"),
-        ended_early=words.maybe_text("ended_early"),
-    )
+    _check_excited(words, [loop.name for loop in loops])
+    return RecordingInfo(file, **{key.name: key.read(words) for key in INFO})
 
 
-def _read_excited(words: Words, names: list[str]) -> tuple[str | None, ...]:
-    """The loop in `excites`, None where there is none, and those in `excites_also`."""
+def _check_excited(words: Words, names: list[str]) -> None:
+    """Refuse an `excites_also` without `excites`, unknown loops in both, and a loop named twice."""
     excites, also = words.maybe_text("excites"), words.list_of_texts("excites_also")
     if also and excites is None:
         raise WrongUseError(
@@ -190,7 +218,6 @@ def _read_excited(words: Words, names: list[str]) -> tuple[str | None, ...]:
             ", ".join(str(loop) for loop in excited),
             "excites names the first loop, excites_also the others, each once",
         )
-    return excited
 
 
 def read_recording(words: Words, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
@@ -204,17 +231,4 @@ def read_recording(words: Words, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
 
 def recording_table(info: RecordingInfo) -> dict[str, Any]:
     """The `[[recording]]` that `read_recording` reads; None is left out by the writer."""
-    return {
-        "file": info.file,
-        "role": info.role,
-        "kind": info.kind,
-        "excites": info.excites,
-        "excites_also": list(info.excites_also) or None,
-        "injection": info.injection,
-        "closed_loop": info.closed_loop,
-        "operating_point": dict(info.operating_point) or None,
-        "period_s": info.period_s,
-        "periodic_from_s": info.periodic_from_s,
-        "parameters": dict(info.parameters) or None,
-        "ended_early": info.ended_early,
-    }
+    return {"file": info.file} | {key.name: key.write(getattr(info, key.name)) for key in INFO}

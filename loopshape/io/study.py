@@ -44,7 +44,7 @@ from loopshape.data.excitation_sets import together
 from loopshape.data.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.data.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
 from loopshape.io.files import plain_name
-from loopshape.io.run_tables import read_blocks, read_loops
+from loopshape.io.run_tables import TOLD, read_blocks, read_loops
 from loopshape.io.study_signals import read_excitation, read_excitations, read_setpoints
 from loopshape.io.study_target import read_target
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
@@ -55,7 +55,7 @@ _KEYS = (
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
-    "excitation", "excitations", "realisations", "references", "control", "parameters",
+    "excitation", "excitations", "realisations", "references", "control", *(key.name for key in TOLD),
 )  # fmt: skip
 Points = tuple[Mapping[str, float], ...]
 Setpoints = Mapping[str, Setpoint]
@@ -152,7 +152,7 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
         tail_s=_from_zero(words, "tail_s"),
         duration_s=words.positive("duration_s") if "duration_s" in words.table else None,
         operating_points=_points(words),
-        parameters=words.numbers("parameters"),
+        **{key.name: key.read(words) for key in TOLD},
         excites_also={loop: signal for loop, signal in signals.items() if loop != excites},
     )
     units: dict[str, Any] = {"excitation": signal_units.pop(excites, None) if excites else None}

@@ -8,19 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, LIMITS, Line, Margins, Verdict
 
-#: quantities that say how close L comes to -1
-CLOSENESS = (
-    "modulus_margin",
-    "sensitivity_peak_db",
-    "disk_margin",
-    "phase_margin_deg",
-    "gain_margin_db",
-    "gain_reduction_margin_db",
-    "delay_margin_s",
-    "complementary_peak_db",
-)
+#: quantities that say how close L comes to -1, the most telling first
+CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)
 #: why a point is the worst where nothing is missed
 NEAREST = "nearest to -1"
 #: what counts as worse first

@@ -159,7 +159,7 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
         period_s=period_s,
         periodic_from_s=periodic_from_s,
         seed=planned.seed,
-        parameters=dict(template.parameters),
+        **template.told(),
         pwm=dict(study.pwm),
         excites_also=tuple(template.excites_also),
     )

@@ -25,6 +25,8 @@ from loopshape.view.loop_parts import (
 )
 from loopshape.view.style import FULL_WIDTH_IN, LIMIT, head, new_figure, styled
 
+PLOTTED = ("S", "T", "CS", "PS")
+
 
 @styled()
 def loop_page(loops: Sequence[Loop], requirements: Requirements | None, *, verdict: Verdict | None = None) -> Figure:
@@ -67,15 +69,12 @@ def sensitivities(
     looks = looks_of(key, worst.index)
     from_hz = None if requirements is None else requirements.control_high_frequency_from_hz
     figure = new_figure(2, 2, (FULL_WIDTH_IN, 6.2), sharex=True)
-    for ax, name in zip(figure.axes, ("S", "T", "CS", "PS"), strict=True):
+    for ax, name in zip(figure.axes, PLOTTED, strict=True):
         sensitivity(ax, loops, looks, name, worst.index, 1.6 * (from_hz or 0.0))
-    s, t, cs, ps = figure.axes
-    if requirements is not None:
-        ceiling(s, requirements.sensitivity_peak_db)
-        ceiling(t, requirements.complementary_peak_db)
-        ceiling(cs, requirements.control_peak_db)
-        ceiling(cs, requirements.control_high_frequency_db, from_hz)
-        ceiling(ps, requirements.process_peak_db)
+    for ax, name in zip(figure.axes, PLOTTED, strict=True):
+        for limit_db, begins_hz in [] if requirements is None else requirements.ceilings_db(name):
+            ceiling(ax, limit_db, begins_hz)
+    s, t, _, _ = figure.axes
     hide_inner(s, t)
     entries = worst_entries(loops, looks, worst.index)
     if any(line.get_gid() == "limit" for ax in figure.axes for line in ax.lines):

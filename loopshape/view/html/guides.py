@@ -46,14 +46,10 @@ def limits_of(wished: Requirements | None, name: str) -> list[tuple[float, float
     """Upper limits of |S|, |T|, |CS| or |PS| in dB, each with the frequency it begins at (None: everywhere)."""
     if wished is None:
         return []
-    high = (wished.control_high_frequency_db, wished.control_high_frequency_from_hz)
-    named: dict[str, list[tuple[float | None, float | None]]] = {
-        "S": [(closest_db(wished), None)],
-        "T": [(wished.complementary_peak_db, None)],
-        "CS": [(wished.control_peak_db, None), high],
-        "PS": [(wished.process_peak_db, None)],
-    }
-    return [(limit, from_hz) for limit, from_hz in named.get(name, []) if limit is not None]
+    if name != "S":
+        return wished.ceilings_db(name)
+    closest = closest_db(wished)
+    return [] if closest is None else [(closest, None)]
 
 
 def ceiling(frame: Frame, limit_db: float, from_hz: float | None) -> Guide:

@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Line, Requirements
+from loopshape.data.requirements import LIMIT_OF, Line, Requirements
 from loopshape.view.html.axes import (
     BOTTOM,
     HEIGHT,
@@ -53,15 +53,6 @@ _TITLES = {
     "T": "Complementary sensitivity T",
     "CS": "Control sensitivity CS",
     "PS": "Process sensitivity PS",
-}
-#: requirements whose worst place shows on a plot
-_RINGS = {
-    "L": ("gain_margin_db", "gain_reduction_margin_db", "bandwidth_hz"),
-    "L phase": ("phase_margin_deg", "delay_margin_s"),
-    "S": ("sensitivity_peak_db", "modulus_margin"),
-    "T": ("complementary_peak_db",),
-    "CS": ("control_peak_db", "control_high_frequency_db"),
-    "PS": ("process_peak_db",),
 }
 
 
@@ -126,7 +117,7 @@ class Plots:
         rings = []
         for line in self.lines:
             k = next((k for k, x in enumerate(self.traces) if x.name == line.recording), None)
-            if line.quantity not in _RINGS.get(name, ()) or k is None or not line.at_hz:
+            if LIMIT_OF[line.quantity].plot != name or k is None or not line.at_hz:
                 continue
             f = self.traces[k].frequency_hz
             y = float(np.interp(np.log(line.at_hz), np.log(f), curves[k]))

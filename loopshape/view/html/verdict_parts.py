@@ -33,14 +33,6 @@ from loopshape.view.html.words import (
     with_reach,
 )
 
-MARGINS = (
-    "bandwidth_hz", "gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "delay_margin_s",
-    "modulus_margin", "disk_margin", "detuning_percent",
-)  # fmt: skip
-PEAKS = (
-    "sensitivity_peak_db", "complementary_peak_db", "control_peak_db", "control_high_frequency_db", "process_peak_db",
-    "sensitivity_bandwidth_hz", "complementary_bandwidth_hz", "controller_bandwidth_hz",
-)  # fmt: skip
 GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
 
 
@@ -177,8 +169,9 @@ def margins(one: CheckedLoop) -> Markup:
     """Margins, and peaks with bandwidths, of every operating point; each column's worst is marked."""
     found = one.verdict
     points = {f.recording or f"frf {k + 1}": point(f.operating_point, f.parameters) for k, f in enumerate(one.frfs)}
-    parts = [("Margins", MARGINS), ("Peaks and bandwidths", PEAKS)]
-    return joined([*(_margins_table(found, points, what, names) for what, names in parts), _detunings(found)])
+    parts = [("Margins", True), ("Peaks and bandwidths", False)]
+    tables = [_margins_table(found, points, what, [x for x in LIMITS if x.margin == own]) for what, own in parts]
+    return joined([*tables, _detunings(found)])
 
 
 def _detunings(found: Verdict) -> Markup | None:
@@ -205,8 +198,8 @@ def _detunings(found: Verdict) -> Markup | None:
     return table(caption, columns, rows, sortable=len(rows) > 1)
 
 
-def _margins_table(found: Verdict, points: Mapping[str, str], what: str, names: Sequence[str]) -> Markup:
-    limits = [limit for limit in LIMITS if limit.name in names and _told(found, limit)]
+def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: Sequence[Limit]) -> Markup:
+    limits = [limit for limit in among if _told(found, limit)]
     worst = {limit.name: _worst(found, limit) for limit in limits}
     crossed = what == "Margins"
     columns = ["recording", "closed loop", *map(_column, limits)] + (["0 dB crossings [Hz]"] if crossed else [])
@@ -215,7 +208,7 @@ def _margins_table(found: Verdict, points: Mapping[str, str], what: str, names: 
         row: list[Cell | Content] = [named(name, points.get(name, "")), badge(OUTCOME_OF[m.stable], m.stable)]
         row += [_margin(m, limit, worst[limit.name] == name, _asked(found, limit)) for limit in limits]
         rows.append([*row, _crossings(m)] if crossed else row)
-    endless = [limit.label for limit in LIMITS if limit.name in names and _endless(found, limit)]
+    endless = [limit.label for limit in among if _endless(found, limit)]
     return table(_caption(what, found, endless), columns, rows, sortable=len(rows) > 1)
 
 
