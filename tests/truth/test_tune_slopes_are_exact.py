@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loopshape.data import requirements
 from loopshape.design.measures import measure
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -54,6 +55,8 @@ def test_slopes_agree_with_finite_differences(runs):
     x = np.log(AT)
     here = measure(p, x, {})
     assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz"}
+    every = {limit.name for limit in requirements.LIMITS}
+    assert every - set(here.what) == {"detuning_percent"}  # met by shifted copies of the plants (design/shifts.py)
     for k in range(x.size):
         bandwidth, rejection, room = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
