@@ -60,7 +60,7 @@ def _report(one: Bound, output: Output) -> None:
         output.warn([f"the controller of loop {one.loop} does not meet its requirements: its ratio says little"])
     low = [alone.recording for alone in one.alone if alone.bound_hz <= alone.first_hz]
     if low:
-        output.warn([f"the limits leave no bandwidth within the lines at {', '.join(low)}"])
+        output.warn([f"the limits leave no bandwidth within the measured frequencies at {', '.join(low)}"])
 
 
 def sentences(one: Bound) -> list[str]:
@@ -70,7 +70,7 @@ def sentences(one: Bound) -> list[str]:
     if one.impossible:
         return [f"loop {one.loop}: {one.answer}"]
     if together.bound_hz == float("inf"):
-        return [f"loop {one.loop}: these limits exclude no bandwidth within the lines"]
+        return [f"loop {one.loop}: these limits exclude no bandwidth within the measured frequencies"]
     if len(one.alone) > 1:
         said.append(
             f"no single controller for all {len(one.alone)} operating points exceeds {one.bound_hz:.3g} Hz;"

@@ -36,7 +36,7 @@ def campaign(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Do a study to many simulated machines: draws of the ordinary spread, amplitudes, effects."""
+    """Do a study to many simulated machines: draws of the manufacturing tolerance, amplitudes, effects."""
     import time
 
     from loopshape.io.campaigns import write_index

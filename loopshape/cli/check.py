@@ -1,4 +1,4 @@
-"""`loopshape check`: hold a controller against its requirements, on the measured FRFs."""
+"""`loopshape check`: compare a controller with its requirements, on the measured FRFs."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def check_run(
     if reports.allow_worse and reports.baseline is None:
         from loopshape.core.errors import WrongUseError
 
-        raise WrongUseError("--allow-worse speaks of a baseline", "none", "name it: --baseline FILE")
+        raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
     loops = check_files(run, controller, require, chosen)
     verdicts = [loop.verdict for loop in loops]
     outcome = outcome_of(verdicts)

@@ -1,4 +1,4 @@
-"""`loopshape check-several`: hold the controllers of several loops against what is wished of each and of all."""
+"""`loopshape check-several`: compare the controllers of several loops with the requirements of each and of all."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def check_several(
 ) -> None:
     """Check several loops of one plant at once, from its matrix FRFs; needs `frf RUN --matrix` before.
 
-    Each loop is held against its limits with all others closed, then all together: stability by det(I + L), and what
+    Each loop is compared with its limits with all others closed, then all together: stability by det(I + L), and what
     the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
     """
     from loopshape.cli.verdicts import report_headline, report_verdicts, warn_of

@@ -28,7 +28,7 @@ def compare(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say of each prediction whether it held, where it did not and by how much; exit code 0 where all held."""
+    """Say of each prediction whether it is confirmed, where not and by how much; exit code 0 where all are."""
     from loopshape.identify.settings import Settings
     from loopshape.io.frfs import FOLDER, has_any, read_frfs
     from loopshape.io.predictions import read_predictions
@@ -59,7 +59,7 @@ def report(found: Sequence[Remeasured], output: Output) -> str:
         output.table(f"Sensitivity of loop {loop}", columns, rows)
     if comparisons:
         output.say(
-            "all comparisons together contradict a true prediction 5 % of the time; would notice: the change of the"
+            "all comparisons together reject a true prediction 5 % of the time; would notice: the change of the"
             " plant's gain that is found four times in five"
         )
     steps = [s for one in found for s in one.steps]

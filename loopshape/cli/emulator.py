@@ -13,15 +13,15 @@ from loopshape.rig.interrupts import interrupts
 def emulator(
     tcp: Annotated[int | None, typer.Option(help="Port of 127.0.0.1 (0: any) instead of a pseudo-terminal.")] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="One second a second, not as fast as it can.")] = False,
-    number_bytes: Annotated[int, typer.Option(help="Numbers on the line: 4 or 8 bytes.")] = 8,
+    number_bytes: Annotated[int, typer.Option(help="Bytes of a number in transmission: 4 or 8.")] = 8,
     rate_hz: Annotated[float, typer.Option(help="Ticks a second.")] = 1000.0,
     change: Annotated[list[str] | None, typer.Option(help="A parameter of the arm, as payload_kg=0.2; again.")] = None,
     theta2_deg: Annotated[float, typer.Option(help="Where the arm stands before it is armed.")] = 0.0,
     p_ab_bar: Annotated[float, typer.Option(help="Where the arm stands before it is armed.")] = 1.0,
     drop: Annotated[float, typer.Option(help="Probability that a frame is lost, each way.")] = 0.0,
-    corrupt: Annotated[float, typer.Option(help="Probability that a frame is spoilt, each way.")] = 0.0,
+    corrupt: Annotated[float, typer.Option(help="Probability that a frame is corrupted, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Probability that a frame comes twice, each way.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of what the line does to frames.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the transmission errors.")] = 0,
 ) -> None:
     """The 1-DoF arm behind the target's protocol; prints the port for `loopshape measure --port`, runs until Ctrl-C."""
     from loopshape.model.arm.emulated import plant_file

@@ -29,8 +29,8 @@ def fit(
     integrators: Annotated[int, typer.Option(help="rational: poles at zero.")] = 0,
     delay: Annotated[bool, typer.Option("--delay", help="Fit a delay too.")] = False,
     weighting: Annotated[str, typer.Option(help="variance, or relative.")] = "variance",
-    low_hz: Annotated[float | None, typer.Option(help="Lowest line; default: the trusted band.")] = None,
-    high_hz: Annotated[float | None, typer.Option(help="Highest line; default: the trusted band.")] = None,
+    low_hz: Annotated[float | None, typer.Option(help="Lowest frequency; default: the valid band.")] = None,
+    high_hz: Annotated[float | None, typer.Option(help="Highest frequency; default: the valid band.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -109,7 +109,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         if f.model.unstable_poles()
     )
     output.warn(
-        f"{f.recording}: the model misses the lines by {f.misfit_db:.1f} dB rms: try --weighting relative, other orders"
+        f"{f.recording}: the model misses the FRF by {f.misfit_db:.1f} dB rms: try --weighting relative, other orders"
         for f in fits
         if f.misfit_db > 3.0
     )
@@ -180,7 +180,7 @@ def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> lis
     side = "" if damping.value > 0.0 else ", right half plane"
     constant = 1.0 / (TWO_PI * frequency.value)
     if frequency.value > FAR * highest_hz:
-        return [None, None, f"below {1.0 / (TWO_PI * highest_hz):.2g}, beyond the lines{side}"]
+        return [None, None, f"below {1.0 / (TWO_PI * highest_hz):.2g}, above the measured frequencies{side}"]
     if not 1.96 * frequency.std < frequency.value:
         return [None, None, f"about {constant:.2g}, not known{side}"]
     return [None, None, f"{constant:.4g} ± {1.96 * constant * frequency.std / frequency.value:.2g}{side}"]

@@ -26,7 +26,9 @@ def frf(
         typer.Option(help="reference (or joint), direct (biased under feedback); in open loop h1, h2 or hv too."),
     ] = "reference",
     method: Annotated[str, typer.Option(help="auto, welch, or local; for records without a period.")] = "auto",
-    resolution_hz: Annotated[float | None, typer.Option(help="Distance between lines; default by the record.")] = None,
+    resolution_hz: Annotated[
+        float | None, typer.Option(help="Distance between frequencies; default by the record.")
+    ] = None,
     overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
     window: Annotated[
         str, typer.Option(help="Welch: hann, hamming, blackman, blackmanharris, bartlett, flattop or boxcar.")
@@ -45,7 +47,7 @@ def frf(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the FRFs of a run with variance, coherence and trusted band, and draw them."""
+    """Estimate the FRFs of a run with variance, coherence and valid band, and draw them."""
     output = Output(as_json, quiet)
     settings = {
         "estimator": estimator,
@@ -183,7 +185,7 @@ def report(
     """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
-    columns = ["recording", "loop", "operating point", "trusted from [Hz]", "to [Hz]", "lines", "median std [dB]"]
+    columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in frfs)
     columns += ["of it distortion [%]"] if told else []
     rows = []

@@ -25,7 +25,8 @@ def gap(
     save_answer: Annotated[Path | None, typer.Option(help="Write the answer to this JSON file.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png).")] = None,
     next_study: Annotated[
-        Path | None, typer.Option("--next", help="Write the experiment that would part the leading two (TOML).")
+        Path | None,
+        typer.Option("--next", help="Write the experiment that best separates the two leading hypotheses (TOML)."),
     ] = None,
     model: Annotated[
         Path | None, typer.Option(help="A machine of your own (model.toml); the Python file that it names is run.")
@@ -199,11 +200,11 @@ def ranking_rows(ranking: Sequence[Ranked]) -> list[list[Any]]:
 
 
 def propose(found: GapReport, path: Path, output: Output) -> None:
-    """Write the study that would part the leading two hypotheses; say so where there is none to write."""
+    """Write the study that best separates the two leading hypotheses; say so where there is none to write."""
     from loopshape.io.files import make_folder, write_toml
 
     if found.proposal is None:
-        output.warn([f"no experiment of this rig parts the leading hypotheses: {path} is not written"])
+        output.warn([f"no experiment of this rig separates the leading hypotheses: {path} is not written"])
         return
     make_folder(path.parent)
     write_toml(path, found.proposal.study.to_table())

@@ -76,7 +76,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
-    """The elements asked for, each a loop of its own; all in one without any."""
+    """The requested elements, each a loop of its own; all in one without any."""
     from dataclasses import replace
 
     from loopshape.core.errors import WrongUseError
@@ -117,7 +117,7 @@ def _check_units(frfs: list[FRF]) -> None:
 def _report(out: Path, frfs: list[FRF], paths: tuple[Path, ...], output: Output) -> None:
     import numpy as np
 
-    columns = ["recording", "loop", "outputs", "inputs", "trusted from [Hz]", "to [Hz]", "lines", "median std [dB]"]
+    columns = ["recording", "loop", "outputs", "inputs", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     rows = []
     for one in frfs:
         std = one.modulus_std[:, 0, 0]
@@ -135,9 +135,7 @@ def _report(out: Path, frfs: list[FRF], paths: tuple[Path, ...], output: Output)
         if one.response.shape[1:] != (1, 1)
     ]
     warnings += [
-        f"no line of {one.loop} is known to 10 %: fit and check will ask for a band"
-        for one in frfs
-        if not one.trusted.any()
+        f"no line of {one.loop} is known to 10 %: fit and check need a band" for one in frfs if not one.trusted.any()
     ]
     output.warn(warnings)
     keys = ("recording", "loop", "outputs", "inputs", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db")

@@ -23,7 +23,9 @@ _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", 
 def interaction(
     run: RunFolder,
     loops: Annotated[str | None, typer.Option(help="Loops, as theta1,theta2; default: all of the matrix.")] = None,
-    outputs: Annotated[str | None, typer.Option(help="Their outputs in order, where names do not tell.")] = None,
+    outputs: Annotated[
+        str | None, typer.Option(help="Their outputs in order, where names do not identify them.")
+    ] = None,
     limit_db: Annotated[float, typer.Option(help="Below it loops are decoupled; -20 is the source's.")] = -20.0,
     bands: Annotated[str | None, typer.Option(help="Bands in Hz, as 0.5-1,1-4; default: octaves.")] = None,
     controller: Annotated[Path | None, typer.Option(help="Controllers that close the others; default: run's.")] = None,

@@ -38,7 +38,7 @@ def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
         where = point(one.operating_point, one.parameters)
         count = int(one.trusted.sum())
         rows.append([one.recording, one.loop, len(one.outputs), where, low, high, count, 100.0 * float(np.median(std))])
-    columns = ["recordings", "loops", "outputs", "operating point", "trusted from [Hz]", "to [Hz]", "lines"]
+    columns = ["recordings", "loops", "outputs", "operating point", "valid from [Hz]", "to [Hz]", "lines"]
     output.table("The plant's matrices", [*columns, "median std of elements [%]"], rows)
     return [dict(zip(_KEYS, row, strict=True)) | {"method": f.method} for row, f in zip(rows, frfs, strict=True)]
 

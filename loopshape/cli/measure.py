@@ -30,7 +30,7 @@ def measure(
     out: Annotated[Path, typer.Option(help="The run folder to write; an interrupted run goes on.")],
     controllers: ControllersFile = None,
     port: Annotated[str | None, typer.Option(help="Where the target is; wins over the study's.")] = None,
-    arm: Annotated[bool, typer.Option("--arm", help="Let a target move: what it will do was looked at.")] = False,
+    arm: Annotated[bool, typer.Option("--arm", help="Allow the target to move; run with --show first.")] = False,
     show: Annotated[bool, typer.Option("--show", help="Show what a target would do, and stop.")] = False,
     again: Annotated[
         bool, typer.Option("--again", help="Make what ended early again; its table is kept in RUN/earlier.")
@@ -121,12 +121,12 @@ def _confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:
 
     _show(motion, output)
     if show:
-        output.say("nothing was moved; --arm lets it move")
+        output.say("no motion; --arm lets it move")
         raise typer.Exit(0)
     shown = not (output.as_json or output.quiet)
     if armed or (shown and sys.stdin.isatty() and input(f"Type {WORD} to let it move: ").strip() == WORD):
         return True
-    raise WrongUseError("nothing was moved", "no word to arm", "look at what is about to happen, then add --arm")
+    raise WrongUseError("no motion", "no word to arm", "look at what is about to happen, then add --arm")
 
 
 def _show(motion: Motion, output: Output) -> None:

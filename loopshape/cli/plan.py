@@ -39,9 +39,13 @@ def plan(
     max_input: Annotated[float | None, typer.Option(help=f"Largest plant input with its rest, {_LIMIT}.")] = None,
     max_output: Annotated[float | None, typer.Option(help=f"Largest excursion of the output, {_LIMIT}.")] = None,
     longest_s: Annotated[float, typer.Option(help="Longest experiment in s.")] = 600.0,
-    from_hz: Annotated[float | None, typer.Option(help="Lowest line; default: known, a decade below at most.")] = None,
-    to_hz: Annotated[float | None, typer.Option(help="Highest line; default: known, a decade above at most.")] = None,
-    lines: Annotated[str, typer.Option(help="odd (distortion can be told), log, or all.")] = "odd",
+    from_hz: Annotated[
+        float | None, typer.Option(help="Lowest frequency; default: known, a decade below at most.")
+    ] = None,
+    to_hz: Annotated[
+        float | None, typer.Option(help="Highest frequency; default: known, a decade above at most.")
+    ] = None,
+    lines: Annotated[str, typer.Option(help="odd (shows distortion), log, or all.")] = "odd",
     out: Annotated[Path | None, typer.Option(help="The study to write; default: plan_LOOP.toml in the run.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,

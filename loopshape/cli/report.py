@@ -16,16 +16,16 @@ MOST_MB = 1e6
 def report(
     run: RunFolder,
     controller: Annotated[
-        Path | None, typer.Option(help="A controller file (TOML): draws and judges its loops.")
+        Path | None, typer.Option(help="A controller file (TOML): draws and checks its loops.")
     ] = None,
-    require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is held against.")] = None,
+    require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is compared with.")] = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
     date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
     figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = 0.7,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a run's report as one HTML file that opens offline; exit code 0 whatever the verdict (check judges)."""
+    """Write a run's report as one HTML file that opens offline; exit code 0 whatever the verdict."""
     from loopshape.data.verdict_words import WORDS
     from loopshape.io.files import write_bytes_whole
     from loopshape.verbs.files import report_page
@@ -36,7 +36,7 @@ def report(
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())
-    word = WORDS.get(made.outcome, "not judged")
+    word = WORDS.get(made.outcome, "no requirement")
     output.say(f"verdict: {word}")
     output.say(f"report: {path} ({len(data) / 1e6:.1f} MB)")
     output.json(

@@ -185,7 +185,7 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
     """What the least miss is held by, how sure that is, and what to relax."""
     rows = [[p.quantity, p.recording, p.at_hz, p.spare, p.unit, p.share] for p in found.pulls]
     columns = ["requirement", "recording", "at [Hz]", "slack at best", "unit", "share"]
-    output.table("The requirements were not met together; the least worst miss is held by", columns, rows)
+    output.table("The requirements were not met together; the smallest worst violation is limited by", columns, rows)
     output.say(
         f"changing free parameters by up to 1 % takes at most {found.helps:.2g} off a worst miss of {found.miss:.2g}"
         f" (ln or rad){': no small change helps' if found.certified else ''}"
@@ -195,7 +195,7 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
     possible = [r for r in found.relaxations if isfinite(r.reachable)]
     rows = [[r.quantity, r.wished, r.reachable, r.by, r.unit, _known(r.bandwidth_hz), r.verified] for r in possible]
     columns = ["requirement", "required", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
-    output.table("One requirement relaxed, all others held", columns, rows)
+    output.table("One requirement relaxed, all others kept", columns, rows)
     for r in found.relaxations:
         if r not in possible:
             output.say(f"{r.quantity}: no value of it alone was found that makes the others possible")

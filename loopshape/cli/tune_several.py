@@ -40,10 +40,10 @@ def tune_several_run(
 
 def _report(found: SeveralTuning, output: Output, points: int) -> None:
     rows = [_row(turn) for turn in found.turns]
-    columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C moved by [%]"]
+    columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C changed by [%]"]
     output.table("Loops in turn", columns, rows)
     if not found.converged:
-        output.warn(["the loops pull at each other: controllers still moved in the last round"])
+        output.warn(["the loops interact: controllers still changed in the last round"])
     for tuning in found.tunings.values():
         report_tuning(tuning, output, points)
     report_verdicts(found.verdict.each, output, margins=False)

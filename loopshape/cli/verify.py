@@ -12,7 +12,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 def verify(
     run: RunFolder,
-    study: Annotated[Path | None, typer.Option(help="The study that the run is said to be made by.")] = None,
+    study: Annotated[Path | None, typer.Option(help="The study that the run should have been made by.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:

@@ -217,7 +217,7 @@ def _finite(kind: str, name: str, value: Any) -> float:
         raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
     refuse_too_large(kind, name, value)
     if name != "gain" and not (value > 0.0 or (name == "damping1" and value == 0.0)):
-        raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give it above zero")
+        raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give a positive number")
     return float(value)
 
 

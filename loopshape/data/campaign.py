@@ -1,4 +1,4 @@
-"""A campaign: one study done to many simulated machines - draws of the ordinary spread, amplitudes, effects."""
+"""A campaign: one study done to many simulated machines - draws of the manufacturing tolerance, amplitudes, effects."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """A study, factors on its amplitudes, sets of effects, and how many machines of the ordinary spread are drawn.
+    """A study, factors on its amplitudes, sets of effects, and how many machines are drawn from the tolerance.
 
     `draws` 0 is the nominal machine alone. Each draw is the same machine at all amplitudes and under all effects.
     Refuses amplitudes that are not positive, no effects (an empty set is one), machines of one name, and more than
@@ -101,7 +101,9 @@ class Campaign:
         """
         if self.draws and not spread:
             raise WrongUseError(
-                f"the plant {self.study.plant} has no ordinary spread", f"draws = {self.draws}", "leave draws out"
+                f"the plant {self.study.plant} has no manufacturing tolerance",
+                f"draws = {self.draws}",
+                "leave draws out",
             )
         cases = product(range(max(1, self.draws)), self.amplitudes, self.effects)
         for number, (draw, amplitude, effects) in enumerate(cases):
@@ -126,7 +128,7 @@ def _name(draw: int | None, amplitude: float, effects: Mapping[str, float]) -> s
 def _drawn(
     spread: Sequence[Spread], table: ParameterTable, changes: Mapping[str, float], seed: tuple[int, int]
 ) -> dict[str, float]:
-    """Parameters of one machine of the ordinary spread about the study's, each kind uniform and independent."""
+    """Parameters of one machine, within the tolerance about the study's, each kind uniform and independent."""
     shares = np.random.default_rng(list(seed)).uniform(-1.0, 1.0, len(spread))
     nominal = {row.name: row.value for row in table.rows} | dict(changes)
     moved: dict[str, float] = {}

@@ -47,7 +47,7 @@ def ramp(n: int, ramp_n: int) -> Array:
 def check_band(kind: str, f_low_hz: float, f_high_hz: float) -> None:
     """Refuse a band that does not rise from above zero."""
     if not 0.0 < f_low_hz < f_high_hz < np.inf:
-        raise WrongUseError(f"a {kind}'s band must rise from above zero", f"{f_low_hz!r} to {f_high_hz!r} Hz")
+        raise WrongUseError(f"a {kind}'s band must be positive and increasing", f"{f_low_hz!r} to {f_high_hz!r} Hz")
 
 
 def check_below_half_rate(kind: str, f_high_hz: float, rate_hz: float) -> None:

@@ -88,9 +88,9 @@ class FRF:
     def __post_init__(self) -> None:
         nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
         if np.shape(self.response) != (nf, ny, nu):
-            raise WrongUseError("a response is (lines, outputs, inputs)", f"{np.shape(self.response)}")
+            raise WrongUseError("a response is (frequencies, outputs, inputs)", f"{np.shape(self.response)}")
         if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
-            raise WrongUseError("a covariance is (lines, outputs inputs, outputs inputs)")
+            raise WrongUseError("a covariance is (frequencies, outputs inputs, outputs inputs)")
         self._check_numbers()
         self._check_words()
         for name in (*_ARRAYS, "trusted"):
@@ -106,7 +106,7 @@ class FRF:
         f, nf = np.asarray(self.frequency_hz), np.shape(self.frequency_hz)[0]
         rising = nf > 0 and np.isfinite(f).all() and f[0] > 0.0 and np.all(np.diff(f) > 0.0)
         if not rising:
-            raise WrongUseError("the lines of a FRF are finite, above zero and rise", f"{nf} lines")
+            raise WrongUseError("frequency_hz must be finite, positive and strictly increasing", f"{nf} lines")
         if not (np.isfinite(self.response).all() and np.isfinite(self.covariance).all()):
             raise WrongUseError("the responses and covariances of a FRF are finite numbers")
         if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
@@ -126,9 +126,11 @@ class FRF:
         if not 1.0 <= self.line_overlap < np.inf:
             raise WrongUseError("the line overlap of a FRF is finite and 1 at least", f"{self.line_overlap!r}")
         if not self.variance_freedom > 0.0:
-            raise WrongUseError("the variance freedom of a FRF is above zero", f"{self.variance_freedom!r}")
+            raise WrongUseError(
+                "the degrees of freedom of a FRF's variance must be positive", f"{self.variance_freedom!r}"
+            )
         if not self.variance_pooled >= 1:
-            raise WrongUseError("a FRF's variance is pooled over 1 line at least", f"{self.variance_pooled!r}")
+            raise WrongUseError("a FRF's variance is pooled over at least 1 frequency", f"{self.variance_pooled!r}")
         if not 0.0 <= self.rate_hz < np.inf:
             raise WrongUseError("the rate of a FRF is finite and not negative", f"{self.rate_hz!r} Hz")
         if wrong := [f"{k} = {v!r}" for k, v in self.operating_point.items() if not np.isfinite(v)]:
@@ -211,7 +213,7 @@ class FRF:
         """Response (nf,) of a 1 x 1 FRF; refuses a larger one."""
         if self.response.shape[1:] != (1, 1):
             raise WrongUseError(
-                "one loop's response was asked of a FRF with several",
+                "one loop's response was requested from a FRF with several",
                 f"{self.response.shape[1:]}",
                 "pick an element",
             )
@@ -243,9 +245,9 @@ class FRF:
         mask = (self.frequency_hz >= f_low_hz) & (self.frequency_hz <= f_high_hz)
         if not mask.any():
             raise WrongUseError(
-                "no line of the FRF lies in the band",
+                "no frequency of the FRF lies in the band",
                 f"{f_low_hz:g} to {f_high_hz:g} Hz",
-                f"the lines go from {self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz",
+                f"the frequencies go from {self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz",
             )
         return self.select(mask)
 
@@ -253,7 +255,7 @@ class FRF:
         """The trusted lines; refuses a FRF without any."""
         if not self.trusted.any():
             raise WrongUseError(
-                f"no line of the FRF {self.loop} {self.recording} can be trusted".replace("  ", " "),
+                f"no frequency of the FRF {self.loop} {self.recording} is valid".replace("  ", " "),
                 self.method,
                 "excite more, or measure longer",
             )

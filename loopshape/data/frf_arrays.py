@@ -117,7 +117,7 @@ def stated_arrays(
         )  # fmt: skip
     if sum(stated) != 1:
         raise WrongUseError(
-            "nothing tells how sure this FRF is" if not any(stated) else "the error of a response is stated once",
+            "the error of this FRF is not given" if not any(stated) else "the error of a response is stated once",
             f"{sum(stated)} statements",
             "give std, relative_std (0: exact, as a model's response), covariance, or coherence with averages",
         )
@@ -150,12 +150,12 @@ def _like(H: ComplexArray, std: Array) -> Array:
 def _by_coherence(H: ComplexArray, coherence: Array, averages: float, keep: slice) -> dict[str, Any]:
     if H.shape[1:] != (1, 1) or coherence.shape != H.shape[:1] or not np.all((coherence >= 0) & (coherence <= 1)):
         raise WrongUseError(
-            "a coherence (nf,) between 0 and 1 tells the error of one input's response to one output",
+            "a coherence (nf,) between 0 and 1 gives the error of one input's response to one output",
             f"{coherence.shape} for a response {H.shape}",
             "state std or a covariance",
         )
     if not 1.0 < averages < np.inf:
-        raise WrongUseError("a coherence tells nothing without averages above 1", f"{averages!r}", "give their number")
+        raise WrongUseError("a coherence gives no error without averages above 1", f"{averages!r}", "give their number")
     variance = variance_by_coherence(H[keep], coherence[keep, None, None], averages)
     freedom = 2.0 * (averages - 1.0)
     return {"covariance": independent(variance), "coherence": coherence[keep], "averages": float(averages),

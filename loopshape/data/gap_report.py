@@ -52,7 +52,7 @@ class Submodel:
 class Where:
     """The place: block with probabilities of all, channel, band, operating points.
 
-    `places`: what a free disturbance at one equation would leave of the gap, rms over the floor in the channels that
+    `places`: residual if this equation had an arbitrary disturbance, relative to the noise floor in the channels that
     it does not reach; the place is where the least is left.
     """
 
@@ -66,7 +66,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Shrink:
-    """The gap on validation recordings, over the floor that noise and ordinary spread leave (1.0)."""
+    """The gap on validation recordings, relative to the floor that noise and manufacturing tolerance leave (1.0)."""
 
     metric: str
     before: float
@@ -97,9 +97,9 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The experiment that would part the two hypotheses of `parts` most, the first of a study ready to be measured.
+    """The experiment that best separates the two hypotheses of `parts`, the first of a study ready to be measured.
 
-    `separation` is the predicted rms difference of the outputs over what noise alone makes: 1 parts nothing.
+    `separation` is the predicted rms difference of the outputs over what noise alone makes: 1 separates nothing.
     """
 
     name: str

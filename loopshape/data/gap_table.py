@@ -96,14 +96,14 @@ class TimeRow:
 
     @property
     def ratio(self) -> float:
-        """Size of the difference over the floor; infinite over no floor."""
+        """Size of the difference relative to the noise floor; infinite without one."""
         if self.floor > 0.0:
             return abs(self.difference) / self.floor
         return float("inf") if self.difference else 0.0
 
     @property
     def loud(self) -> bool:
-        """Whether the difference stands clear of the floor."""
+        """Whether the difference stands clear of the noise floor."""
         return self.ratio > LOUD
 
 
@@ -165,7 +165,7 @@ def _quiet(table: GapTable) -> str:
             f" {row.difference:.3g} {row.unit}, {row.ratio:.2g} times its floor"
         )
     if not table.rows:
-        return "No time response differs beyond what the recordings' own unrest gives"
+        return "No time response differs by more than the recordings' own noise"
     resolved = max((row.noise for row in table.rows), default=0.0)
     return (
         f"No difference beyond noise in any of {len(table.rows)} cells, whose noise is {100.0 * resolved:.2g} % at most"

@@ -139,7 +139,7 @@ class BandVerdict:
                 f" most at {self.at_hz:.3g} Hz: {self.estimate_db:.1f} dB, {self.low_db:.1f} at least"
             )
         if not self.lines:
-            return "no line of the band can be trusted: excite more there, or measure longer"
+            return "no frequency of the band is valid: excite more there, or measure longer"
         reach = f"may reach {self.high_db:.1f} dB" if np.isfinite(self.high_db) else "has no upper bound"
         return f"|k_I| {reach} at {self.at_hz:.3g} Hz: {self.way_out}"
 
@@ -149,7 +149,7 @@ class BandVerdict:
         if self.verdict != "undecided":
             return ""
         if self.hole_hz is not None:
-            return f"no line can be trusted from {self.hole_hz[0]:.3g} to {self.hole_hz[1]:.3g} Hz: excite more there"
+            return f"no frequency is valid from {self.hole_hz[0]:.3g} to {self.hole_hz[1]:.3g} Hz: excite more there"
         if np.isfinite(self.averages_factor):
             return f"about {_round(self.averages_factor)} times the averages would decide it"
         if not np.isfinite(self.high_db):

@@ -89,7 +89,7 @@ class Multisine:
             raise WrongUseError(
                 f"a multisine of {count} lines has as many levels, all positive",
                 f"{len(self.levels)} levels" + (f", the least {min(self.levels):g}" if self.levels else ""),
-                "give one for each line in rising order, or none for equal ones",
+                "give one for each frequency in rising order, or none for equal ones",
             )
 
     @property
@@ -115,9 +115,9 @@ class Multisine:
             k = np.asarray(self.lines_hz, dtype=float) * self.period_s
         if not k.size or np.any(np.abs(k - np.round(k)) > 1e-6) or k.min() < 1:
             raise WrongUseError(
-                f"a multisine's lines are whole multiples of {1.0 / self.period_s:g} Hz",
+                f"a multisine's frequencies are whole multiples of {1.0 / self.period_s:g} Hz",
                 f"{self.lines_hz or (self.f_low_hz, self.f_high_hz)}",
-                "choose lines on that grid or another period",
+                "choose frequencies on that grid or another period",
             )
         return np.unique(np.round(k)) / self.period_s
 

@@ -112,13 +112,13 @@ class Plant(Protocol):
 
 
 class Followable(Plant, Protocol):
-    """A plant whose recordings a gap diagnosis can follow: it has effects, an ordinary spread, and submodels."""
+    """A plant whose recordings a gap diagnosis can follow: it has effects, a manufacturing tolerance, and submodels."""
 
     effects: tuple[EffectForm, ...]
     spread: tuple[Spread, ...]
     trace_channel: str
     needs: tuple[str, ...]
-    #: equation -> channels of `residuals` that a free disturbance there would explain whole, since each submodel
+    #: equation -> channels of `residuals` that an arbitrary disturbance there would explain whole, since each submodel
     #: follows what was measured everywhere else
     places: Mapping[str, tuple[str, ...]]
     #: whether temperature and prices of a diagnosis were calibrated on machines like it
@@ -146,7 +146,7 @@ class Followable(Plant, Protocol):
         """Rms that measurement noise alone leaves in each channel's residuals."""
 
     def paths(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
-        """Measured minus simulated outputs over their floor, measured inputs in, by path such as u -> p."""
+        """Measured minus simulated outputs relative to their noise floor, by path such as u -> p; inputs measured."""
 
 
 class Prepared(Protocol):

@@ -145,7 +145,7 @@ class Comparison:
 
     `outcome` is "held", "did not hold" (p-value below `level`) or "cannot tell" (the data are too few or too noisy
     to contradict: they would not notice a change of the plant's gain by `noticed_db` four times in five, or less).
-    `worst` is the band that contradicts most. Peaks of |S| are over the common lines, at face value.
+    `worst` is the band that differs most. Peaks of |S| are over the common lines, at face value.
     """
 
     loop: str

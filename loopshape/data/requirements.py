@@ -238,14 +238,16 @@ class Objective:
     def __post_init__(self) -> None:
         weights = (self.bandwidth, self.disturbance)
         if not all(_is_number(w) and 0.0 <= w < np.inf for w in weights) or max(weights) == 0.0:
-            raise WrongUseError("the weights of an objective are not negative, and one is above zero", f"{weights}")
+            raise WrongUseError(
+                "the weights of an objective must not be negative, and one must be positive", f"{weights}"
+            )
         below = self.disturbance_below_hz
         if (self.disturbance > 0.0) != (below is not None):
             raise WrongUseError(
                 "disturbance and disturbance_below_hz of an objective go together", "one of them", "give both or none"
             )
         if below is not None and not (_is_number(below) and 0.0 < below < np.inf):
-            raise WrongUseError("disturbance_below_hz must be above zero and finite", f"{below!r}")
+            raise WrongUseError("disturbance_below_hz must be positive and finite", f"{below!r}")
 
     @classmethod
     def from_toml(cls, given: Any, below_hz: Any = None) -> Objective:
@@ -270,7 +272,7 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Requirements:
-    """What one loop must keep at every operating point; None asks for nothing.
+    """What one loop must keep at every operating point; None requires nothing.
 
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that

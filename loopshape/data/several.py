@@ -95,7 +95,7 @@ class SeveralMargins:
 
 @dataclass(frozen=True)
 class SeveralRequirements:
-    """What all loops of a plant must keep together; None asks for nothing.
+    """What all loops of a plant must keep together; None requires nothing.
 
     `integrators` and `unstable_poles` declare those of the whole plant (`LoopMatrix`); None leaves them to its lowest
     lines, and to the loops that were recorded and stood. `band_hz` narrows the lines that are looked at. Refuses values

@@ -185,8 +185,10 @@ def change_text(change: MarginChange, points: int = 1) -> str:
 
 def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
     """Outcome and limit before, and now."""
-    before = ("not asked", "-") if change.before is None else (WORDS[change.before.outcome], wished_text(change.before))
-    now = ("not asked", "-") if change.now is None else (WORDS[change.now.outcome], wished_text(change.now))
+    before = (
+        ("not required", "-") if change.before is None else (WORDS[change.before.outcome], wished_text(change.before))
+    )
+    now = ("not required", "-") if change.now is None else (WORDS[change.now.outcome], wished_text(change.now))
     return (*before, *now)
 
 

@@ -164,7 +164,7 @@ def _refuse_unknown(loops: Sequence[Loop]) -> None:
             raise WrongUseError(
                 f"a bound needs the number of {what} of the plant",
                 f"not known at {', '.join(unknown)}",
-                f"declare {name} in the requirements' [[loop]], or fit a model that follows the lines",
+                f"declare {name} in the requirements' [[loop]], or fit a model that follows the measured FRF",
             )
 
 

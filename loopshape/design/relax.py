@@ -51,7 +51,7 @@ class Pull:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """One requirement relaxed, all others held: its best reachable value, and what comes of asking for that instead.
+    """One requirement relaxed, all others kept: its best reachable value, and what comes of asking for that instead.
 
     `reachable` is nan where no value of this one alone was found to make the rest possible. `verified` tells that a
     tuning with `reachable` in place of `wished` passed its check; `bandwidth_hz` is what it reached.

@@ -44,14 +44,14 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
     if unknown:
         raise WrongUseError(
             f"the number of integrators of the plant in loop {requirements.loop!r} is not known",
-            f"lowest lines that fit no whole number at {', '.join(unknown)}",
-            "declare integrators in the requirements' [[loop]], or fit a model that follows the lines",
+            f"lowest frequencies that fit no whole number at {', '.join(unknown)}",
+            "declare integrators in the requirements' [[loop]], or fit a model that follows the measured FRF",
         )
     unknown = [loop.plant.recording for loop in loops if loop.unstable_poles is None]
     if unknown:
         raise WrongUseError(
             f"the number of unstable poles of the plant in loop {requirements.loop!r} is not known",
-            f"not declared, nor told by the recorded loop or a fit at {', '.join(unknown)}",
+            f"not declared, nor known from the recorded loop or a fit at {', '.join(unknown)}",
             "declare unstable_poles in the requirements' [[loop]], name the recorded loop's controller in the map, or"
             " fit a model that leaves nothing but noise",
         )
@@ -59,7 +59,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
     blind = [loop.plant.recording for loop in loops if below is not None and loop.frequency_hz[0] > below]
     if blind:
         raise WrongUseError(
-            f"the objective of loop {requirements.loop!r} asks for lines below {below:g} Hz",
+            f"the objective of loop {requirements.loop!r} needs frequencies below {below:g} Hz",
             f"none that is judged at {', '.join(blind)}",
             "measure lower, or raise disturbance_below_hz",
         )

@@ -229,7 +229,9 @@ def _proposal(plant: Plant, run: Run, chosen: Sequence[Candidate], parts: tuple[
     does = f"{best.what} at ({where}), {seconds:g} s"
     verb = f"parts {parts[0]} from {parts[1]} by {value:.2g} noise floors"
     if value < _NOTHING:
-        verb = f"is the best that was found, yet it parts {parts[0]} from {parts[1]} by {value:.2g} noise floors only"
+        verb = (
+            f"is the best that was found, yet it separates {parts[0]} from {parts[1]} by {value:.2g} noise floors only"
+        )
     controllers = {loop.name: loop.controller.blocks for loop in run.loops if loop.controller is not None}
     study = Study(
         rig="simulated",

@@ -77,9 +77,9 @@ def nu_gap(
     """
     if not np.array_equal(first.frequency_hz, second.frequency_hz):
         raise WrongUseError(
-            "a nu-gap is taken on the lines that both plants share",
-            f"{first.frequency_hz.size} and {second.frequency_hz.size} lines that differ",
-            "estimate both alike, or select the common lines",
+            "a nu-gap needs frequencies that both plants share",
+            f"{first.frequency_hz.size} and {second.frequency_hz.size} frequencies that differ",
+            "estimate both alike, or select the common frequencies",
         )
     orders = [order_of(x) if k is None else k for x, k in zip((first, second), integrators, strict=True)]
     size, std = _kappa_and_std(first, second)
@@ -164,14 +164,17 @@ def _condition(first: FRF, second: FRF, orders: list[int | None], unstable_poles
     """Whether Vinnicombe's condition holds, fails, or cannot be decided, and why."""
     one, two = orders
     if one is None or two is None:
-        return "undecided", "the number of integrators does not show in the slope of the lowest lines: declare it"
+        return (
+            "undecided",
+            "the number of integrators does not follow from the slope at the lowest frequencies: declare it",
+        )
     unclear = _uncountable(first, second)
     if unclear:
         return "undecided", unclear
     wno = winding_number(first.siso, second.siso, (one, two))
     f = first.frequency_hz[0]
     if wno is None:
-        return "undecided", f"the phases at the first line ({f:.3g} Hz) do not fit {one} and {two} integrators"
+        return "undecided", f"the phases at the lowest frequency ({f:.3g} Hz) do not fit {one} and {two} integrators"
     total = wno + unstable_poles[0] - unstable_poles[1] - two
     if total:
         return "fails", f"1 + P2* P1 winds {abs(total)} times too {'often' if total > 0 else 'seldom'}"
@@ -184,7 +187,7 @@ def _uncountable(first: FRF, second: FRF) -> str:
     product = np.conj(P2) * P1
     g = 1.0 + product
     if abs(product[-1]) >= 1.0:
-        return f"|P1 P2| is still {abs(product[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
+        return f"|P1 P2| is still {abs(product[-1]):.2g} at the highest frequency, {f[-1]:.3g} Hz: measure higher"
     steps = np.abs(deg(np.angle(g[1:] * g[:-1].conj())))
     if steps.size and steps.max() > COARSE_DEG:
         k = int(np.argmax(steps))

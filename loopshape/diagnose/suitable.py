@@ -30,7 +30,7 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
         )
     if not any(r.info.role == "validation" for r in usable):
         notes.append(
-            "no validation recording: how far the gap shrinks cannot be told; hold a sweep and a staircase out "
+            "no validation recording: how far the gap shrinks is not known; hold a sweep and a staircase out "
             '(role = "validation"), at other operating points'
         )
     points = {tuple(sorted(r.info.operating_point.items())) for r in estimation}

@@ -103,7 +103,7 @@ def _column_name(expression: str) -> str:
 class PathFrfs:
     """Both FRFs of a path on common lines, and the variance (nf,) of their difference.
 
-    `variance` is smoothed over lines where the estimator does so; `own` is each line's, where there are periods, with
+    `variance` is smoothed where the estimator does so; `own` is each line's, where there are periods, with
     `own_freedom` degrees of freedom.
     """
 
@@ -180,7 +180,7 @@ def on_common_lines(one: FRF, two: FRF) -> tuple[FRF, FRF]:
     shared = np.intersect1d(keys[0], keys[1])
     if not shared.size:
         raise WrongUseError(
-            f"the recordings {one.recording} and {two.recording} share no line",
+            f"the recordings {one.recording} and {two.recording} share no frequency",
             f"{one.frequency_hz[0]:.3g} to {one.frequency_hz[-1]:.3g} and {two.frequency_hz[0]:.3g} to"
             f" {two.frequency_hz[-1]:.3g} Hz",
             "record both with the same excitation",

@@ -63,7 +63,7 @@ def _inputs(real: Run, pair: Pair, n: int) -> tuple[str, Array]:
     names = [x for loop in real.loops for x in ((loop.control,) if opened else (loop.reference, loop.injected)) if x]
     names = [x for x in names if x in pair.real.columns and x in pair.sim.columns]
     if not names:
-        return "it holds no input that only we moved", np.zeros((0, n))
+        return "it holds no external excitation", np.zeros((0, n))
     inputs = np.stack([pair.real.column(x)[:n] for x in names])
     for name, values in zip(names, inputs, strict=True):
         apart = float(np.abs(pair.sim.column(name)[:n] - values).max(initial=0.0))

@@ -124,7 +124,7 @@ def distortion(recording: Recording, loop: LoopSetup) -> Distortion:
     t = transform(recording, [_without_drift(s.y, recording), s.u], s.instrument, Settings())
     bins = np.flatnonzero(t.excited)
     if bins.size < 2:
-        raise BadSignalError(f"recording {recording.info.file} excites fewer than two lines of loop {loop.name}")
+        raise BadSignalError(f"recording {recording.info.file} excites fewer than two frequencies of loop {loop.name}")
     own, through = _own_and_through(t, bins)
     kinds = {word: _lines(t, own, rows) for word, rows in _kinds(bins).items()}
     excited = _lines(t, t.signals[0], bins)
@@ -150,11 +150,11 @@ def _cannot(recording: Recording) -> str:
     """Why the record's length and period cannot carry the analysis, empty where they can."""
     info = recording.info
     if info.period_s is None:
-        return f"recording {info.name} does not repeat: it cannot tell distortion from noise; {HOW}"
+        return f"recording {info.name} does not repeat: distortion and noise cannot be separated; {HOW}"
     n = len(next(iter(recording.columns.values())))
     periods = int((n / recording.rate_hz - (info.periodic_from_s or 0.0)) / info.period_s + 1e-9)
     if periods < 2:
-        return f"recording {info.name} holds {periods} whole period(s): it cannot tell distortion from noise; {HOW}"
+        return f"recording {info.name} holds {periods} whole period(s): distortion and noise cannot be separated; {HOW}"
     return ""
 
 
@@ -227,11 +227,11 @@ def _seen(lines: Lines) -> bool:
 def _verdict(bands: tuple[DistortionBand, ...], kinds: dict[str, Lines]) -> str:
     """The sentence: which kind, where, how far above the noise and below the linear response."""
     if "mixed" in kinds:
-        return f"odd and even lines were excited, so one cannot be told from the other; {HOW}"
+        return f"odd and even frequencies were excited, so the two kinds of distortion cannot be separated; {HOW}"
     if not kinds:
-        return f"every line of the band was excited, so distortion cannot be told; {HOW}"
+        return f"every frequency of the band was excited, so distortion does not show; {HOW}"
     seen = [b for b in bands if b.odd_seen or b.even_seen]
-    missing = "" if "odd" in kinds else f"; odd distortion cannot be told, every odd line was excited: {HOW}"
+    missing = "" if "odd" in kinds else f"; odd distortion does not show, every odd frequency was excited: {HOW}"
     if not seen:
         return "no distortion stands clear of the noise" + _floor(bands) + missing
     largest = max(seen, key=lambda b: max(_clear(b)))
@@ -269,6 +269,6 @@ def _likeness(word: str, main: float, less: float, lowest: bool) -> str:
     if not lowest:
         return ": symmetric, as play, saturation or a hardening spring"
     return (
-        ": largest at the low end and symmetric, friction-like; half the amplitude tells (the share of friction grows,"
-        " that of a hardening spring falls)"
+        ": largest at the low end and symmetric, friction-like; half the amplitude shows which (the share of"
+        " friction grows, that of a hardening spring falls)"
     )

@@ -211,11 +211,13 @@ def _orthonormal(columns: Array) -> Array:
 def _nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, foretold: bool) -> FeedbackCheck:
     """The answer where an input holds nothing that noise could have put there, or an output no noise."""
     who, told = name or "the input", periodic and foretold
-    words = f"{who} is predictable from its own past: the record cannot tell whether it answers noise of its output"
+    words = (
+        f"{who} is predictable from its own past: the record does not show whether it responds to noise of its output"
+    )
     if told:
         words = f"{who} repeats exactly from period to period: it does not answer noise of its output"
     elif not foretold:
-        words = f"the output follows {who} without noise: the record cannot tell which of them answers the other"
+        words = f"the output follows {who} without noise: the record does not show which of them responds to the other"
     return FeedbackCheck(False, 1.0, 0.0, (0, 0), false_alarms, told, samples, words)
 
 
@@ -224,7 +226,7 @@ def _sentence(found: bool, probability: float, lags: tuple[int, int], name: str,
     if not found:
         return f"no sign that {who} answers noise of its output (p = {probability:.2g})"
     when = f"{lags[0]} to {lags[1]}" if lags[1] > lags[0] else f"{lags[0]}"
-    other = ", which such an input cannot tell from feedback" if foretold else ""
+    other = ", which such an input cannot separate from feedback" if foretold else ""
     return (
         f"{who} seems to answer noise of its output (p = {probability:.1e}; it follows what the past of both leaves"
         f" unexplained, {when} samples later): feedback, or a plant that is not linear{other}, or an input that was"

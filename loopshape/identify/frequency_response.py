@@ -105,9 +105,9 @@ def _loop_frf(
     rows = _kept(answers.excited) & finite
     if not rows.any():
         raise BadSignalError(
-            f"no line of recording {info.file} carries excitation in loop {loop.name}",
+            f"no frequency of recording {info.file} is excited in loop {loop.name}",
             answers.method,
-            "excite more; of a sweep too few segments may carry each line: ask for a coarser resolution",
+            "excite more; of a sweep too few segments may excite each frequency: choose a coarser resolution",
         )
     a, f = answers.select(rows), answers.frequency_hz[rows]
     G, covariance = plant.response[rows], plant.covariance[rows]
@@ -160,7 +160,7 @@ def _refuse_spectral(recording: Recording, settings: Settings) -> None:
         )
     if info.period_s is not None:
         raise WrongUseError(
-            f"{name} averages segments, and {info.file} repeats: whole periods tell noise from signal better",
+            f"{name} averages segments, and {info.file} repeats: whole periods separate noise from signal better",
             f"period_s = {info.period_s:g}",
             "use the reference estimator, or take period_s out of run.toml",
         )
@@ -235,10 +235,10 @@ def band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
         if known.size > 0.1 * f.size:
             return ()
         return (
-            f"only {known.size} of {f.size} excited lines are known well, {known[0]:.3g} to {known[-1]:.3g} Hz:"
+            f"only {known.size} of {f.size} excited frequencies are known well, {known[0]:.3g} to {known[-1]:.3g} Hz:"
             " excite more, measure longer, or ask for a coarser resolution",
         )
-    return (f"no line between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
+    return (f"no frequency between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
 
 
 def _early_note(recording: Recording) -> tuple[str, ...]:

@@ -69,7 +69,7 @@ def h1_h2(recordings: Sequence[Recording], loop: LoopSetup, settings: Settings |
     lines = lines[(lines >= 2) & (lines < yy.size - 1)]
     if not lines.size:
         raise BadSignalError(
-            f"no line of recording {recordings[0].info.file} has power in input and output",
+            f"no frequency of recording {recordings[0].info.file} has power in input and output",
             answers[0].method,
             "check the columns",
         )
@@ -113,7 +113,7 @@ def _refuse(recording: Recording, rate_hz: float) -> None:
         )
     if info.period_s is not None:
         raise WrongUseError(
-            f"recording {info.file} repeats: whole periods tell noise from signal better than segments do",
+            f"recording {info.file} repeats: whole periods separate noise from signal better than segments do",
             f"period_s = {info.period_s:g}",
             "use estimate_frf",
         )

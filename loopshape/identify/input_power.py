@@ -46,7 +46,7 @@ def own_power(power: ComplexArray) -> tuple[Array, Array]:
     """
     power = np.asarray(power)
     if power.ndim != 3 or power.shape[1] != power.shape[2]:
-        raise WrongUseError("cross-powers of inputs are (lines, inputs, inputs)", f"{power.shape}")
+        raise WrongUseError("cross-powers of inputs are (frequencies, inputs, inputs)", f"{power.shape}")
     level = np.real(np.einsum("fii->fi", power))
     share = np.zeros_like(level)
     ok = (level > 0.0).all(axis=1)
@@ -133,7 +133,7 @@ def unfed_bands(
         low, high = float(frequency_hz[start]), float(frequency_hz[end - 1])
         words = (
             f"no power of its own in {' and '.join(names[k] for k in weak)} from {low:.4g} to {high:.4g} Hz"
-            f" ({level:.0f} dB at best, of the strongest line): these lines are refused; excite there,"
+            f" ({level:.0f} dB at best, of the strongest frequency): these frequencies are refused; excite there,"
             " or end the band below"
         )
         out.append(UnfedBand(low, high, weak, level, words))

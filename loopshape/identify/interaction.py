@@ -101,7 +101,7 @@ def _rows(frf: FRF, names: Sequence[str], columns: Sequence[int]) -> tuple[str, 
     if len(frf.outputs) == len(frf.inputs):
         return tuple(frf.outputs[k] for k in columns)
     raise WrongUseError(
-        "interaction needs one output for each loop, and the names do not tell which",
+        "interaction needs one output for each loop, and the names do not say which",
         f"{len(frf.outputs)} outputs ({', '.join(frf.outputs)}) for the loops {', '.join(names)}",
         "name the outputs in the loops' order",
     )

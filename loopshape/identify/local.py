@@ -118,7 +118,7 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
     ]
     if not windows:
         raise BadSignalError(
-            f"recording {recording.info.file} excites too few lines in one stretch for local fits",
+            f"recording {recording.info.file} excites too few frequencies in one stretch for local fits",
             f"{max(lines.count, 0)} lines",
             "record longer, or ask for Welch's method",
         )
@@ -237,7 +237,7 @@ def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> 
         line_overlap=max(1.0, _overlap(lines, int(at[at.size // 2]), window) / step),
         freedom=2.0 * independent,
         pooled=1,
-        method=f"{window.words} of {n / recording.rate_hz:.4g} s, {lines.frequency_hz[1] * step:.3g} Hz between lines",
+        method=f"{window.words} of {n / recording.rate_hz:.4g} s, {lines.frequency_hz[1] * step:.3g} Hz apart",
     )
 
 

@@ -50,7 +50,7 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
     finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
     rows = np.logical_and.reduce([p.excited for p in parts]) & finite
     if not rows.any():
-        raise BadSignalError("the recordings of a plant's matrix share no excited line", parts[0].method)
+        raise BadSignalError("the recordings of a plant's matrix share no excited frequency", parts[0].method)
     notes = tuple(dict.fromkeys(n for r in recordings for n in _notes(run, r, loops))) + _left_closed(run, loops)
     notes += tuple(dict.fromkeys(n for p in parts for n in p.notes))
     return _frf(run, recordings, loops, outputs, [p.select(rows) for p in parts], _on(plant, rows), notes)
@@ -129,7 +129,7 @@ def _on_common_lines(
     resolution = settings.resolution_hz or max(step, 10.0 * ordered[0].rate_hz / min(lengths))
     found = each(replace(settings, method="welch", resolution_hz=resolution))
     if not _alike(found):
-        raise WrongUseError("the recordings of a plant's matrix have different lines", "", "record them alike")
+        raise WrongUseError("the recordings of a plant's matrix have different frequencies", "", "record them alike")
     return found
 
 

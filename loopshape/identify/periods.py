@@ -50,9 +50,9 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
     excited = np.logical_and.reduce([t.excited for t in spectra])
     if not excited.any():
         raise BadSignalError(
-            "the recordings to be taken together share no excited line",
+            "the recordings to be taken together share no excited frequency",
             ", ".join(r.info.name for r, *_ in parts),
-            "excite the same lines in each",
+            "excite the same frequencies in each",
         )
     shape = _let_through(*parts[0][:3])
     blocks = [_block(spectra[k : k + nr], m, excited, shape) for k in range(0, len(spectra), nr)]
@@ -103,7 +103,7 @@ def _block(
     with np.errstate(all="ignore"):
         if R.shape[1] > 1 and np.median(np.linalg.cond(R[excited])) > 1e3:
             raise BadSignalError(
-                "the recordings of a block cannot tell their instruments apart",
+                "the instruments of a block's recordings cannot be separated",
                 f"condition {np.median(np.linalg.cond(R[excited])):.2g}",
                 "excite one loop at a time, or all by orthogonal multisines",
             )

@@ -48,7 +48,7 @@ class Wish:
                 "a plan's std is below 50 % and its level ratio 1 at least", f"{self.std!r}, {self.level_ratio!r}"
             )
         if self.kind not in KINDS:
-            raise WrongUseError("a kind of lines is not known", f"{self.kind!r}", f"use {', '.join(KINDS)}")
+            raise WrongUseError("a kind of frequency grid is not known", f"{self.kind!r}", f"use {', '.join(KINDS)}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,7 +165,7 @@ def _noise_of_fits(recording: Recording, s: LoopSignals[Array], frf: FRF) -> tup
     R = np.fft.rfft(s.instrument - s.instrument.mean())[None]
     width = 2 * window.half + 1
     if n // 2 < 2 * width:
-        raise BadSignalError(f"recording {recording.info.file} is too short to tell its noise", f"{n} samples")
+        raise BadSignalError(f"recording {recording.info.file} is too short to show its noise", f"{n} samples")
     low, high = (int(np.clip(round(f * n / recording.rate_hz), 1, n // 2 - 1)) for f in frf.frequency_hz[[0, -1]])
     low = max(1, min(low, high - width))
     high = min(n // 2 - 1, max(high, low + width))
@@ -201,7 +201,7 @@ def _unexplained(x: Array, instrument: Array, rate_hz: float, answers: Answers, 
     f, H = answers.frequency_hz, answers.response[:, row, 0]
     known = answers.excited & np.isfinite(H) & (np.abs(H) > 0.0)
     if not known.any():
-        raise BadSignalError("no line of the recording tells how its signals follow the injected one")
+        raise BadSignalError("no frequency of the recording shows how its signals follow the injected one")
     n = x.size
     at = np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), dtype=np.float64)
     caused = between(at, f[known], H[known]) * np.fft.rfft(instrument - instrument.mean())

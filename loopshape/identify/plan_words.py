@@ -60,7 +60,7 @@ def cannot_know(first: FirstRecord, wish: Wish, floor: float, amplitude: float) 
             " which it does not"
         )
     elif not found.told:
-        notes.append(f"the first record cannot tell distortion from the response: {found.verdict}")
+        notes.append(f"the first record cannot separate distortion from the response: {found.verdict}")
     elif floor > 0.0:
         notes.append(f"distortion in the first record counts as a noise floor, {accuracy(floor)} at the crossover")
     change = amplitude / first.amplitude
@@ -73,7 +73,7 @@ def cannot_know(first: FirstRecord, wish: Wish, floor: float, amplitude: float) 
             " does not hold"
         )
     elif floor > 0.0:
-        notes.append("distortion depends on the lines too; the prediction holds it as the first record shows it")
+        notes.append("distortion depends on the frequencies too; the prediction takes it as in the first record")
     if wish.kind != "odd":
-        notes.append(f"these lines cannot tell distortion afterwards; for that: {HOW}")
+        notes.append(f"these frequencies do not show distortion afterwards; for that: {HOW}")
     return tuple(notes)

@@ -129,7 +129,7 @@ def inverse_note(recording: Recording, loop: LoopSetup, frequency_hz: Array, G: 
     return (
         f"the response of loop {loop.name} in {recording.info.file} looks like the inverse of a plant: its magnitude"
         f" rises up to the end of the valid band ({20.0 * rises:.0f} dB a decade at {f[-1]:.3g} Hz) and its phase leads"
-        f" more and more ({deg(leads):+.0f} deg from {f[0]:.3g} Hz), as if the output came before its cause: are"
+        f" more and more ({deg(leads):+.0f} deg from {f[0]:.3g} Hz), as if the output preceded its cause: are"
         f" {loop.control} and {loop.output} swapped?",
     )
 

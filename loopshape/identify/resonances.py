@@ -89,7 +89,7 @@ def resonances(frf: FRF) -> tuple[Resonance, ...]:
 
     Found are poles whose peak stands out of the rest of P, of damping below 0.3, whose place the lines tell. Two whose
     half widths overlap are one; one whose tails drown in the noise is not found, nor any of fewer than nine lines.
-    Give lines as measured: smoothed ones have lost what is sharp.
+    Give frequencies as measured: smoothed ones have lost what is sharp.
     """
     f, P = frf.frequency_hz, frf.siso
     return _remembered(f.tobytes(), P.astype(complex).tobytes(), pooled_variance(frf).tobytes())

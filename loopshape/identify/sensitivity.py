@@ -40,7 +40,7 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
     sound = every.excited & np.isfinite(every.response[:, :, 0]).all(axis=1)
     sound &= np.isfinite(every.covariance).all(axis=(1, 2))
     if not sound.any():
-        raise BadSignalError(f"no line of recording {info.file} carries excitation", every.method, "excite more")
+        raise BadSignalError(f"no frequency of recording {info.file} is excited", every.method, "excite more")
     a, f = every.select(sound), every.frequency_hz[sound]
     S = a.response[:, k, 0] if at_input else 1.0 - a.response[:, 0, 0]
     variance = a.covariance[:, k, k].real

@@ -106,7 +106,7 @@ def _periods(recording: Recording, instrument: Array) -> tuple[int, int, int, tu
         raise BadSignalError(
             f"recording {info.file} holds {periods} whole period{'s' * (periods != 1)} of {info.period_s:g} s",
             f"{n / rate:g} s, periodic from {start / rate:g} s",
-            "two at least are needed to tell noise from response",
+            "at least two are needed to separate noise from response",
         )
     notes = () if length == stated else (_other_period(stated, length, rate),)
     return length, start, periods, notes

@@ -69,7 +69,7 @@ def _by_segments(
     share, wide = independent_share(segments, length, step, window), line_overlap(window)
     if segments * share < nr + 1.5:
         raise BadSignalError(
-            f"recording {recording.info.file} has too few averages to tell {nr} inputs apart",
+            f"recording {recording.info.file} has too few averages {nr} inputs apart",
             f"{segments * share:.1f} averages of {length / rate:g} s",
             "ask for a coarser resolution, or record longer",
         )
@@ -165,7 +165,7 @@ def _unresolved_note(found: Answers, fate: str) -> tuple[str, ...]:
         share = np.nanmax(np.abs(bias_of(H))[found.unresolved] / np.abs(H[found.unresolved]))
     return (
         *found.notes,
-        f"on {f.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, a resonance is narrower than lines"
+        f"on {f.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, a resonance is narrower than the resolution of"
         f" {found.frequency_hz[1]:.3g} Hz apart resolve: the response is off by {100.0 * min(share, 1.0):.0f} % or more"
         f" there, a bias that no standard deviation holds; these lines are {fate}; record longer, ask for a finer"
         " resolution, or take local fits",

@@ -4,7 +4,7 @@ format = "loopshape-campaign/1"
 study = "identify.toml"                   # a plain name beside this file
 amplitudes = [0.5, 1.0, 2.0]              # factors on every excitation
 effects = ["", "joint_friction=0.12", "gas_law + payload=0.1"]   # sets; "" is none, a bare name a usual magnitude
-draws = 20                                # machines of the ordinary spread; 0: the nominal one
+draws = 20                                # machines drawn from the manufacturing tolerance; 0: the nominal one
 seed = 1
 """
 

@@ -55,7 +55,7 @@ def reading(path: Path, kind: str, *also: type[Exception]) -> Iterator[None]:
     except FileNotFoundError:
         raise UnreadableInputError("a file does not exist", str(path), "check its name") from None
     except IsADirectoryError:
-        raise UnreadableInputError("a folder stands where a file was asked for", str(path), "name the file") from None
+        raise UnreadableInputError("a folder stands in the place of a file", str(path), "name the file") from None
     except PermissionError:
         raise UnreadableInputError("a file may not be read", str(path), "ask for permission to read it") from None
     except (*_DAMAGE, *also) as error:

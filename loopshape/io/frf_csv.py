@@ -121,7 +121,7 @@ def _header(path: Path) -> tuple[Mapping[str, Any], int]:
             return {}, 0
         second = file.readline()
     if first.strip("# \n\r") != FORMAT:
-        raise UnreadableInputError(f"{path} is not of the format {FORMAT}", short(first), "take such lines out")
+        raise UnreadableInputError(f"{path} is not of the format {FORMAT}", short(first), "remove such frequencies")
     with reading(path, "the words of a FRF's table"):
         words = json.loads(second.removeprefix("#"))
         if not isinstance(words, dict) or not isinstance(words["lines"], int):

@@ -87,7 +87,7 @@ def _check_stated(stated: Stated) -> None:
     if stated.relative_std is not None:
         check_relative_std(stated.relative_std)
     if stated.averages is not None and not 1.0 < stated.averages < np.inf:
-        raise WrongUseError("a coherence tells nothing without averages above 1", f"{stated.averages:g}")
+        raise WrongUseError("a coherence gives no error without averages above 1", f"{stated.averages:g}")
     if not (np.isfinite(stated.rate_hz) and stated.rate_hz >= 0.0):
         raise WrongUseError("a rate must not be negative", f"{stated.rate_hz:g} Hz")
     for word, what in ((stated.recording, "the name of a recording"), (stated.loop, "the name of a loop")):
@@ -99,14 +99,14 @@ def _checked(found: ForeignFRF) -> ForeignFRF:
     f, G = np.asarray(found.frequency_hz, dtype=float), np.asarray(found.response, dtype=complex)
     if f.ndim != 1 or not f.size or G.ndim != 3 or G.shape[0] != f.size or 0 in G.shape:
         raise UnreadableInputError(
-            f"{found.where} holds no FRF: a response goes over outputs, inputs and lines",
-            f"{f.size} lines and a response of {' x '.join(map(str, G.shape))} (lines first)", "write it again",
+            f"{found.where} holds no FRF: a response has outputs, inputs and frequencies",
+            f"{f.size} frequencies and a response of {' x '.join(map(str, G.shape))}", "write frequency first",
         )  # fmt: skip
     if not (np.isfinite(f).all() and np.isfinite(G[f > 0.0]).all()):
         bad = f[~np.isfinite(G).all(axis=(1, 2)) & np.isfinite(f) & (f > 0.0)]
         raise UnreadableInputError(
-            f"{found.where} holds values that are not numbers", f"at {bad[0]:g} Hz" if bad.size else "among its lines",
-            "leave such lines out",
+            f"{found.where} holds values that are not numbers", f"at {bad[0]:g} Hz" if bad.size else "in frequency",
+            "leave such frequencies out",
         )  # fmt: skip
     return found
 
@@ -121,7 +121,7 @@ def _above_zero(found: ForeignFRF) -> ForeignFRF:
 
     return ForeignFRF(
         found.where, cut(found.frequency_hz), cut(found.response), {k: cut(v) for k, v in found.arrays.items()},
-        found.words, (*found.notes, "the line at 0 Hz was left out"), cut(found.element_coherence), cut(found.std),
+        found.words, (*found.notes, "the value at 0 Hz was left out"), cut(found.element_coherence), cut(found.std),
     )  # fmt: skip
 
 
@@ -175,11 +175,11 @@ def _covariance(found: ForeignFRF, stated: Stated, averages: float) -> tuple[Com
     reasons = {
         coherence is None: "neither covariance nor coherence",
         coherence is not None and single: "a coherence without the number of averages behind it",
-        coherence is not None and not single: "ordinary coherences of several inputs, which do not tell",
+        coherence is not None and not single: "ordinary coherences of several inputs, which give no error",
     }
-    way_out = "state relative_std (--relative-std 0.05 says 5 % on every line)"
+    way_out = "state relative_std (--relative-std 0.05 is 5 % at every frequency)"
     more = ", or averages (--averages 20)" if coherence is not None and single else ""
-    raise WrongUseError("nothing tells how sure this FRF is", reasons[True], way_out + more)
+    raise WrongUseError("the error of this FRF is not given", reasons[True], way_out + more)
 
 
 def _hermitian(C: ComplexArray) -> bool:

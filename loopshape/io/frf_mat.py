@@ -125,7 +125,7 @@ def _lines(path: Path, held: Mapping[str, np.ndarray]) -> tuple[Array, tuple[str
     given = [name for name in _LINES if name in held]
     if len(given) != 1:
         raise UnreadableInputError(
-            f"{path} says its lines once", f"variables {short(', '.join(held) or 'none')}",
+            f"{path} gives its frequencies once", f"variables {short(', '.join(held) or 'none')}",
             f"use one of {', '.join(_LINES)}",
         )  # fmt: skip
     values = held[given[0]]
@@ -154,6 +154,6 @@ def _lines_first(path: Path, name: str, values: np.ndarray, lines: int, wide: in
     if values.ndim != wide + 1 or values.shape[-1] != lines:
         raise UnreadableInputError(
             f"{name} of {path} goes over its {lines} lines last",
-            " x ".join(map(str, values.shape)), "use outputs x inputs x lines" if wide == 2 else "",
+            " x ".join(map(str, values.shape)), "use outputs x inputs x frequencies" if wide == 2 else "",
         )  # fmt: skip
     return np.ascontiguousarray(np.moveaxis(values, -1, 0))

@@ -54,8 +54,8 @@ def write_frf_uff(path: Path, frf: FRF) -> tuple[str, ...]:
     write_bytes_whole(path, b"".join(parts))
     more = " and no coherence of several inputs" if len(frf.inputs) > 1 else ""
     return (
-        f"a universal file holds no covariance{more}, and no trusted lines: state --relative-std, or --averages where"
-        " there is a coherence, when you read it",
+        f"a universal file holds no covariance{more}, and no valid frequencies: state --relative-std, or --averages"
+        " where there is a coherence, when you read it",
     )
 
 
@@ -200,15 +200,15 @@ def _by_pair(path: Path, sets: Sequence[dict[str, Any]], kind: int) -> dict[Pair
 
 
 def _matrix(path: Path, sets: Mapping[Pair, Any], rows: list[Any], columns: list[Any], f: np.ndarray) -> np.ndarray:
-    """Values (nf, ny, nu) of all pairs; refuses a pair that is missing or on other lines."""
+    """Values (nf, ny, nu) of all pairs; refuses a pair that is missing or on other frequencies."""
     made = np.empty((f.size, len(rows), len(columns)), dtype=complex)
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
             s = sets.get((row, column))
             if s is None or not np.array_equal(s["x"], f):
                 raise UnreadableInputError(
-                    f"{path} is no whole matrix of responses on the same lines",
-                    f"{'no function' if s is None else 'other lines'} of node {row[1]} by node {column[1]}",
+                    f"{path} is no whole matrix of responses at the same frequencies",
+                    f"{'no function' if s is None else 'other frequencies'} of node {row[1]} by node {column[1]}",
                     "export every pair alike, or one pair",
                 )  # fmt: skip
             made[:, i, j] = s["data"]

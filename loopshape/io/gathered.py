@@ -163,7 +163,7 @@ def _missing(
         found.append(Missing("No controller was given, so there are no loops, margins and verdict; make one:", tune))
         found.append(Missing("and name it:", judged))
     if controllers and not wishes:
-        found.append(Missing("No requirements were given, so margins are shown and judged by nobody:", judged))
+        found.append(Missing("No requirements were given, so margins are reported without verdict:", judged))
     measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
     found += [
         Missing(f"Loop {c.loop} of the controller file has no frequency response.")

@@ -23,7 +23,7 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
     words.need("loop")
     requirements = tuple(_read(table) for table in words.tables("loop"))
     if not requirements:
-        raise WrongUseError(f"{path.name} asks for nothing", "no [[loop]]", "write a [[loop]] with a name")
+        raise WrongUseError(f"{path.name} requires nothing", "no [[loop]]", "write a [[loop]] with a name")
     refuse_doubles((one.loop for one in requirements), path.name, "loops")
     return requirements
 

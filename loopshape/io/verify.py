@@ -115,7 +115,9 @@ def _strange(folder: Path, listed: set[str]) -> Iterator[Finding]:
         paths = sorted(folder.iterdir())
     for path in paths:
         if path.name.endswith(ARRIVING):
-            yield Finding(path.name, None, "what came of a recording that did not end; the next measurement keeps it")
+            yield Finding(
+                path.name, None, "what was recorded of a recording that did not end; the next measurement keeps it"
+            )
         elif path.name.endswith(PART):
             yield Finding(path.name, None, "a file whose writing was cut short; the next one written here removes it")
         elif path.name.endswith(ENDINGS) and path.name not in listed:

@@ -41,7 +41,7 @@ KNOWN = 1e6
 LEAST, MOST = 1e-300, 0.99
 #: a tolerance beyond this would let everything pass
 MOST_DB = 60.0
-_NOTHING = ("no line is trusted in both",)
+_NOTHING = ("no frequency is valid in both",)
 
 
 class Lines(NamedTuple):
@@ -126,7 +126,7 @@ def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0
         )
     f, g = predicted.frequency_hz, measured.frequency_hz
     if f.size != g.size or np.any(np.abs(f - g) > 1e-9 * f):
-        raise WrongUseError("sensitivities are compared on the same lines", f"{f.size} and {g.size} lines")
+        raise WrongUseError("sensitivities are compared at the same frequencies", f"{f.size} and {g.size} lines")
     S1, S2 = predicted.siso, measured.siso
     turned = np.abs(S2 / S1) ** 2
     V1, V2 = turned * predicted.variance[:, 0, 0], measured.variance[:, 0, 0] / turned

@@ -110,7 +110,7 @@ def _controller_places(controller: Controller, f: Array) -> Array:
 
 
 def measured(loop: Loop) -> FRF:
-    """The lines as they were measured: what is smoothed over lines does not show what lies between them."""
+    """The lines as they were measured: what is smoothed over frequency does not show what lies between them."""
     return loop.plant if loop.raw is None else loop.raw
 
 

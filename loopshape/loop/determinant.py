@@ -117,7 +117,7 @@ def count_from_held(loops: LoopMatrix) -> int | Obstacle:
     loci, before = characteristic_loci(loops.L_i), characteristic_loci(stood.L_i)
     f, swing = loops.frequency_hz, float(np.angle(D[0] * 1j**more))
     if abs(deg(swing)) > HELD_DEG or abs(slopes(f, D[:, None])[0] + more) > HELD_SLOPE:
-        reason = f"det(I + L) is not in step with that of the recorded loops at the first line, {f[0]:.3g} Hz"
+        reason = f"det(I + L) does not agree with that of the recorded loops at the lowest frequency, {f[0]:.3g} Hz"
         return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     found = _high_doubt(loops, loci) or _high_doubt(stood, before)
     found = found or _doubt(loops, loci, path, between, complex(2.0 * D[0]))
@@ -217,7 +217,7 @@ def _high_doubt(loops: LoopMatrix, loci: ComplexArray) -> Obstacle | None:
     size = float(np.abs(loci[-1]).max())
     rate_hz = loops.controllers[0].rate_hz
     if size >= 1.0:
-        reason = f"an eigenvalue of L is still {size:.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
+        reason = f"an eigenvalue of L is still {size:.2g} at the highest frequency, {f[-1]:.3g} Hz: measure higher"
         return Obstacle(reason, (float(f[-1]), float(min(10.0 * f[-1], 0.5 * rate_hz))))
     if loops.beyond is None or not (kept := loops.beyond.frequency_hz < 0.5 * rate_hz).any():
         return None
@@ -247,7 +247,7 @@ def _on_it(f: Array, loci: ComplexArray, followed: np.ndarray) -> Obstacle | Non
 def _doubt(loops: LoopMatrix, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
     """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
     if path.f.size < 2:
-        return Obstacle("one line does not make a curve")
+        return Obstacle("one frequency does not make a curve")
     near = _on_it(loops.frequency_hz, loci, between.followed)
     found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
     return found or between.unclear

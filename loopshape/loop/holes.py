@@ -26,21 +26,21 @@ def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     """
     f, L = loop.frequency_hz, loop.L
     if f.size < FEWEST:
-        words = f"{f.size} lines are too few to tell what lies between them ({FEWEST} at least)"
+        words = f"{f.size} frequencies are too few to show what lies between them ({FEWEST} at least)"
         return words, (0.5 * float(f[0]), min(2.0 * float(f[-1]), 0.5 * loop.controller.rate_hz))
     near = _near(L)
     wide = np.flatnonzero((f[1:] > APART * f[:-1]) & near)
     if wide.size:
         low, high = float(f[wide[0]]), float(f[wide[0] + 1])
-        return f"no line lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
+        return f"no frequency lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
     turned = np.flatnonzero((loop.controller.computation_delay_s * np.diff(f) > TURN) & near)
     if turned.size:
         low, high = float(f[turned[0]]), float(f[turned[-1] + 1])
         words = (
             f"the controller's delay of {loop.controller.computation_delay_s:g} s turns L by"
-            f" {360.0 * loop.controller.computation_delay_s * (f[turned[0] + 1] - f[turned[0]]):.0f} deg between lines"
+            f" {360.0 * loop.controller.computation_delay_s * (f[turned[0] + 1] - f[turned[0]]):.0f} deg from one"
         )
-        return f"{words}: measure finer, or correct the delay", (low, high)
+        return f"{words} frequency to the next: measure finer, or correct the delay", (low, high)
     return None
 
 

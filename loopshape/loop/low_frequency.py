@@ -66,8 +66,8 @@ class LowModel:
 def low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
     """Models that follow the lowest lines of a 1 x 1 FRF, the likeliest first; none where none tells P at s = 0.
 
-    `integrators` is the declared number of poles at s = 0, negative for zeros there. Give lines as measured. A plant
-    with a resonance below its first line misleads, unless the lines show it.
+    `integrators` is the declared number of poles at s = 0, negative for zeros there. Give frequencies as measured. A
+    plant with a resonance below its first line misleads, unless the lines show it.
     """
     f = frf.frequency_hz
     count = int(np.clip(np.searchsorted(f, REACH * f[0], side="right"), min(FEWEST, f.size), MOST))

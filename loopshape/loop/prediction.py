@@ -86,7 +86,7 @@ def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
     k = int(np.argmax(np.maximum(apart - 2.0 * std, 0.0)))
     if apart[k] - 2.0 * std[k] < FIT_APART_DB:
         return step
-    note = f"the fit's |S| lies up to {apart[k]:.2g} dB from that of the lines, at {f[k]:.3g} Hz"
+    note = f"the fit's |S| lies up to {apart[k]:.2g} dB from that of the measured FRF, at {f[k]:.3g} Hz"
     return replace(step, notes=(*step.notes, f"{note}: the step rests on the fit"))
 
 
@@ -152,10 +152,10 @@ def _checked(prediction: Prediction, measured: FRF) -> tuple[str, ...]:
             f"give one of loop {prediction.loop!r} at {controller.rate_hz:g} Hz",
         )
     if held is None:
-        return ("it is not known which controller held the loop: it is taken to be the predicted one",)
+        return ("it is not known which controller closed the loop: the predicted one is assumed",)
     if not same_controller(controller, held):
         raise WrongUseError(
-            f"loop {measured.loop!r} was held by another controller at {measured.recording} than was predicted",
+            f"loop {measured.loop!r} was closed by another controller at {measured.recording} than was predicted",
             "their responses differ",
             "measure under the controller of the prediction, or predict with the one that ran",
         )
@@ -180,7 +180,7 @@ def sensitivity_of(frf: FRF) -> FRF:
     if frf.held_by is None:
         raise WrongUseError(
             f"the sensitivity at {frf.recording} does not follow from its FRF",
-            "no controller is known to have held it",
+            "no controller is known to have closed it",
             "give the recordings, or name the controller in run.toml",
         )
     return replace(feedback(frf, frf.held_by).S_o, held_by=frf.held_by, loop=frf.loop)

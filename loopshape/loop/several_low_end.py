@@ -82,9 +82,9 @@ def read_integrators(loops: LoopMatrix) -> tuple[int | None, str]:
     own = loops.controller_integrators()
     every = round(-low.slope)
     if abs(every + low.slope) > READ_SLOPE * max(int(low.large.sum()), 1) or low.negative is None or every < own:
-        return None, f"det(I + L) falls as with {-low.slope:.1f} integrators over its lowest lines, {own} of C's"
+        return None, f"det(I + L) falls as with {-low.slope:.1f} integrators over its lowest frequencies, {own} of C's"
     word = "integrator" if every - own == 1 else "integrators"
-    return every - own, f"plant taken to have {every - own} {word} in all, from the lowest lines of det(I + L)"
+    return every - own, f"plant taken to have {every - own} {word} in all, from the lowest frequencies of det(I + L)"
 
 
 def low_doubt(loops: LoopMatrix, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
@@ -113,14 +113,14 @@ def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
     """Loci below 1 at the first line that may have been above it lower down, or that are near -1."""
     for k in np.flatnonzero(~low.large):
         first = loci[0, k]
-        size = f"an eigenvalue of L is {abs(first):.2g} at the first line already, {f[0]:.3g} Hz"
+        size = f"an eigenvalue of L is {abs(first):.2g} at the lowest frequency already, {f[0]:.3g} Hz"
         slope = slopes(f, loci)[k]
         if slope < FLAT:
             from_hz = float(f[0] * (0.5 * abs(first)) ** (1.0 / max(-slope, 1.0)))
             return Obstacle(f"{size}, and falls: its crossover lies lower, measure there", (from_hz, float(f[0])))
     turned = float(deg(np.angle(1.0 + loci[0, ~low.large])).sum())
     if abs(turned) > FLAT_DEG:
-        reason = f"eigenvalues of L below 1 turn det(I + L) by {turned:.0f} deg at the first line, {f[0]:.3g} Hz"
+        reason = f"eigenvalues of L below 1 turn det(I + L) by {turned:.0f} deg at the lowest frequency, {f[0]:.3g} Hz"
         return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     return None
 

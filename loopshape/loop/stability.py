@@ -62,13 +62,13 @@ def closed_loop_stability(loop: Loop) -> Stability:
     if loop.integrators is None:
         return _undecided(
             "the number of integrators of the plant is not known: declare integrators in the requirements' [[loop]],"
-            " or fit a model that follows the lines"
+            " or fit a model that follows the measured FRF"
         )
     if loop.unstable_poles is None:
         return _undecided(UNKNOWN_POLES + _sign_of_one(loop))
     if judged_lines(loop) is None:
         reason = (
-            f"|L| is {abs(L[0]):.2g} at the first line already, {f[0]:.3g} Hz: the crossover lies lower, measure there"
+            f"|L| is {abs(L[0]):.2g} at the lowest frequency, {f[0]:.3g} Hz: the crossover lies lower, measure there"
         )
         return _undecided(reason, crossover_below(loop))
     poles = unstable_count(loop)
@@ -128,7 +128,7 @@ def _count_by_low_models(loop: Loop, L: ComplexArray, integrators: int) -> int |
 def _misfit(loop: Loop, integrators: int) -> Obstacle:
     f, L = loop.frequency_hz, loop.L
     reason = (
-        f"the phase of L at the first line ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
+        f"the phase of L at the lowest frequency ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
         f" {integrators} integrators (the controller's included): fit a model, measure lower, or declare"
         " integrators in the requirements' [[loop]]"
     )

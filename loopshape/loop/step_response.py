@@ -97,9 +97,7 @@ def predict_step(fit: Fit, controller: Controller, *, draws: int = DRAWS, seed: 
 def _doubts(fit: Fit, unsettled: float, last: float) -> tuple[str, ...]:
     notes: tuple[str, ...] = ()
     if last > LAST_T:
-        notes += (
-            f"|T| of the fit's loop is still {last:.2g} at half the rate: its first samples are not to be trusted",
-        )
+        notes += (f"|T| of the fit's loop is still {last:.2g} at half the rate: its first samples are not valid",)
     if unsettled >= 0.025:
         notes += (f"{100.0 * unsettled:.0f} % of the models within the fit's covariance do not settle: no intervals",)
     if not fit.sufficient:
@@ -209,8 +207,8 @@ def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Ste
     rate = sensitivity.rate_hz or 64.0 * float(f[-1])
     if abs(T[-1]) > LAST_T:
         raise WrongUseError(
-            "a step does not follow from lines that end before T dies out",
-            f"|T| = {abs(T[-1]):.2g} at the last line, {f[-1]:.3g} Hz",
+            "a step does not follow from frequencies that end before T dies out",
+            f"|T| = {abs(T[-1]):.2g} at the highest frequency, {f[-1]:.3g} Hz",
             "measure higher, or take the step from a fit",
         )
     _check_spacing(sensitivity)
@@ -223,7 +221,7 @@ def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Ste
     moved = float(np.ptp(nominal[-max(2, nominal.size // 5) :]))
     if moved > REST * 2.0:
         raise WrongUseError(
-            "a step does not come to rest within half a period of the lowest line",
+            "a step does not come to rest within half a period of the lowest frequency",
             f"it still moves by {100.0 * moved:.2g} % of the step over the last fifth of {grid.time_s[-1]:.3g} s",
             "measure lower, or take the step from a fit",
         )
@@ -242,16 +240,16 @@ def _check_spacing(sensitivity: FRF) -> None:
     apart = float(np.diff(f)[: max(1, f.size // 4)].max(initial=0.0))
     if f.size < 3 or apart > 2.0 * f[0] or bend > BENT:
         raise WrongUseError(
-            "a step does not follow from lines so far apart",
-            f"up to {apart:.3g} Hz above a first line at {f[0]:.3g} Hz, straight lines miss T by {bend:.2g}",
+            "a step does not follow from frequencies so far apart",
+            f"up to {apart:.3g} Hz from {f[0]:.3g} Hz on, where straight lines deviate from T by {bend:.2g}",
             "measure with a finer resolution, or take the step from a fit",
         )
 
 
 def _missing(f: Array, T: ComplexArray) -> tuple[str, ...]:
     return (
-        f"nothing slower than {0.5 / f[0]:.3g} s is seen (first line {f[0]:.3g} Hz), and nothing above {f[-1]:.3g} Hz,"
-        f" where |T| = {abs(T[-1]):.2g}",
+        f"nothing slower than {0.5 / f[0]:.3g} s is seen (lowest frequency {f[0]:.3g} Hz), nothing above"
+        f" {f[-1]:.3g} Hz, where |T| = {abs(T[-1]):.2g}",
     )
 
 

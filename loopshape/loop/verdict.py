@@ -109,8 +109,8 @@ def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
     if near[k] > within / from_db(1.0):
         return ""
     return (
-        f"{frf.recording} is judged from {lines.frequency_hz[0]:.4g} to {lines.frequency_hz[-1]:.4g} Hz only (band_hz):"
-        f" at {frf.frequency_hz[outside][k]:.4g} Hz, a trusted line, |S| reads {-float(db(near[k])):.3g} dB"
+        f"{frf.recording} is used from {lines.frequency_hz[0]:.4g} to {lines.frequency_hz[-1]:.4g} Hz only (band_hz):"
+        f" at {frf.frequency_hz[outside][k]:.4g} Hz, a valid frequency, |S| reads {-float(db(near[k])):.3g} dB"
     )
 
 
@@ -175,11 +175,11 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
     if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
         return (
             None,
-            f"the plant's lowest lines look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
+            f"the plant's lowest frequencies look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
         )
     word = "integrator" if integrators == 1 else "integrators"
     return integrators, (
-        f"plant taken to have {integrators} {word}, from its lowest lines: {by_phase:.1f} by phase,"
+        f"plant taken to have {integrators} {word}, from its lowest frequencies: {by_phase:.1f} by phase,"
         f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
     )
 

@@ -53,7 +53,7 @@ def asked(plant: Any, words: Iterable[str]) -> dict[str, float]:
         key, equals, number = word.partition("=")
         key = key.strip()
         if key in found:
-            raise WrongUseError("an effect is asked for twice", f"{word!r}", "give each once")
+            raise WrongUseError("an effect is given twice", f"{word!r}", "give each once")
         found[key] = _magnitude(word, number) if equals else middle(_candidates(plant, key)[0])
     return found
 
@@ -98,7 +98,7 @@ def moves(plant: Any, effects: Mapping[str, float], others: Sequence[str] = ()) 
     whose: dict[str, str] = {}
     names = [key.partition(":")[0] for key in effects]
     if twice := [name for name in names if names.count(name) > 1]:
-        raise WrongUseError("an effect is asked for twice", twice[0], "give each once")
+        raise WrongUseError("an effect is given twice", twice[0], "give each once")
     for key, magnitude in effects.items():
         for name, value in chosen(plant, key, magnitude)[1].moves.items():
             if name in others:

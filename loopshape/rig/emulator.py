@@ -54,7 +54,7 @@ class Emulator:
 
     def __post_init__(self) -> None:
         if self.number_bytes not in (4, 8):
-            raise WrongUseError("numbers on the line have 4 or 8 bytes", f"{self.number_bytes!r}")
+            raise WrongUseError("numbers in transmission have 4 or 8 bytes", f"{self.number_bytes!r}")
         for name in ("drop", "corrupt", "duplicate"):
             if not 0.0 <= getattr(self, name) < 1.0:
                 raise WrongUseError(f"{name} is a probability below 1", f"{getattr(self, name)!r}")

@@ -145,9 +145,9 @@ class Identity:
         flags, board, version = p.one("B"), p.text(), p.text()
         if protocol != PROTOCOL or size not in (4, 8):
             raise UnreadableInputError(
-                "the target speaks another protocol",
+                "the target uses another protocol",
                 f"version {protocol}, numbers of {size} bytes",
-                f"loopshape speaks version {PROTOCOL} with 4 or 8",
+                f"loopshape uses version {PROTOCOL} with 4 or 8",
             )
         names = [p.text() for _ in range(sensors + commands)]
         numbers = p.rest("<f8").tolist()

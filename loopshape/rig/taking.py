@@ -222,7 +222,7 @@ class Taking:
             raise RigError(
                 f"samples of {self._e.name!r} are lost: the target no longer has them",
                 f"ticks from {first} on",
-                "the recording is not kept; use a faster line, or fewer columns",
+                "the recording is not kept; use a faster connection, or fewer columns",
             ) from None
 
     def _stop_the_blind(self) -> None:

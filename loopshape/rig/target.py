@@ -71,7 +71,7 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
         limit = settings.limits[column]
         if limit.low < low or limit.high > high:
             raise WrongUseError(
-                f"the limits of {column} lie beyond what it can have, and limit nothing",
+                f"the limits of {column} lie beyond its range, and limit nothing",
                 str(limit),
                 f"write limits within {limit.said(low)} to {limit.said(high)}",
             )

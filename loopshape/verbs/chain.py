@@ -70,7 +70,9 @@ def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None
     found = frfs(whole, loop, **settings)
     if len(found) != 1:
         raise WrongUseError(
-            "one FRF was asked of a run with several recordings" if found else "no recording excites this loop alone",
+            "one FRF was requested from a run with several recordings"
+            if found
+            else "no recording excites this loop alone",
             ", ".join(one.recording for one in found) or f"loop {loop!r}",
             "name the recording, or take all with ls.frfs",
         )
@@ -211,7 +213,7 @@ def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed
 def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0) -> list[Remeasured]:
     """Predictions against a run that was recorded under the predicted controllers: S, steps and profiles.
 
-    Each has `comparisons` with an outcome; all together contradict true predictions 5 % of the time. Deviations of |S|
+    Each has `comparisons` with an outcome; all together reject true predictions 5 % of the time. Deviations of |S|
     of the rms size `tolerance_db` count as none. Raises WrongUseError where no recording belongs to a prediction.
     """
     from loopshape.loop.remeasured import remeasure

@@ -56,7 +56,7 @@ def record_on_target(
         motion = Motion(session.identity, name, settings, tuple(todo), lambda one: experiment(study, plant, one))
         _refuse_points_beyond_limits(motion)
         if not confirm(motion):
-            raise WrongUseError("nothing was moved", "no word to arm", "look at what it will do, then give arm=True")
+            raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
         start_run(out, head)
         with alone(out), marked(out, name), interrupts():
             keep_arrived(out)  # of a measurement that was killed

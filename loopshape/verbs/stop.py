@@ -35,9 +35,9 @@ def _interrupted(run: Path) -> str:
         os.kill(pid, signal.SIGINT)
     except OSError as error:
         raise WrongUseError(
-            "the process could not be told to stop", f"{pid}: {error.strerror}", "name the port"
+            "the process could not be asked to stop", f"{pid}: {error.strerror}", "name the port"
         ) from None
-    return f"process {pid} was told to stop; it vents the machine before it ends"
+    return f"process {pid} was asked to stop; it vents the machine before it ends"
 
 
 def _through(port: str, baud: int, clear: bool) -> str:

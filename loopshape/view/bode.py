@@ -1,4 +1,4 @@
-"""Bode page of one operating point: P, C, L, S and T with 95 % bands, the lines as measured, and the margins."""
+"""Bode page of one operating point: P, C, L, S and T with 95 % bands, the frequencies as measured, and the margins."""
 
 from __future__ import annotations
 
@@ -131,11 +131,11 @@ def _peak(ax: Axes, margins: Margins, quantity: str) -> None:
 def _notes(panels: dict[str, Axes], loop: Loop, requirements: Requirements | None) -> None:
     curves: list[Entry] = []
     if loop.raw is not None:
-        curves.append(("lines as measured", _DOTS | {"markersize": 5.0}))
-        curves.append(("smoothed over lines", _LOOK))
+        curves.append(("frequencies as measured", _DOTS | {"markersize": 5.0}))
+        curves.append(("smoothed over frequency", _LOOK))
     if np.any(loop.plant.variance):
         look: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.5, "linewidth": 6.0, "solid_capstyle": "butt"}
-        curves.append(("95 %, each line by itself", look))
+        curves.append(("95 %, each frequency by itself", look))
     place_notes(panels["c"], curves, "best")
     limits = limit_entries(requirements, None)
     if place_notes(panels["S"], limits, "lower right"):

@@ -32,7 +32,7 @@ _CEILING_DB = 400.0
 _FEW = 3  # pairs that share a panel of half the width
 _MANY = 9  # partial coherences beyond which no curve can be told
 _NORMAL_95 = 1.959964
-_SHADED = "shaded: 95 %, of each line by itself"
+_SHADED = "shaded: 95 %, of each frequency by itself"
 
 
 @styled()

@@ -175,7 +175,7 @@ def worst_entries(loops: Sequence[Loop], looks: Sequence[dict[str, Any]], worst:
     if len(loops) > 1:
         entries.append((f"worst: {loops[worst].plant.recording}", shown(looks[worst])))
     if np.any(loops[worst].plant.variance):
-        text = "its 95 %, each line by itself" if len(loops) > 1 else "95 %, each line by itself"
+        text = "its 95 %, each frequency by itself" if len(loops) > 1 else "95 %, each frequency by itself"
         entries.append((text, {"color": BAND_COLOUR, "alpha": 0.5, "linewidth": 6.0, "solid_capstyle": "butt"}))
     return entries
 
@@ -199,7 +199,7 @@ def guides(panels: dict[Any, Axes], wished: Requirements | None, verdict: Verdic
             panels["l"].axhline(wished.phase_margin_deg - 180.0, color=LIMIT, linewidth=0.9, linestyle="--")
         if wished.bandwidth_hz is not None:
             for name in "LlST":
-                panels[name].axvline(wished.bandwidth_hz, color=LIMIT, linewidth=0.9, gid="bandwidth wished")
+                panels[name].axvline(wished.bandwidth_hz, color=LIMIT, linewidth=0.9, gid="bandwidth required")
     panels["l"].set_ylim(low, high)
     found = [] if verdict is None else [m.bandwidth_hz for m in verdict.margins.values() if np.isfinite(m.bandwidth_hz)]
     for name in "LlST" if found and max(found) > min(found) else "":

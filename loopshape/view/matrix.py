@@ -49,7 +49,14 @@ def matrix_page(frf: FRF) -> Figure:
             _element(frf, i, j, axes[2 * i, j], axes[2 * i + 1, j])
         _share(axes[2 * i], axes[2 * i + 1])
     hide_inner(*axes[:-1].ravel())
-    head(figure, _title(frf), point(frf.operating_point), frf.method, "bands: 95 %, of each line by itself", *frf.notes)
+    head(
+        figure,
+        _title(frf),
+        point(frf.operating_point),
+        frf.method,
+        "bands: 95 %, of each frequency by itself",
+        *frf.notes,
+    )
     return figure
 
 

@@ -119,7 +119,9 @@ def _draw_worst(ax: Axes, one: _Curve, count: int) -> list[Entry]:
         dots: dict[str, Any] = {"color": "0.45", "linestyle": "none", "marker": ".", "markersize": 2.5}
         dots["markeredgewidth"] = 0.0
         ax.add_artist(Line2D(*_measured(one), gid="measured", zorder=1.9, **dots))
-        entries.append(("its lines as measured" if count > 1 else "lines as measured", dots | {"markersize": 4.0}))
+        entries.append(
+            ("its frequencies as measured" if count > 1 else "frequencies as measured", dots | {"markersize": 4.0})
+        )
     draw_known(ax, one.phase_deg, one.size_db, one.known, **look)
     return entries
 
@@ -157,7 +159,7 @@ def _regions(ax: Axes, curves: Sequence[_Curve], worst: Worst) -> list[Entry]:
     for k in others:
         heights += _regions_of(ax, curves[k], 1)
     style: dict[str, Any] = {"color": COLOURS[5], "alpha": 0.6, "linewidth": 5.0, "solid_capstyle": "round"}
-    return [("95 % of L on a line", style)] if max(heights, default=0.0) > _SEEN_DB else []
+    return [("95 % of L at a frequency", style)] if max(heights, default=0.0) > _SEEN_DB else []
 
 
 def _regions_of(ax: Axes, one: _Curve, count: int) -> list[float]:

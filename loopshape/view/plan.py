@@ -49,7 +49,7 @@ def injected(plan: Plan, *, ax: Axes | None = None) -> Axes:
     ax.set_ylim(least, 2.0 * float(plan.line_amplitude.max()))
     _plain_numbers(ax, float(plan.line_amplitude.max()) / least)
     frequency_axis(ax, 0.8 * float(plan.lines_hz[0]), 1.25 * float(plan.lines_hz[-1]))
-    ax.set_ylabel(f"amplitude of a line [{plan.unit}]")
+    ax.set_ylabel(f"amplitude of a frequency [{plan.unit}]")
     return ax
 
 

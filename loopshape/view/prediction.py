@@ -107,7 +107,7 @@ def comparison_grid(
     head(
         figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {held} of {len(comparisons)} confirmed",
         f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
-        " shaded: the band that contradicts most",
+        " shaded: the band that differs most",
     )  # fmt: skip
     return figure
 

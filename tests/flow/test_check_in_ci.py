@@ -167,7 +167,7 @@ def test_a_missed_requirement_is_1_and_wrong_use_is_2(bench: Path) -> None:
     assert missed.returncode == 1
     assert missed.stdout.startswith("verdict: FAIL: bandwidth_hz of loop motor: required")
     for words, said in (
-        ((own, "--allow-worse"), "--allow-worse speaks of a baseline"),
+        ((own, "--allow-worse"), "--allow-worse needs a baseline"),
         ((own, "--baseline", "none.json"), "a file does not exist"),
         ((own, "--baseline", REQUIRE), "cannot be read as JSON"),
         ((own, "--baseline", bench / "out" / "bench" / "fits.json"), "not of the format loopshape-verdict/1"),

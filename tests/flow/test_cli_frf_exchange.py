@@ -121,7 +121,7 @@ def test_refusals_are_sentences(run, tmp_path):
     for words, said in (
         (("export", run, "--to", "xls"), "use mat, csv, uff"),
         (("export", tmp_path / "none", "--to", "mat"), "does not exist"),
-        (("import-frf", mat, "--out", out), "nothing tells how sure this FRF is"),
+        (("import-frf", mat, "--out", out), "the error of this FRF is not given"),
         (("import-frf", mat, "--out", out, "--relative-std", "-1"), "must not be negative"),
         (("import-frf", mat, "--out", out, "--averages", "20"), "neither covariance nor coherence"),
         (("import-frf", tmp_path / "no.mat", "--out", out, *named), "does not exist"),

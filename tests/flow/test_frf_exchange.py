@@ -165,7 +165,7 @@ def test_lines_at_zero_are_left_out_with_a_note(tmp_path):
     savemat(tmp_path / "a.mat", {"response": np.append(np.nan, np.ones(4)), "frequency_hz": np.arange(5.0)})
     back = read_frf_file(tmp_path / "a.mat", Stated(relative_std=0.1))
     assert back.frequency_hz.tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert "the line at 0 Hz was left out" in back.notes
+    assert "the value at 0 Hz was left out" in back.notes
 
 
 def test_a_table_without_words(tmp_path):

@@ -215,7 +215,7 @@ def test_reprs_are_one_line(arrays: dict[str, np.ndarray]) -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({}, "nothing tells how sure"),
+        ({}, "the error of this FRF"),
         ({"std": 0.1, "relative_std": 0.1}, "stated once"),
         ({"coherence": np.full(F_HZ.size, 0.9)}, "give coherence and averages"),
         ({"coherence": np.full(F_HZ.size, 1.9), "averages": 10}, "between 0 and 1"),
@@ -284,7 +284,7 @@ def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
     study, seen = tmp_path / "study.toml", []
     study.write_text(TARGET_STUDY)
     with ls.emulator() as port:
-        with pytest.raises(ls.LoopshapeError, match="nothing was moved"):
+        with pytest.raises(ls.LoopshapeError, match="no motion"):
             ls.measure(study, tmp_path / "run", port=port, confirm=lambda motion: bool(seen.append(motion)))
         assert seen[0].identity.emulated
         assert not (tmp_path / "run").exists()

@@ -43,7 +43,7 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     if name == "rig":
-        assert "nothing was moved; --arm lets it move" in done.stdout
+        assert "no motion; --arm lets it move" in done.stdout
         assert "every file is what was written" in done.stdout
         assert "the target is in state idle" in done.stdout
     elif name == "gap":

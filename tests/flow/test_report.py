@@ -232,7 +232,7 @@ def test_a_controller_without_requirements_passes_nothing(run: Path) -> None:
     assert found.outcome == "none"
     text = Page(page(found)).text
     assert "no requirements were given" in text
-    assert "plant with 1 integrator (by phase and slope of its lowest lines, from 0.25 Hz)" in text
+    assert "plant with 1 integrator (by phase and slope at its lowest frequencies, from 0.25 Hz)" in text
 
 
 def test_the_count_of_encirclements_says_what_its_integrators_rest_on(parts: Page) -> None:
@@ -265,7 +265,7 @@ def test_the_command_writes_the_page_and_says_where(run: Path, tmp_path: Path) -
     assert out.read_text().startswith('<!DOCTYPE html>\n<html lang="en">')
 
 
-NOTE = "on {} of 240 lines a resonance is narrower than lines resolve"
+NOTE = "on {} of 240 lines a resonance is narrower than the resolution of resolve"
 
 
 @pytest.fixture(scope="module")

@@ -59,7 +59,7 @@ def test_nothing_moves_unless_it_is_armed_by_hand(tmp_path):
     with Running(real) as running:
         code, said, error = command("measure", study, "--out", tmp_path / "run", "--port", running.port)
         assert code == 2
-        assert "nothing was moved; received no word to arm; look at what is about to happen, then add --arm" in error
+        assert "no motion; received no word to arm; look at what is about to happen, then add --arm" in error
         assert not {ARM, SETPOINT, BEGIN, GO} & set(told(running))
         assert running.target.state == IDLE
     for words in (
@@ -229,7 +229,7 @@ def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
         if how == "stop":
             code, said, _ = command("stop", run)
             assert code == 0
-            assert f"process {process.pid} was told to stop" in said
+            assert f"process {process.pid} was asked to stop" in said
         else:
             process.send_signal(getattr(signal, how))
         _, error = process.communicate(timeout=10)

@@ -120,7 +120,7 @@ def test_real_roots_are_time_constants_and_far_ones_bounds():
     assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, 1.0) == [None, None, "1 ± 0.02"]
     assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, -1.0) == [None, None, "1 ± 0.02, right half plane"]
     far = roots(2.3e5, 8.7e14, -1.0)[2]
-    assert far == "below 0.004, beyond the lines, right half plane"
+    assert far == "below 0.004, above the measured frequencies, right half plane"
     assert roots(20.0, 30.0, 1.0)[2] == "about 0.008, not known"
 
 

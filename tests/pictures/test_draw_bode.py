@@ -1,4 +1,4 @@
-"""The Bode page: bands, lines as measured, margins and peaks where the verdict has them, and its command's files."""
+"""The Bode page: bands, measured frequencies, margins and peaks where the verdict has them, and its files."""
 
 import loop_nouns
 import numpy as np

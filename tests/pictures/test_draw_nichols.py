@@ -136,7 +136,7 @@ def test_the_worst_point_is_named_with_its_frequency() -> None:
     assert "misses peak |S|" in named
     legend = {text.get_text() for text in ax.get_legend().get_texts()}
     assert f"worst: {verdict.lines[2].recording}" in legend
-    assert {"|S| constant", "|T| constant", "|S| at most 6 dB", "95 % of L on a line"} <= legend
+    assert {"|S| constant", "|T| constant", "|S| at most 6 dB", "95 % of L at a frequency"} <= legend
 
 
 @pytest.mark.parametrize("relative", [0.01, 0.2, 0.5])

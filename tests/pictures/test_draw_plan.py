@@ -39,7 +39,7 @@ def test_accuracy_above_and_what_is_injected_below(planned):
         (at,) = (line for line in ax.lines if line.get_gid() == "crossover")
         assert at.get_xdata()[0] == pytest.approx(6.0)
     assert top.get_ylabel() == "relative std of |G| [%]"
-    assert bottom.get_ylabel() == "amplitude of a line [rad]"
+    assert bottom.get_ylabel() == "amplitude of a frequency [rad]"
     low, high = top.get_ylim()
     assert low < 1.0 < high
     assert png(figure) == png(plan_page(planned))

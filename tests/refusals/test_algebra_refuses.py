@@ -38,9 +38,9 @@ def no(words, do, *given, **more):
 
 def test_other_lines_are_named_and_never_regridded():
     moved = any_frf(RNG, 2, 2, f=np.array([1.0, 2.0, 3.5, 4.0, 5.0, 6.0, 7.0]))
-    no(r"different lines.*line 3 at 3 Hz and 3\.5 Hz; .*regrid\(frf", add, A, moved)
+    no(r"different frequencies.*line 3 at 3 Hz and 3\.5 Hz; .*regrid\(frf", add, A, moved)
     no("line 4 at 4 Hz and nothing", add, A, A.select(slice(0, 3)))
-    no("different lines", feedback, A, replace(moved, inputs=A.outputs, outputs=A.inputs))
+    no("different frequencies", feedback, A, replace(moved, inputs=A.outputs, outputs=A.inputs))
     nearly = replace(B, frequency_hz=B.frequency_hz * (1.0 + 1e-12))
     assert add(A, nearly).frequency_hz[3] == A.frequency_hz[3]
 
@@ -53,7 +53,7 @@ def test_one_frf_twice_has_errors_that_are_not_independent():
     exact = replace(A, covariance=0.0 * A.covariance)
     assert not add(exact, exact).covariance.any()
     one, two = replace(A, recording="r01"), replace(B, recording="r02+r01")
-    assert "two parts come from r01: their errors were taken as independent" in add(one, two).notes
+    assert "two FRFs come from r01: their errors were taken as independent" in add(one, two).notes
     assert not add(one, replace(B, recording="r02")).notes
 
 
@@ -66,7 +66,7 @@ def test_channels_that_do_not_meet():
     no("each once", channels, A, ["y0", "y0"])
     no("controller outputs and plant inputs", feedback, A, B)
     no("only a square FRF has an inverse; received 1 x 2", inverse, any_frf(RNG, 1, 2))
-    no(r"a FRF has no inverse at every line; received 1 Hz", inverse, replace(A, response=np.ones((7, 2, 2)) + 0j))
+    no(r"a FRF has no inverse at every frequency; received 1 Hz", inverse, replace(A, response=np.ones((7, 2, 2)) + 0j))
 
 
 def test_closures_that_close_nothing_or_all():
@@ -100,17 +100,17 @@ def test_the_hold_is_multiplied_in_once():
         100.0,
     )
     assert held(replace(A, rate_hz=100.0), 100.0, continuous=True).rate_hz == 100.0
-    no("lines below half its rate", held, A, 10.0)
-    no("lines below half its rate", held, A, 100.0, -1.0)
-    no("lines below half its rate", held, A, float("nan"))
+    no("frequencies below half its rate", held, A, 10.0)
+    no("frequencies below half its rate", held, A, 100.0, -1.0)
+    no("frequencies below half its rate", held, A, float("nan"))
 
 
 def test_regridding_never_extrapolates():
-    no(r"never beyond; received 0\.5 to 3 Hz; stay within 1 to 7 Hz", regrid, A, [0.5, 3.0])
-    no("never beyond", regrid, A, [3.0, 8.0])
-    no("never beyond; received no line", regrid, A, [])
-    no("never beyond", regrid, A, [2.0, np.nan])
-    no("rise", regrid, A, [3.0, 2.0])
+    no(r"never extrapolated; received 0\.5 to 3 Hz; stay within 1 to 7 Hz", regrid, A, [0.5, 3.0])
+    no("never extrapolated", regrid, A, [3.0, 8.0])
+    no("never extrapolated; received no line", regrid, A, [])
+    no("never extrapolated", regrid, A, [2.0, np.nan])
+    no("strictly increasing", regrid, A, [3.0, 2.0])
     made = regrid(A, np.arange(1.5, 7.0, 0.25))
     assert "interpolated from 7 onto 22 lines" in made.notes[-1]
     assert made.line_overlap > 3.0

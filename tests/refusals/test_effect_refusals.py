@@ -60,9 +60,9 @@ def test_a_form_that_is_not_there(arm, number):
 
 
 def test_an_effect_twice(arm):
-    with pytest.raises(WrongUseError, match="asked for twice"):
+    with pytest.raises(WrongUseError, match="given twice"):
         asked(arm, ["payload=20", "payload=30"])
-    with pytest.raises(WrongUseError, match="asked for twice; received joint_friction"):
+    with pytest.raises(WrongUseError, match="given twice; received joint_friction"):
         moves(arm, {"joint_friction": 0.1, "joint_friction:2": 0.1})
 
 

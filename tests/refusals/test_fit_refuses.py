@@ -26,7 +26,7 @@ def refusal(call):
 @pytest.mark.parametrize(("lines", "structure"), [(2, ThirdOrder()), (1, Integrator()), (4, Rational(2, 4))])
 def test_too_few_lines(lines, structure):
     text = refusal(lambda: fit(frf_of(lines), structure))
-    assert f"too few lines to fit {structure.name}" in text
+    assert f"too few frequencies to fit {structure.name}" in text
     assert f"{lines} line" in text
     assert f"{len(structure.names)} parameters" in text
 
@@ -52,7 +52,7 @@ def test_orders_that_make_no_sense(orders):
 
 
 def test_a_frf_without_a_trusted_line():
-    assert "no line of the FRF axis r1 can be trusted" in refusal(lambda: fit(frf_of(trusted=False), Integrator()))
+    assert "no frequency of the FRF axis r1 is valid" in refusal(lambda: fit(frf_of(trusted=False), Integrator()))
 
 
 def test_a_band_without_lines():
@@ -83,7 +83,7 @@ def test_the_best_of_no_fits_at_all():
 @pytest.mark.parametrize("weighting", ["variance", "relative"])
 def test_a_frf_without_variance_is_answered_with_a_sentence(weighting):
     text = refusal(lambda: fit(frf_of(variance=0.0), Integrator(), weighting=weighting))
-    assert "a fit weighs lines by their variance, and it must be above zero" in text
+    assert "a fit weighs frequencies by their variance, which must be positive" in text
     assert "0 at 0.5 Hz" in text
 
 

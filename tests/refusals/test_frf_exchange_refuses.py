@@ -67,14 +67,16 @@ def test_mat_files_that_are_no_frf(tmp_path):
         savemat(path, {k: v for k, v in (one | words).items() if k not in drop})
         no(path, *said)
 
-    refused({}, "says its lines once", "response", drop=["frequency_hz"])
-    refused({"frequency": F}, "says its lines once")
+    refused({}, "gives its frequencies once", "response", drop=["frequency_hz"])
+    refused({"frequency": F}, "gives its frequencies once")
     refused({}, "holds no response", drop=["response"])
-    refused({"response": np.ones((6, 2, 2))}, "goes over its 6 lines last", "6 x 2 x 2", "outputs x inputs x lines")
+    refused(
+        {"response": np.ones((6, 2, 2))}, "goes over its 6 lines last", "6 x 2 x 2", "outputs x inputs x frequencies"
+    )
     refused({"response": {"a": 1.0}}, "response of", "not an array of numbers")
     refused({"response": "text"}, "not an array of numbers")
     refused({"frequency_hz": F * 1j}, "a vector of real numbers")
-    refused({"frequency_hz": F[::-1]}, "rise")
+    refused({"frequency_hz": F[::-1]}, "strictly increasing")
     refused({"frequency_hz": "frequency"}, "a vector of real numbers")
     refused({"response": np.full((2, 2, 6), np.nan)}, "values that are not numbers", "1 Hz")
     refused({"format": "other/2"}, "not of the format loopshape-frf-mat/1", "'other/2'")
@@ -94,7 +96,7 @@ def test_mat_files_that_are_no_frf(tmp_path):
 def test_nobody_knows_how_sure_it_is(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"response": np.ones(6) + 0j, "frequency_hz": F})
-    no(path, "nothing tells how sure", "neither covariance nor coherence", "--relative-std", stated=None)
+    no(path, "the error of this FRF", "neither covariance nor coherence", "--relative-std", stated=None)
     savemat(path, {"response": np.ones(6) + 0j, "frequency_hz": F, "coherence": np.full(6, 0.9)})
     no(path, "without the number of averages", "--averages", stated=None)
     assert read_frf_file(path, Stated(averages=10)).variance[0, 0, 0] == pytest.approx(0.1 / (0.9 * 9))
@@ -124,7 +126,7 @@ def test_tables_that_are_no_frf(tmp_path):
     refused("# loopshape-frf-csv/1\n# [1]\n" + "\n".join(lines[2:]), "the words of a FRF's table")
     refused("\n".join([*lines[:5], lines[5][:-1] + "2", *lines[6:]]) + "\n", "trusted", "1 or 0")
     refused("frequency_hz,re,im,std\n1,1,0,-1\n", "is negative")
-    refused("frequency_hz,re,im\n2,1,0\n1,1,0\n", "rise", stated=SURE)
+    refused("frequency_hz,re,im\n2,1,0\n1,1,0\n", "strictly increasing", stated=SURE)
     refused("frequency_hz,re,im\n", "a header and no rows", stated=SURE)
 
 
@@ -144,7 +146,7 @@ def test_universal_files_that_are_no_matrix(tmp_path):
     refused([one, one], "holds one pair twice")
     refused([one | {"func_type": 2, "data": np.ones(6)}], "holds no frequency response", "types 2")
     refused([one, one | {"rsp_node": 2, "ref_node": 2}], "no whole matrix", "no function of node 1 by node 2")
-    refused([one, one | {"rsp_node": 2, "x": 2 * F}], "no whole matrix", "other lines")
+    refused([one, one | {"rsp_node": 2, "x": 2 * F}], "no whole matrix", "other frequencies")
     refused([one | {"data": np.ones(6)}], "real numbers")
     refused([one | {"abscissa_spec_data_type": 17}], "which is no frequency")
     pyuff.UFF(str(path)).write_sets([dict(one), one | {"rsp_node": 2}], mode="overwrite")
@@ -179,5 +181,5 @@ def test_python_control_needs_an_error():
         from_control(3.0, relative_std=0.1)
     import control
 
-    with pytest.raises(WrongUseError, match="nothing tells how sure"):
+    with pytest.raises(WrongUseError, match="the error of this FRF"):
         from_control(control.frd(np.ones(6) * 1j, F))

@@ -162,7 +162,7 @@ def test_what_is_left_is_diagnosed_and_what_it_cannot_tell_is_said(good, tmp_pat
     )
     found, warned = json.loads((tmp_path / "gap.json").read_text()), capsys.readouterr().err
     for words in (
-        "no validation recording: how far the gap shrinks cannot be told; hold a sweep and a staircase out",
+        "no validation recording: how far the gap shrinks is not known; hold a sweep and a staircase out",
         "one operating point: effects that differ only by theta2_deg or p_ab_bar stay together",
         "r04.parquet lasts 1.5 s: too short, left out; record at least 3 s",
         "r05.parquet: theta2_rad rests at its end in",

@@ -54,7 +54,7 @@ def test_a_nu_gap_on_other_lines() -> None:
         response, covariance = np.ones((f.size, 1, 1), dtype=complex), np.zeros((f.size, 1, 1), dtype=complex)
         return FRF(f, response, covariance, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "")
 
-    with pytest.raises(WrongUseError, match="on the lines that both plants share"):
+    with pytest.raises(WrongUseError, match="frequencies that both plants share"):
         nu_gap(plant(np.arange(1.0, 9.0)), plant(np.arange(1.0, 10.0)))
 
 

@@ -197,7 +197,7 @@ def test_machines_of_one_name_are_refused(files, words):
 
 
 def test_draws_of_a_plant_without_a_spread_are_refused(files):
-    with pytest.raises(WrongUseError, match="has no ordinary spread"):
+    with pytest.raises(WrongUseError, match="has no manufacturing tolerance"):
         list(Campaign(read_study(files / "study.toml"), draws=2).machines((), Arm1().parameters))
 
 

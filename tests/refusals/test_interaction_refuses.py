@@ -31,8 +31,11 @@ K = Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
         (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "nose", {}), "a loop is not in the FRF"),
         (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "theta1", {}), "received none of theta2"),
         (lambda: relative_gain(TALL), "those of a square FRF; received 3 x 2"),
-        (lambda: relative_gain(matrix_frf(np.ones((F.size, 2, 2)))), "has no inverse at every line; received 0.1 Hz"),
-        (lambda: interaction(matrix_frf(coupled_by(-30.0), trusted=F > 99.0)), "can be trusted"),
+        (
+            lambda: relative_gain(matrix_frf(np.ones((F.size, 2, 2)))),
+            "has no inverse at every frequency; received 0.1 Hz",
+        ),
+        (lambda: interaction(matrix_frf(coupled_by(-30.0), trusted=F > 99.0)), "is valid"),
     ],
 )
 def test_refusals_say_what_and_the_way_out(ask, words):

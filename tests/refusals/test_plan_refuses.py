@@ -32,7 +32,7 @@ def record():
         ({"std": 0.9}, "below 50 %"),
         ({"std": 0.01, "longest_s": -1.0}, "longest s of a plan must be positive"),
         ({"std": 0.01, "max_input": float("nan")}, "max input of a plan must be positive"),
-        ({"std": 0.01, "kind": "even"}, "a kind of lines is not known"),
+        ({"std": 0.01, "kind": "even"}, "a kind of frequency grid is not known"),
     ],
 )
 def test_wishes_that_are_none(words, sentence):
@@ -73,5 +73,5 @@ def test_a_record_that_only_shows_the_inverse_controller_is_refused():
     n = signal.signal(known.RATE)
     z, y = known.run_loop("controller_input", n, np.random.default_rng(1).standard_normal(n.size))
     made = known.record("controller_input", "multisine", n, z, y, period_s=10.0, from_s=1.0)
-    with pytest.raises(LoopshapeError, match=r"can be trusted|does not stand clear of the noise"):
+    with pytest.raises(LoopshapeError, match=r"is valid|does not stand clear of the noise"):
         first_record(made, known.LOOP)

@@ -38,7 +38,7 @@ def prediction() -> Prediction:
 
 def test_another_controller_another_loop_and_another_rate_are_refused() -> None:
     other = Controller("a", (Block("gain", {"gain": 1.01}),), 1000.0)
-    with pytest.raises(WrongUseError, match="held by another controller"):
+    with pytest.raises(WrongUseError, match="closed by another controller"):
         compare(prediction(), sensitivity_of(plant(held=other)))
     with pytest.raises(WrongUseError, match="not of the loop"):
         compare(prediction(), replace(sensitivity_of(plant()), loop="b"))
@@ -48,7 +48,7 @@ def test_another_controller_another_loop_and_another_rate_are_refused() -> None:
 
 def test_a_controller_that_is_not_known_is_noted_and_lines_that_nobody_trusts_tell_nothing() -> None:
     measured = replace(sensitivity_of(plant()), held_by=None)
-    assert any("taken to be" in note for note in compare(prediction(), measured).notes)
+    assert any("is assumed" in note for note in compare(prediction(), measured).notes)
     blind = compare(prediction(), replace(measured, trusted=np.zeros(10, dtype=bool)))
     assert (blind.outcome, blind.lines, blind.worst) == ("cannot tell", 0, None)
 

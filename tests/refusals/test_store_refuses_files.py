@@ -71,7 +71,7 @@ def test_toml_and_json_that_cannot_be_read(tmp_path):
         refused(read, path, "[" * 100_000, kind, error=UnreadableInputError)
         with pytest.raises(UnreadableInputError, match="does not exist"):
             read(tmp_path / "none")
-        with pytest.raises(UnreadableInputError, match="a folder stands where"):
+        with pytest.raises(UnreadableInputError, match="a folder stands in the place of"):
             read(tmp_path)
 
 
@@ -131,7 +131,7 @@ def test_requirements(tmp_path):
     no(REQUIREMENTS + 'structure = [{ kind = "gain", gain = { min = 1 } }]\n', "min, max")
     no(REQUIREMENTS + 'structure = [{ kind = "gain", gain = { min = "1", max = 2 } }]\n', "finite number")
     no(REQUIREMENTS + REQUIREMENTS.split("\n", 1)[1], "two loops have one name")
-    no('format = "loopshape-requirements/1"\nloop = []\n', "asks for nothing")
+    no('format = "loopshape-requirements/1"\nloop = []\n', "requires nothing")
 
 
 def frf(recording="r01", loop="x"):
@@ -239,7 +239,7 @@ def test_excitations(tmp_path):
     no("amplitude_deg = 5.0", "amplitude_deg = 5.0, amplitude_rad = 1.0", "written once")
     no("amplitude_deg = 5.0", "amplitude_deg = -5.0", "amplitude of a sweep must be positive")
     no("f_low_hz = 0.5, ", "", "no f_low_hz")
-    no("f_low_hz = 0.5", "f_low_hz = 50.0", "excitation: a sweep's band must rise")
+    no("f_low_hz = 0.5", "f_low_hz = 50.0", "excitation: a sweep's band must be positive and increasing")
     no("f_low_hz = 0.5", 'f_low_hz = "a"', "finite number")
     no("f_low_hz = 0.5", "f_low_hz = 0.5, period_s = 3.0", "unknown key", "'period_s'")
     no("f_low_hz = 0.5", 'f_low_hz = 0.5, spacing = "octaves"', "octaves", "logarithmic")

@@ -110,7 +110,7 @@ def test_a_study_that_does_not_fit_is_refused(study, old, new, sentence):
         ({"commands": ("u_b_v",)}, "no such commands; received u_axis_v"),
         (
             {"ranges": ((-1.0, 1.0), (-9.0, 9.0))},
-            "the limits of axis_rad lie beyond what it can have, and limit nothing",
+            "the limits of axis_rad lie beyond its range, and limit nothing",
         ),
         ({"ranges": ((-2.0, 2.0), (-5.0, 4.9))}, "write limits within -5 V to 4.9 V"),
         ({"most_loops": 0}, "closes up to 0 loops"),

@@ -225,7 +225,7 @@ def test_a_sharp_resonance_is_counted_by_its_tails_and_undecided_where_too_few_l
     assert fine.unstable_poles == coarse.unstable_poles == by_roots(num, den, 10.0) == 2
     few = answer(num, den, np.geomspace(0.1, 300.0, 9), 10.0)  # too few to look for tails
     assert few.outcome == "undecided"
-    assert "no line lies between" in few.reason
+    assert "no frequency lies between" in few.reason
 
 
 def test_undecided_where_too_few_lines_turn_about_minus_one():
@@ -233,7 +233,7 @@ def test_undecided_where_too_few_lines_turn_about_minus_one():
     frf = frf_of(f, np.array([-4.0j, -1.1 - 0.6j, -1.15 + 0.3j, -0.3 + 0.0j, -0.1 + 0.0j]))
     found = closed_loop_stability(Loop(frf, under_gain(1.0), 1, unstable_poles=0))
     assert found.outcome == "undecided"
-    assert "5 lines are too few to tell what lies between them" in found.reason
+    assert "5 frequencies are too few to show what lies between them" in found.reason
     assert found.band_hz[0] <= 2.0 < 3.0 <= found.band_hz[1]
 
 

@@ -203,7 +203,7 @@ def test_integrators_come_from_the_requirements_then_a_fit_then_the_lowest_lines
     assert by_fit[0][0].model is fitted.model
     assert by_lines[0][0].integrators == 1
     assert by_lines[1][0].startswith(
-        "plant taken to have 1 integrator, from its lowest lines: 1.0 by phase, 1.0 by slope"
+        "plant taken to have 1 integrator, from its lowest frequencies: 1.0 by phase, 1.0 by slope"
     )
 
 
@@ -238,7 +238,9 @@ def test_where_phase_and_slope_do_not_agree_on_a_whole_number_nothing_is_assumed
     frf = seen(model)
     (loop,), notes = loops_of([frf], controller(), wish(integrators=None))
     assert loop.integrators is None
-    said = re.fullmatch(r"the plant's lowest lines look like (\S+) integrators by phase and (\S+) by slope", notes[0])
+    said = re.fullmatch(
+        r"the plant's lowest frequencies look like (\S+) integrators by phase and (\S+) by slope", notes[0]
+    )
     assert [float(x) for x in said.groups()] == pytest.approx([by_phase, by_slope], abs=0.15)
     verdict = check([frf], controller(), wish(integrators=None, phase_margin_deg=1.0))
     assert not verdict.passed

@@ -138,7 +138,7 @@ def test_where_all_lines_are_excited_it_cannot_tell():
     found = distortion(record(u, u + 0.1 * u**2), OPEN)
     assert not found.told
     assert found.bands == ()
-    assert "every line of the band was excited" in found.verdict
+    assert "every frequency of the band was excited" in found.verdict
     assert "odd multisine that leaves out" in found.verdict
 
 
@@ -147,7 +147,7 @@ def test_where_all_odd_lines_are_excited_it_tells_the_even_ones_alone():
     found = distortion(record(u, u + 0.1 * u**2 + 0.1 * u**3 + noise(u.size, 1e-4)), OPEN)
     assert found.odd is None
     assert found.even is not None
-    assert "odd distortion cannot be told" in found.verdict
+    assert "odd distortion does not show" in found.verdict
 
 
 def test_where_odd_and_even_lines_are_excited_it_does_not_split_the_rest():

@@ -68,7 +68,7 @@ def test_levels_alone_may_be_handed_in():
 
 
 def test_powers_of_another_shape_are_refused():
-    with pytest.raises(WrongUseError, match=r"\(lines, inputs, inputs\)"):
+    with pytest.raises(WrongUseError, match=r"\(frequencies, inputs, inputs\)"):
         powered(np.ones((10, 2)))
 
 

@@ -16,7 +16,7 @@ BANDED = {
 @pytest.mark.parametrize("kind", BANDED)
 @pytest.mark.parametrize("band", [(0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), (1.0, 1.0), (1.0, INF), (NAN, 1.0), (1.0, NAN)])
 def test_band_that_does_not_rise_from_above_zero(kind, band):
-    with pytest.raises(WrongUseError, match=f"a {kind}'s band must rise from above zero; received"):
+    with pytest.raises(WrongUseError, match=f"a {kind}'s band must be positive and increasing; received"):
         BANDED[kind](*band)
 
 
@@ -76,7 +76,7 @@ def test_signal_whose_length_falls_between_samples(make):
 
 @pytest.mark.parametrize("lines", [(1.0, 1.55), (0.05,), (-1.0,), (0.0, 1.0), ()])
 def test_lines_off_the_grid(lines):
-    with pytest.raises(WrongUseError, match=r"whole multiples of 0\.1 Hz; received .*choose lines on that grid"):
+    with pytest.raises(WrongUseError, match=r"whole multiples of 0\.1 Hz; received .*choose frequencies on that grid"):
         Multisine(1.0, 2.0, 10.0, 1.0, lines_hz=lines).lines()
 
 

@@ -108,7 +108,7 @@ def test_a_band_is_not_decoupled_where_nothing_was_measured():
     v = verdict(matrix_frf(coupled_by(-40.0), error=0.01, trusted=trusted))
     assert v.verdict == "undecided"
     assert v.hole_hz == (pytest.approx(1.9), pytest.approx(3.1))
-    assert "no line can be trusted from 1.9 to 3.1 Hz" in v.sentence
+    assert "no frequency is valid from 1.9 to 3.1 Hz" in v.sentence
     beyond = verdict(matrix_frf(coupled_by(-40.0), error=0.01), bands=((0.5, 20.0),))
     assert beyond.verdict == "undecided"
     assert beyond.hole_hz == (8.0, 20.0)

@@ -159,7 +159,7 @@ def test_no_resonance_falls_between_lines_where_answers_to_the_instrument_are_sm
 
 
 def test_too_few_lines_are_refused_with_a_way_out():
-    with pytest.raises(BadSignalError, match="too few lines in one stretch") as caught:
+    with pytest.raises(BadSignalError, match="too few frequencies in one stretch") as caught:
         estimate_frf(records(0.5, 0.5, 40.0, 1)[0], OPEN, LOCAL)
     assert "Welch" in str(caught.value)
 

@@ -137,7 +137,7 @@ def test_sets_that_cannot_be_solved_are_refused():
     with pytest.raises(WrongUseError, match="as many recordings, or a multiple"):
         estimate_matrix(Run(RATE, LOOPS, [first]), [first])
     same = Recording(second.info, RATE, first.columns)
-    with pytest.raises(BadSignalError, match="cannot tell their instruments apart"):
+    with pytest.raises(BadSignalError, match="cannot be separated"):
         estimate_matrix(Run(RATE, LOOPS, [first, same]), [first, same])
     with pytest.raises(WrongUseError, match="realisations are two recordings or more"):
         estimate_realisations(draws(1, 0.0), LOOP)

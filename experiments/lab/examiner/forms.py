@@ -21,7 +21,7 @@ SOUND_M_S = 343.0
 
 
 def build(labels: Mapping[str, float], rng: np.random.Generator, variant: int, ordinary: bool = True) -> Arm:
-    """The arm of these labels with ordinary spread, both from `rng`; refuses an effect it does not have."""
+    """The arm of these labels with manufacturing tolerance, both from `rng`; refuses an effect it does not have."""
     for name in labels:
         effect(name)
     spread_arm = spread(Arm(), rng)

@@ -31,7 +31,9 @@ def invert(M: ComplexArray, f: Array, what: str) -> ComplexArray:
     size = np.linalg.svd(M, compute_uv=False)
     bad = np.flatnonzero(~(size[:, -1] > 1e-14 * size[:, 0]))
     if bad.size:
-        raise WrongUseError(f"{what} has no inverse at every line", f"{f[bad[0]]:g} Hz", "leave such lines out")
+        raise WrongUseError(
+            f"{what} has no inverse at every frequency", f"{f[bad[0]]:g} Hz", "leave such frequencies out"
+        )
     return np.asarray(np.linalg.inv(M))
 
 
@@ -89,8 +91,8 @@ def check_operands(frfs: Sequence[FRF], independent: bool) -> None:
             k = int(differ[0]) if differ.size else n
             at = [f"{x[k]:.10g} Hz" if k < x.size else "nothing" for x in (f, g)]
             raise WrongUseError(
-                "FRFs on different lines are not put together", f"line {k + 1} at {at[0]} and {at[1]}",
-                "bring one onto the other's lines: regrid(frf, frequency_hz)",
+                "FRFs at different frequencies are not combined", f"line {k + 1} at {at[0]} and {at[1]}",
+                "bring one onto the other's frequencies: regrid(frf, frequency_hz)",
             )  # fmt: skip
         if not independent and one.covariance.any() and two.covariance.any() and one.digest == two.digest:
             raise WrongUseError(
@@ -160,4 +162,4 @@ def _shared(frfs: Sequence[FRF]) -> list[str]:
     """A note where two operands with errors come from one recording."""
     names = [set(filter(None, frf.recording.split("+"))) for frf in frfs]
     both = sorted({name for one, two in combinations(names, 2) for name in one & two})
-    return [f"two parts come from {', '.join(both)}: their errors were taken as independent"] if both else []
+    return [f"two FRFs come from {', '.join(both)}: their errors were taken as independent"] if both else []

@@ -34,7 +34,7 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
     f = frf.frequency_hz
     if not (np.isfinite(rate_hz) and 0.0 <= delay_s < np.inf and f[-1] < 0.5 * rate_hz):
         raise WrongUseError(
-            "a hold needs lines below half its rate, and a delay that is not negative",
+            "a hold needs frequencies below half its rate, and a delay that is not negative",
             f"lines up to {f[-1]:g} Hz, {rate_hz:g} Hz, {delay_s:g} s", "take frf.between(...) first",
         )  # fmt: skip
     factor = hold_and_delay(f, rate_hz, delay_s)
@@ -58,7 +58,7 @@ def regrid(frf: FRF, frequency_hz: ArrayLike) -> FRF:
     new, old = np.asarray(frequency_hz, dtype=float), frf.frequency_hz
     if new.ndim != 1 or not new.size or not (old[0] <= new.min() and new.max() <= old[-1]):
         raise WrongUseError(
-            "a FRF is interpolated between its lines, never beyond",
+            "a FRF is interpolated between its frequencies, never extrapolated",
             f"{new.min():g} to {new.max():g} Hz" if new.size else "no line",
             f"stay within {old[0]:g} to {old[-1]:g} Hz",
         )

@@ -49,13 +49,13 @@ def fit(
     f, G, variance = lines.frequency_hz, lines.siso, lines.variance[:, 0, 0]
     if not variance.min() > 0.0:
         raise WrongUseError(
-            "a fit weighs lines by their variance, and it must be above zero",
+            "a fit weighs frequencies by their variance, which must be positive",
             f"{float(variance.min()):g} at {f[np.argmin(variance)]:g} Hz",
             "estimate the FRF from noisy data, or give it a variance",
         )
     if 2 * f.size <= len(structure.names) + 2:
         raise WrongUseError(
-            f"too few lines to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
+            f"too few frequencies to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
         )
     if isinstance(structure, Rational):
         structure = _centred(structure, f)

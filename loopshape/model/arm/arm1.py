@@ -114,7 +114,7 @@ class Arm1:
         return following.trace(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
-        """Measured minus simulated over its floor by path: u -> p_a, u -> p_b, p -> theta2, u -> theta2."""
+        """Measured minus simulated relative to its noise floor: u -> p_a, u -> p_b, p -> theta2, u -> theta2."""
         return following.paths(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
     def floors(self, prepared: following.Followed) -> dict[str, float]:

@@ -189,7 +189,7 @@ def _white(f: Followed) -> tuple[float, float, float]:
 
 
 def paths(f: Followed, vector: Array) -> dict[str, Array]:
-    """Measured minus simulated outputs over their floor after the lead, every ROWS rows: the gap's three paths.
+    """Measured minus simulated outputs relative to their noise floor by path, every ROWS rows after the lead.
 
     Measured inputs go in: commands (u -> p, with the angle followed; u -> theta), or pressures (p -> theta). Floors
     are what healthy arms with their spread fitted leave, as for `floors`; rms 1 is no gap.

@@ -72,9 +72,9 @@ ARM1_PARAMETERS = ParameterTable(
     )
     + rows(
         "sensor",
-        ("angle_noise_deg", 0.02, "deg", 0.0, 10.0, "ordinary spread, rms"),
-        ("pressure_noise_bar", 0.001, "bar", 0.0, 1.0, "ordinary spread, rms"),
-        ("converter_bits", 12.0, "1", 0.0, 52.0, "ordinary spread; 0 switches the converters off"),
+        ("angle_noise_deg", 0.02, "deg", 0.0, 10.0, "manufacturing tolerance, rms"),
+        ("pressure_noise_bar", 0.001, "bar", 0.0, 1.0, "manufacturing tolerance, rms"),
+        ("converter_bits", 12.0, "1", 0.0, 52.0, "manufacturing tolerance; 0 switches the converters off"),
         ("angle_span_deg", 270.0, "deg", 1.0, 3600.0, "potentiometer's span, centred"),
         ("pressure_span_bar", 2.0, "bar", 0.1, 100.0, "pressure sensor's span, from 0"),
     )

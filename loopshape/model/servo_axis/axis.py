@@ -209,7 +209,9 @@ class ServoAxis:
         return float(np.linalg.norm(lacking) / np.linalg.norm(acting))
 
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
-        """Measured minus modelled over its floor: `position -> force` as `residuals`, `force -> position` drawn slowly.
+        """Measured minus modelled relative to its noise floor: `position -> force` as `residuals`.
+
+        `force -> position` is drawn slowly.
 
         The floor of the position is where the force's floor, were it a slow force, would drive the mass within the
         time that the model is left alone, or the sensor's noise if that is more.

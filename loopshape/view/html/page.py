@@ -17,9 +17,9 @@ from loopshape.view.html.traces import REACH_OF, Trace, embedded, loop_traces, p
 from loopshape.view.html.words import WORDS
 
 _READ = (
-    "Point at a curve, or tap it: all plots of the loop mark the same line, and its values stand below. With the"
-    " keyboard: left and right go from line to line, up and down from one operating point to the next. The legend hides"
-    " and shows operating points."
+    "Point at a curve, or tap it: all plots of the loop mark the same frequency, and its values stand below. With the"
+    " keyboard: left and right go from frequency to frequency, up and down from one operating point to the next. The"
+    " legend hides and shows operating points."
 )
 
 
@@ -167,19 +167,19 @@ def _thinned(traces: Sequence[Trace], checked: bool) -> str:
     """What was drawn of what was measured, in words."""
     drawn, measured = sum(trace.frequency_hz.size for trace in traces), sum(trace.lines for trace in traces)
     said = (
-        f"All {measured} lines are drawn."
+        f"All {measured} frequencies are drawn."
         if drawn == measured
-        else f"{drawn} of {measured} lines are drawn: those at every curve's extremes in each stretch of frequency,"
-        " none averaged or moved; tables use all lines."
+        else f"{drawn} of {measured} frequencies are drawn: every curve's extremes in each stretch of frequency, none"
+        " averaged or moved; tables use all frequencies."
     )
     bands = "Bands are" if len(traces) <= BANDS_AT_ONCE else "The band that shows with a marked curve is"
     curves = (
-        "Curves are what the check reads: the lines that it judges, with what neighbours have in common taken together;"
-        " dots are the lines of P as measured. Rings mark where requirements are worst."
+        "Curves are what the check uses: its frequencies, smoothed over their neighbours; dots are P as measured. Rings"
+        " mark where requirements are worst."
         if checked
         else "Faint dots lie outside the valid band."
     )
     return (
-        f"{said} {curves} {bands} the 95 % reach of each line by itself, to first order, for S and T by the error of P;"
-        " the tables' intervals are those of the check."
+        f"{said} {curves} {bands} the 95 % band of each frequency by itself, to first order, for S and T by the error"
+        " of P; the tables' intervals are those of the check."
     )

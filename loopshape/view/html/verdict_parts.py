@@ -215,7 +215,7 @@ def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: 
 def _caption(what: str, found: Verdict, endless: Sequence[str]) -> str:
     some = any(m.intervals for m in found.margins.values())
     told = "below each value its 95 % interval" if some else "the uncertainty of the FRF was not carried to these"
-    many = "; each column's worst, by the bad end of its interval where something is asked, is marked"
+    many = "; each column's worst, by the bad end of its interval where something is required, is marked"
     ends = f" Infinite at every operating point, and left out: {', '.join(endless)}." if endless else ""
     return f"{what} of loop {found.loop}: {told}{many if len(found.margins) > 1 else ''}.{ends}"
 
@@ -315,9 +315,9 @@ def _poles(one: CheckedLoop) -> str:
 def _rests_on(one: CheckedLoop, loop: Loop) -> str:
     """What the number of a plant's integrators rests on."""
     if loop.integrators is None:
-        return "neither declared nor told by the lowest lines"
+        return "neither declared nor known from the lowest frequencies"
     if one.requirements is not None and one.requirements.integrators is not None:
         return "declared in the requirements"
     if loop.model is not None:
         return "by its fit"
-    return f"by phase and slope of its lowest lines, from {loop.frequency_hz[0]:.3g} Hz"
+    return f"by phase and slope at its lowest frequencies, from {loop.frequency_hz[0]:.3g} Hz"
