@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular, hz
-from loopshape.data.frf import FRF
+from loopshape.data.frf import FRF, Hold
 
 if TYPE_CHECKING:
     import control
@@ -34,7 +34,7 @@ def from_control(system: Any, frequency_hz: ArrayLike | None = None, **stated: A
 
     An FRD keeps its frequencies, and its error is stated: `covariance`, `std` or `relative_std` (0: exact). A
     `TransferFunction` or `StateSpace` is evaluated at `frequency_hz` (nf,) and is exact unless an error is stated; with
-    a timebase its FRF has that rate. `stated` are keywords of `FRF.from_arrays`.
+    a timebase its FRF has that rate, and contains the hold. `stated` are keywords of `FRF.from_arrays`.
 
     Raises WrongUseError for anything else, an FRD without an error, and a model without frequencies.
 
@@ -66,6 +66,7 @@ def from_control(system: Any, frequency_hz: ArrayLike | None = None, **stated: A
         "inputs": tuple(system.input_labels),
         "outputs": tuple(system.output_labels),
         "rate_hz": rate_hz,
+        "hold": Hold.INCLUDED if rate_hz else Hold.UNKNOWN,
     }
     words: dict[str, Any] = {"method": "from python-control"} | own | stated
     return FRF.from_arrays(f, H, **words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from hashlib import sha256
 from typing import Any
 
@@ -34,6 +35,13 @@ def joined(names: Sequence[str]) -> str:
     return "+".join(names) if len(names) <= 2 else f"{names[0]}+{len(names) - 1}more"
 
 
+class Hold(StrEnum):
+    """Whether a response is known to contain the zero-order hold of its rate: then it is multiplied in nowhere else."""
+
+    UNKNOWN = "unknown"
+    INCLUDED = "included"
+
+
 @dataclass(frozen=True, eq=False)
 class FRF:
     """Response (nf, ny, nu) on `frequency_hz` (nf,), frequency first; SISO is 1 x 1, never squeezed.
@@ -52,7 +60,8 @@ class FRF:
     `recording` names what it was measured from, in short; where that was several, `recordings` names all.
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
     which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
-    a plant whose output stayed bounded has no unstable pole. `method` says in one line how it
+    a plant whose output stayed bounded has no unstable pole; `hold` says whether it is known to contain the zero-order
+    hold. `method` says in one line how it
     was measured; `notes` are warnings.
     """
 
@@ -84,6 +93,7 @@ class FRF:
     averages: float = float("nan")
     recordings: tuple[str, ...] = ()
     open_loop: bool = False
+    hold: Hold = Hold.UNKNOWN
 
     def __post_init__(self) -> None:
         nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
@@ -162,7 +172,7 @@ class FRF:
         `std` is sqrt(E|d|²) of each value, `relative_std` the same share of |response| everywhere (0: exact, as a
         model's), `covariance` (nf, ny nu, ny nu) as in `FRF`; `coherence` (nf,) needs `averages`. The valid band
         follows from it. `words` are other fields of `FRF`: rate_hz (a controller is tuned at it), loop, recording,
-        operating_point, open_loop. A first frequency of 0 Hz is left out.
+        operating_point, open_loop, hold. A first frequency of 0 Hz is left out.
 
         Raises WrongUseError for shapes that do not fit and an error stated twice or not at all, BadSignalError for NaN.
         Misleads where the error that is stated is not that of the data: intervals and verdicts are as good as it.

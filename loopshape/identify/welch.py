@@ -165,8 +165,8 @@ def _unresolved_note(found: Answers, fate: str) -> tuple[str, ...]:
         share = np.nanmax(np.abs(bias_of(H))[found.unresolved] / np.abs(H[found.unresolved]))
     return (
         *found.notes,
-        f"on {f.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, a resonance is narrower than the resolution of"
-        f" {found.frequency_hz[1]:.3g} Hz apart resolve: the response is off by {100.0 * min(share, 1.0):.0f} % or more"
+        f"on {f.size} lines, {f[0]:.3g} to {f[-1]:.3g} Hz, a resonance is narrower than the lines,"
+        f" {found.frequency_hz[1]:.3g} Hz apart, can show: it is off by {100.0 * min(share, 1.0):.0f} % or more"
         f" there, a bias that no standard deviation holds; these lines are {fate}; record longer, ask for a finer"
         " resolution, or take local fits",
     )

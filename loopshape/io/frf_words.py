@@ -9,7 +9,7 @@ from typing import Any
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.json_ready import json_ready
 from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
+from loopshape.data.frf import FRF, Hold
 from loopshape.io.files import short
 from loopshape.io.run_tables import controller_table, read_controller
 from loopshape.io.words import Words
@@ -41,6 +41,7 @@ _WORDS = (
     "parameters",
     "notes",
     "open_loop",
+    "hold",
 )
 
 
@@ -68,6 +69,12 @@ def _flag(value: object) -> bool:
     if not isinstance(value, bool):
         raise TypeError(f"open_loop is true or false, not {value!r}")
     return value
+
+
+def _hold(header: Mapping[str, Any]) -> Hold:
+    """Files written before 2026-11-23 say it in the method alone."""
+    before = Hold.INCLUDED if "zero-order hold" in str(header["method"]) else Hold.UNKNOWN
+    return Hold(header.get("hold", before))
 
 
 def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
@@ -102,4 +109,5 @@ def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
         "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
         "notes": tuple(map(str, header["notes"])),
         "open_loop": _flag(header.get("open_loop", False)),
+        "hold": _hold(header),
     }

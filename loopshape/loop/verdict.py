@@ -9,9 +9,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db, deg, from_db
-from loopshape.data.algebra.sampling import HELD
 from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
+from loopshape.data.frf import FRF, Hold
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
@@ -35,14 +34,20 @@ KNOWN_BEYOND = 0.3
 
 
 def loops_of(
-    frfs: Sequence[FRF], controller: Controller, requirements: Requirements, fits: Sequence[Fit] = ()
+    frfs: Sequence[FRF],
+    controller: Controller,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    counted: bool = True,
 ) -> tuple[list[Loop], tuple[str, ...]]:
     """Loops on the lines that a check looks at, smoothed, and what it had to assume.
 
     Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
     and slope of the lowest lines; unstable poles from the requirements, else from the count of the loop that was
     recorded under its own controller, else there are none where the recording was made in open loop, else from a fit
-    that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted.
+    that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted,
+    of poles where they are `counted` here and not elsewhere.
     """
     found, notes = [], []
     for measured in frfs:
@@ -56,7 +61,7 @@ def loops_of(
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
                 "give the controller the recording's rate_hz: its coefficients hold at one rate alone",
             )
-        if controller.added_hold and (frf.held_by is not None or HELD in frf.method):
+        if controller.added_hold and (frf.held_by is not None or frf.hold is Hold.INCLUDED):
             raise WrongUseError(
                 f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
             )
@@ -67,7 +72,9 @@ def loops_of(
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
-        notes += [text for text in (left_out, fewer, note, _narrowed(frf, lines, controller)) if text]
+        notes += [
+            text for text in (left_out, fewer, note if counted else "", _narrowed(frf, lines, controller)) if text
+        ]
     return found, tuple(dict.fromkeys(notes))
 
 
@@ -216,6 +223,7 @@ def check(
     fits: Sequence[Fit] = (),
     *,
     detuned: bool = True,
+    counted: bool = True,
 ) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
@@ -224,6 +232,7 @@ def check(
 
     A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
     required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
+    `counted` false notes nothing of open-loop poles: they are counted for all loops at once.
     """
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
@@ -233,7 +242,7 @@ def check(
             f"control_high_frequency_from_hz of loop {requirements.loop!r} must lie below 0.45 of the rate",
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
-    loops, notes = loops_of(frfs, controller, requirements, fits)
+    loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
     named = dict(zip(_names(frfs), loops, strict=True))
     found = verdict_on(named, requirements, detuned=detuned)
     return replace(found, warnings=(*notes, *detuning_warnings(found.margins, controller)))

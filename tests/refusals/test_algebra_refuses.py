@@ -23,7 +23,10 @@ from loopshape.data.algebra import (
     regrid,
     upper_closure,
 )  # fmt: skip
+from loopshape.data.control_frd import from_control, to_control
 from loopshape.data.controller import Block, Controller
+from loopshape.data.requirements import Requirements
+from loopshape.loop.verdict import check
 
 RNG = np.random.default_rng(1)
 A, B = any_frf(RNG, 2, 2), any_frf(RNG, 2, 2)
@@ -103,6 +106,15 @@ def test_the_hold_is_multiplied_in_once():
     no("frequencies below half its rate", held, A, 10.0)
     no("frequencies below half its rate", held, A, 100.0, -1.0)
     no("frequencies below half its rate", held, A, float("nan"))
+
+
+def test_that_the_hold_is_included_is_a_field_and_no_word_of_the_method():
+    one = replace(held(A, 100.0), method="bench", notes=())
+    no("already", held, one, 100.0)
+    no("already", held, from_control(to_control(one), relative_std=0.0), 100.0)
+    with_hold = replace(GAIN, added_hold=True)
+    plant = replace(held(any_frf(RNG, 1, 1), GAIN.rate_hz), method="bench", notes=(), loop=GAIN.loop)
+    no("contains the hold already", check, [plant], with_hold, Requirements(GAIN.loop, bandwidth_hz=1.0))
 
 
 def test_regridding_never_extrapolates():

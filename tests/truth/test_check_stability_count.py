@@ -215,7 +215,7 @@ def test_undecided_where_l_is_above_1_at_the_last_line():
 def test_undecided_where_l_is_below_1_at_the_first_line():
     found = answer(*ARM, LINES[LINES > 3.0], gain=2.0)
     assert found.outcome == "undecided"
-    assert "at the first line" in found.reason
+    assert "at the lowest frequency" in found.reason
     assert "measure there" in found.reason
 
 

@@ -166,7 +166,7 @@ def test_requirements_may_narrow_the_band():
     assert not whole.passed
     assert line_of(whole, "sensitivity_peak_db").at_hz > 60.0
     assert narrow.passed
-    assert any("judged from 0.5" in note and "|S| reads 14 dB" in note for note in narrow.warnings)
+    assert any("is used from 0.5" in note and "|S| reads 14 dB" in note for note in narrow.warnings)
     assert line_of(narrow, "sensitivity_peak_db").found == pytest.approx(
         line_of(clean, "sensitivity_peak_db").found, abs=1e-5
     )
@@ -219,7 +219,7 @@ def test_phase_and_slope_of_the_lowest_lines_tell_the_integrators(integrators):
     assert loop.integrators == integrators
     (note,) = notes
     assert note.startswith(
-        f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}, from its lowest lines"
+        f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}, from its lowest frequencies"
     )
     found = re.search(r"(\S+) by phase, (\S+) by slope at \S+ Hz; declare integrators", note)
     assert [float(x) for x in found.groups()] == pytest.approx([integrators, integrators], abs=0.15)

@@ -11,7 +11,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.frf import FRF
+from loopshape.data.frf import FRF, Hold
 
 CONNECT = ("names", "order")
 #: what a measurement says of itself and its channels, and no operation carries on
@@ -145,6 +145,7 @@ def result(
         line_overlap=max(frf.line_overlap for frf in frfs),
         variance_freedom=min(frf.variance_freedom for frf in unsure),
         variance_pooled=max(frf.variance_pooled for frf in frfs),
+        hold=Hold.INCLUDED if any(frf.hold is Hold.INCLUDED for frf in frfs) else Hold.UNKNOWN,
         notes=tuple(dict.fromkeys([note for frf in frfs for note in frf.notes] + _shared(unsure))),
     )
 

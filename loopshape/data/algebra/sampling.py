@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.propagation import MEASURED
 from loopshape.data.controller import hold_and_delay
-from loopshape.data.frf import FRF
+from loopshape.data.frf import FRF, Hold
 
-HELD = "zero-order hold"
 _LINEWISE = ("response", "covariance", "noise_covariance", *MEASURED)
 
 
@@ -24,7 +23,7 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
     about |P(rate - f)/P(f)| f/(rate - f). Refuses a FRF that went through here before, lines at or above half the rate,
     and a FRF recorded at that very rate, which from logged z contains the hold, unless it is said to be `continuous`.
     """
-    if HELD in frf.method or any(HELD in note for note in frf.notes):
+    if frf.hold is Hold.INCLUDED:
         raise WrongUseError("this FRF holds the hold and the delay already", frf.method, "multiply them in once")
     if frf.rate_hz == rate_hz and not continuous:
         raise WrongUseError(
@@ -38,12 +37,13 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
             f"lines up to {f[-1]:g} Hz, {rate_hz:g} Hz, {delay_s:g} s", "take frf.between(...) first",
         )  # fmt: skip
     factor = hold_and_delay(f, rate_hz, delay_s)
-    power, words = np.abs(factor[:, None, None]) ** 2, f"{HELD} at {rate_hz:g} Hz and {delay_s:g} s of delay"
+    power, words = np.abs(factor[:, None, None]) ** 2, f"zero-order hold at {rate_hz:g} Hz and {delay_s:g} s of delay"
     noise = None if frf.noise_covariance is None else power * frf.noise_covariance
     return replace(
         frf, response=factor[:, None, None] * frf.response, covariance=power * frf.covariance, noise_covariance=noise,
         input_power=None, output_power=None, cross_power=None, rate_hz=float(rate_hz), held_by=None,
-        method=f"{frf.method}, times {words}", notes=(*frf.notes, f"{words} multiplied into a continuous FRF"),
+        hold=Hold.INCLUDED, method=f"{frf.method}, times {words}",
+        notes=(*frf.notes, f"{words} multiplied into a continuous FRF"),
     )  # fmt: skip
 
 
