@@ -70,7 +70,7 @@ def is_the_whole(run, study):
         assert all(np.array_equal(r.column(name), there.column(name)) for name in there.columns)
 
 
-@pytest.mark.parametrize("many", [40, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("many", [40, pytest.param(400, marks=(pytest.mark.long, pytest.mark.hour))])
 def test_kills_at_random_times(study, many):
     rng, have, kills, turn = random.Random(many), set(), 0, 0
     run = study.parent / f"kills-{many}-0"

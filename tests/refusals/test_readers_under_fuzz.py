@@ -367,6 +367,7 @@ def test_csv_files_that_hold_little(area, untouched, content):
 
 
 @pytest.mark.long
+@pytest.mark.hour
 def test_a_csv_file_of_a_hundred_thousand_columns_is_read(area):
     wide = [f"c{k}" for k in range(100_000)]
     path = given_file(area, "wide.csv", (",".join(wide) + "\n" + ",".join(["1.5"] * len(wide)) + "\n").encode())
