@@ -37,7 +37,8 @@ def run_python(words: list[str], here: Path, tmp_path: Path, timeout_s: float) -
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=[] if p.stem in QUICK else pytest.mark.long) for p in NOTEBOOKS],
+    # the site runs them all when it is built: the slow ones on their own, warnings as errors, by the hour
+    [pytest.param(p, marks=[] if p.stem in QUICK else (pytest.mark.long, pytest.mark.hour)) for p in NOTEBOOKS],
     ids=lambda p: p.stem,
 )
 def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
