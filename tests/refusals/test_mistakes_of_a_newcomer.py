@@ -123,7 +123,7 @@ IN_PYTHON = {
     "a coherence without averages": (
         lambda: ls.FRF.from_arrays([1.0], [1.0], coherence=[0.9]), "averages", "give coherence and averages"
     ),
-    "no error": (lambda: ls.FRF.from_arrays([1.0], [1.0]), "how sure", "give std, relative_std"),
+    "no error": (lambda: ls.FRF.from_arrays([1.0], [1.0]), "the error of this FRF", "give std, relative_std"),
     "magnitude without phase": (
         lambda: ls.FRF.from_arrays([1.0], magnitude_db=[0.0], relative_std=0.1), "1 of", "magnitude_db and phase_deg"
     ),
