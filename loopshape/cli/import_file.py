@@ -30,7 +30,7 @@ def import_file(
     """Make a run folder from a recording of your own; the map's keys are in docs/files.md.
 
     Without --map the file is looked at and a draft of the map is written, with a reason for each guess and a picture;
-    with --accept the run is made from it at once.
+    with --accept the run is made from it, or from the one that is there already.
     """
     from loopshape.core.errors import WrongUseError
 
@@ -42,20 +42,25 @@ def import_file(
             "--draft and --rate-hz are for a draft", f"--map {map_file}", "leave them out: the map says the rate"
         )
     if map_file is None:
-        map_file = _draft(file, draft or Path(f"{file.name.split('.')[0]}.map.toml"), output, rate_hz, accept=accept)
+        map_file = draft or Path(f"{file.name.split('.')[0]}.map.toml")
+        if accept and map_file.exists():
+            output.say(f"map: {map_file}, written before")
+        else:
+            _draft(file, map_file, output, rate_hz, accept=accept)
     if out is not None:
         import_run(file, map_file, out, output, replace=replace, accept=accept)
 
 
-def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, accept: bool) -> Path:
-    """Write the draft of a file's map and its picture, and say each guess; gives the map."""
+def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, accept: bool) -> None:
+    """Write the draft of a file's map and its picture, and say each guess."""
     from loopshape.cli.pictures import save
     from loopshape.io.draft_map import draft_map, write_draft
     from loopshape.view.draft import draft as drawn
 
     made = draft_map(file, rate_hz)
     write_draft(path, made, file)
-    figure = drawn({c.name: c.values for c in made.columns}, made.roles, made.rate_hz)
+    units = {c.name: c.unit for c in made.columns}
+    figure = drawn({c.name: c.values for c in made.columns}, made.roles, units, made.rate_hz)
     picture = save(figure, path.with_suffix(".png"))
     output.say(f"draft of a map: {path}, drawn in {picture}\n")
     for sentence in made.guesses:
@@ -67,7 +72,6 @@ def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, acc
     if not accept:
         output.say(f"\nRead it, correct it, delete [draft]; then: loopshape import {file} --map {path} --out RUN")
         output.json({"map": str(path), "picture": str(picture), "guesses": list(made.guesses), "open": list(made.open)})
-    return path
 
 
 def _add(out: Path, run: Run) -> None:

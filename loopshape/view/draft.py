@@ -15,7 +15,9 @@ _POINTS = 4000  # of a signal, as lowest and highest of each stretch
 
 
 @styled()
-def draft(signals: Mapping[str, Array], roles: Mapping[str, str], rate_hz: float = 0.0) -> Figure:
+def draft(
+    signals: Mapping[str, Array], roles: Mapping[str, str], units: Mapping[str, str], rate_hz: float = 0.0
+) -> Figure:
     """Signals (n,) by name over time (over rows without a rate), those with a part first and in its colour."""
     order = sorted(signals, key=lambda name: (name not in roles, roles.get(name, "")))[:_MOST]
     fig = new_figure(len(order), 1, (FULL_WIDTH_IN, 0.6 + 1.0 * len(order)), sharex=True)
@@ -24,7 +26,8 @@ def draft(signals: Mapping[str, Array], roles: Mapping[str, str], rate_hz: float
         ax.plot(
             rows / rate_hz if rate_hz else rows, values, color=COLOURS[0] if name in roles else "0.6", linewidth=0.7
         )
-        ax.set_title(f"{roles.get(name, 'no part found')}: {name}", loc="left", fontsize=8)
+        unit = f" [{units[name]}]" if units.get(name) and units[name] not in name else ""
+        ax.set_title(f"{roles.get(name, 'no part found')}: {name}{unit}", loc="left", fontsize=8)
         ax.margins(x=0.0, y=0.1)
     fig.axes[-1].set_xlabel("time [s]" if rate_hz else "row")
     return fig

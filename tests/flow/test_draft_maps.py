@@ -90,8 +90,8 @@ def test_a_draft_is_taken_on_demand_alone_and_the_run_says_so(tmp_path):
     with pytest.raises(WrongUseError, match=r"nobody has confirmed.*--accept"):
         import_file(file, tmp_path / "m.toml")
     run = import_file(file, tmp_path / "m.toml", accept_draft=True)
-    told = [note for note in run.extra["notes"] if "draft map that nobody confirmed" in note]
-    assert [note.split("confirmed: ")[1] for note in told] == list(draft.guesses)
+    (told,) = [note for note in run.extra["notes"] if "draft map that nobody confirmed" in note]
+    assert told.split("confirmed: ")[1] == " ".join(draft.guesses)
     with pytest.raises(WrongUseError, match="is there already"):
         write_draft(tmp_path / "m.toml", draft, file)
 
@@ -187,3 +187,13 @@ def test_the_command_writes_draft_picture_and_run(tmp_path, capsys):
     assert ls.read(tmp_path / "run").rate_hz == RATE
     with pytest.raises(WrongUseError, match="--out FOLDER"):
         command(file, None, None, True, None, None, False, False, False)
+
+
+def test_a_draft_that_was_read_and_corrected_is_the_one_that_is_accepted(tmp_path):
+    n, z, y = loop_signals()
+    file, draft = written(tmp_path / "a.csv", ["t_s", "inj", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y]), "d.toml"
+    command(file, None, None, False, tmp_path / draft, None, False, False, True)
+    text = (tmp_path / draft).read_text()
+    (tmp_path / draft).write_text(text.replace('name = "a"', 'name = "first"'))
+    command(file, None, tmp_path / "run", True, tmp_path / draft, None, False, False, True)
+    assert [r.info.name for r in ls.read(tmp_path / "run").recordings] == ["first"]
