@@ -74,9 +74,9 @@ class Limit:
 
 
 def refuse_not_positive(what: str, value: float) -> None:
-    """Refuse a number that is not above zero and finite."""
+    """Refuse a number that is not positive and finite."""
     if not 0.0 < value < np.inf:
-        raise WrongUseError(f"{what} must be above zero and finite", f"{value!r}")
+        raise WrongUseError(f"{what} must be positive and finite", f"{value!r}")
 
 
 def _below(least: float) -> str:
