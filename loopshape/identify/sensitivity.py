@@ -67,5 +67,12 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
         averages=a.averages,
         parameters=dict(info.parameters),
         held_by=loop.controller,
-        notes=tuple(dict.fromkeys((*a.notes, *wiring_notes(recording, loop, f, z, a.response[:, 0, 0])))),
+        notes=tuple(
+            dict.fromkeys(
+                (
+                    *a.notes,
+                    *wiring_notes(recording, loop, f, z, a.response[:, 0, 0], np.sqrt(a.covariance[:, 1, 1].real)),
+                )
+            )
+        ),
     )

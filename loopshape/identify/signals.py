@@ -15,6 +15,8 @@ from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording
 
 S = TypeVar("S", bound=Signal)
+#: standard deviation over size up to which a control is known well enough to be compared with its controller's answer
+KNOWN_CONTROL = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,19 +143,27 @@ def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
 
 
 def wiring_notes(
-    recording: Recording, loop: LoopSetup, frequency_hz: Array, z: ComplexArray, y: ComplexArray
+    recording: Recording,
+    loop: LoopSetup,
+    frequency_hz: Array,
+    z: ComplexArray,
+    y: ComplexArray,
+    z_std: Array | None = None,
 ) -> tuple[str, ...]:
     """Warnings where the log contradicts its description; z, y (nf,) are responses to the instrument.
 
     With a known controller, z must be its answer to the error; where it is not, the injection or the
-    controller is other than said. A plant-input log whose z follows the injected signal one to one at high
-    frequency was taken after the sum, and the plant's input is then counted twice.
+    controller is other than said. Frequencies at which z, with `z_std` (nf,), is mostly noise say nothing of that.
+    A plant-input log whose z follows the injected signal one to one at high frequency was taken after the sum, and
+    the plant's input is then counted twice.
     """
     injection, controller = recording.info.injection, loop.controller
     if not recording.info.closed_loop or injection == "control" or not frequency_hz.size:
         return ()
     notes: tuple[str, ...] = ()
     below = frequency_hz < 0.45 * recording.rate_hz
+    if z_std is not None:
+        below &= z_std < KNOWN_CONTROL * np.abs(z)
     if controller is not None and below.any():
         error = -y[below] if injection == "plant_input" else 1.0 - y[below]
         apart = np.abs(z[below] - controller.response(frequency_hz[below]) * error) / np.abs(z[below])

@@ -138,7 +138,7 @@ def test_a_step_of_the_lines_is_that_of_the_model_and_its_band_covers_it() -> No
     assert covered > 0.9
 
 
-@pytest.mark.parametrize(("low", "high", "word"), [(20, 600, "lowest line"), (2, 100, "dies out")])
+@pytest.mark.parametrize(("low", "high", "word"), [(20, 600, "lowest frequency"), (2, 100, "dies out")])
 def test_lines_that_cannot_carry_a_step_are_refused(low: int, high: int, word: str) -> None:
     f = 0.05 * np.arange(low, high)
     frf = measured(np.random.default_rng(0), f, 1.0 - closed_loop(arm(), NEW)(f), 1e-4, NEW)
