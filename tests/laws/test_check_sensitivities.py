@@ -47,7 +47,7 @@ def test_s_plus_t_is_one_and_the_four_belong_together(loop):
     np.testing.assert_allclose(S * (1.0 + loop.L), 1.0, rtol=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(loops())
 def test_margins_bound_each_other(loop):
     # every crossing of the axis lies on a chord, and no chord comes nearer to -1 than the modulus margin
@@ -73,7 +73,9 @@ def test_margins_bound_each_other(loop):
         assert (found.phase_margin_deg, found.delay_margin_s) == (np.inf, np.inf)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(
+    max_examples=20, deadline=None
+)  # a response at random is the slowest there is: poles are looked for everywhere
 @given(loops(), st.floats(0.1, 10.0))
 def test_gain_moved_from_plant_to_controller_changes_nothing_of_the_loop(loop, gain):
     from dataclasses import replace
@@ -82,5 +84,6 @@ def test_gain_moved_from_plant_to_controller_changes_nothing_of_the_loop(loop, g
     controller = replace(loop.controller, blocks=(*loop.controller.blocks, Block("gain", {"gain": 1.0 / gain})))
     moved = Loop(plant, controller, unstable_poles=0)
     np.testing.assert_allclose(moved.L, loop.L, rtol=1e-9)
-    assert margins(moved).stable == margins(loop).stable
-    np.testing.assert_allclose(margins(moved).modulus_margin, margins(loop).modulus_margin, rtol=1e-6, atol=1e-9)
+    one, other = margins(moved), margins(loop)
+    assert one.stable == other.stable
+    np.testing.assert_allclose(one.modulus_margin, other.modulus_margin, rtol=1e-6, atol=1e-9)

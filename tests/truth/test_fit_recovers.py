@@ -65,7 +65,13 @@ KNOWN = {
 }
 
 
-@pytest.fixture(scope="module", params=KNOWN)
+SLOWEST = "third order, delay"
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(k, marks=(pytest.mark.long, pytest.mark.hour)) if k == SLOWEST else k for k in KNOWN],
+)
 def known(request):
     """300 fits of the right structure to lines of 2 %, and the truth."""
     structure, model, truth = KNOWN[request.param]
