@@ -28,6 +28,8 @@ BESIDE, MOST, SPARE = HALF + 2, 6, 4
 FLOOR = 1e-5
 #: highest order of the polynomial over many lines; poles wider than so many gaps are resolved by the lines
 STEEPEST, RESOLVED = 6, 2.0
+#: a delay is taken out where a polynomial's squared misfit falls by so many times
+DELAYED = 10.0
 #: lines that a polynomial must leave to tell scatter from resonances
 TELLS = 12
 #: chance that noise leaves more than it should
@@ -75,14 +77,16 @@ class Stretch(NamedTuple):
 class Crowd:
     """Resonances between lines `first` .. `last` that explain them together, and what may hide beside them.
 
-    m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a power
-    of f: nc ways that the lines allow, the likeliest first. `hidden` (last - first,), Hz times P, bounds the residue of
-    a pole sharper than the lines in each gap: 0 where noise alone is `left`. Lines that scatter have no pole.
+    m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a
+    power of f and behind a delay: nc ways that the lines allow, the likeliest first. `hidden` (last - first,), Hz
+    times P, bounds the residue of a pole sharper than the lines in each gap: 0 where noise alone is `left`. Lines
+    that scatter have no pole.
     """
 
     first: int
     last: int
     window: Windows
+    delay_s: float
     pole_hz: ComplexArray
     residue: ComplexArray
     polynomial: ComplexArray
@@ -98,7 +102,8 @@ class Crowd:
             made = made * x + c[:, None]
         for z, r in zip(self.pole_hz[ways].T, self.residue[ways].T, strict=True):
             made = made + r[:, None] / (1j * (f - z[:, None]))
-        return np.asarray(made * np.exp(self.window.power[0] * np.log(f / self.window.middle[0])))
+        late = np.exp(-1j * TWO_PI * self.delay_s * (f - self.window.around[0, 0]))
+        return np.asarray(made * np.exp(self.window.power[0] * np.log(f / self.window.middle[0])) * late)
 
 
 def stretches(f: Array, rough: np.ndarray) -> Iterator[Stretch]:
@@ -118,14 +123,29 @@ def strays(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> floa
 
     The residue of a pole in a gap is no larger than that times the gap: its tails would be.
     """
-    window = _window(f, P, variance, stretch)
+    window, _ = _window(f, P, variance, stretch)
     left = window.rest(window.data[:, :, None])[0, :, 0]
     return float(np.max(np.abs(left * window.reference(window.around)[0] / window.weight[0])))
 
 
-def _window(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> Windows:
+def _window(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> tuple[Windows, float]:
+    """The lines of a stretch, and the delay in s taken out of them where that alone explains most of them."""
     order = int(np.clip(ORDER + (stretch.high - stretch.low - 12) // 4, ORDER, STEEPEST))
-    return window_over(f, P, variance + (FLOOR * np.abs(P)) ** 2, stretch.low, stretch.high, order)
+    rows = slice(stretch.low, stretch.high + 1)
+    turn = np.angle(P[rows][1:] * P[rows][:-1].conj()) / np.diff(f[rows])
+    delays = 0.0, float(-np.median(turn)) / TWO_PI
+    found = [
+        (window_over(f, P * np.exp(1j * TWO_PI * delay * (f - f[stretch.low])), variance + (FLOOR * np.abs(P)) ** 2,
+                     stretch.low, stretch.high, order), delay)
+        for delay in delays
+    ]  # fmt: skip
+    without, late = found
+    return late if DELAYED * _misfit(late[0]) < _misfit(without[0]) else without
+
+
+def _misfit(window: Windows) -> float:
+    """Squared misfit of the polynomial alone."""
+    return float(np.sum(np.abs(window.rest(window.data[:, :, None])) ** 2))
 
 
 def crowd_of(
@@ -143,7 +163,7 @@ def crowd_of(
 @lru_cache(maxsize=256)
 def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, stretch: Stretch, unstable: bool) -> Crowd:
     lines = np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance)
-    window = _window(*lines, stretch)
+    window, delay_s = _window(*lines, stretch)
     fit = _Fit(window, float(lines[0][stretch.first]), float(lines[0][stretch.last]), unstable)
     spare = window.around.size - window.basis.shape[2]
     z, left = fit.grown(spare, 2.0 * min(freedom, 1e9))
@@ -153,7 +173,7 @@ def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, stretch: St
         hidden = np.maximum(fit.unexplained(z, noise), hidden)
     poles, coefficients = fit.allowed(z, noise)
     residue, polynomial = coefficients[:, : z.size], coefficients[:, z.size :]
-    return Crowd(stretch.low, stretch.high, window, poles, residue, polynomial, hidden, left)
+    return Crowd(stretch.low, stretch.high, window, delay_s, poles, residue, polynomial, hidden, left)
 
 
 class _Fit:

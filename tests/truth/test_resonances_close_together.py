@@ -7,13 +7,18 @@ polynomial. The bare count of the lines finds each of these loops stable, and ea
 import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
+from tune_plants import DELAYED
+from tune_plants import frf as delayed
 
 from loopshape.core.units import TWO_PI
+from loopshape.data.controller import Block, Controller
+from loopshape.data.loop import Loop
 from loopshape.loop.crowded import crowd_of, stretches
 from loopshape.loop.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]
 GAP = 0.1
+LEAD_HZ = {"f1_hz": 23.0, "f2_hz": 4000.0}
 #: noise of the lines as a share of |P|, and (Hz, half width in gaps, peak over |P|) of each mode
 CASES = {
     "three at 2 %": (0.02, (14.158, 0.043, 2.8), (14.273, 0.033, -13.0), (13.927, 0.692, 1.7)),
@@ -117,3 +122,15 @@ def test_resonances_drawn_close_together_are_never_counted_wrong():
         assert found.outcome == "undecided" or found.unstable_poles == by_roots(plant, 0.5), seed
         decided += found.outcome != "undecided"
     assert decided >= 12
+
+
+def test_a_long_delay_between_few_lines_is_no_resonance():
+    # 2 exp(-0.02 s)/s turns by 30 to 90 deg from line to line above 46 Hz, where |L| stays near 0.3
+    controller = Controller("one", (Block("gain", {"gain": 21.0}), Block("lead_lag", LEAD_HZ)), 10_000.0)
+    loop = Loop(delayed(DELAYED, 60), controller, integrators=1, unstable_poles=0)
+    f = np.geomspace(0.01, 4000.0, 400_000)
+    L = DELAYED.response(f) * controller.response(f)
+    assert np.abs(L[f > 40.0]).max() < 0.4  # no crossing of 1 there, and the phase margin at the only one tells:
+    crossing = int(np.flatnonzero(np.diff(np.abs(L) < 1.0))[0])
+    assert 0.0 < np.angle(-L[crossing]) < np.pi
+    assert closed_loop_stability(loop).outcome == "stable"
