@@ -6,6 +6,7 @@ Where a resonance lies between lines that none of them resolves, all poles that 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -151,13 +152,12 @@ def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Ar
     Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,); the last
     answer is False where L turns too fast about -1 to be followed.
     """
-    own = loop.frequency_hz[crowd.first : crowd.last + 1]
+    own = crowd.window.around[0]
     here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
-    at = np.concatenate([_places(own, z[:, None]) for z in crowd.pole_hz.T], axis=1)
-    at.sort(axis=1)
+    at, P = _along(crowd)
     turns, ways = np.zeros(len(at)), np.arange(len(at))
     for k in range(ROUNDS):
-        L = loop.controller.response(at) * crowd.response(at, ways)
+        L = loop.controller.response(at) * P
         if not k:
             near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
         turns[ways] = turn(1.0 + L)
@@ -168,8 +168,20 @@ def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Ar
         most = int(far.sum(axis=1).max())
         middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0])[coarse], axis=1)[:, -most:]
         ways, at = ways[coarse], np.sort(np.concatenate([at[coarse], middles], axis=1), axis=1)
+        P = crowd.response(at, ways)
     more = np.rint((turns - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
     return int(more.min()), int(more.max()), near, not coarse.any()
+
+
+@lru_cache(maxsize=16)
+def _along(crowd: Crowd) -> tuple[Array, ComplexArray]:
+    """Frequencies (ways, n) in Hz along the lines of a crowd, dense about its poles, and P there: of no controller."""
+    at = np.concatenate([_places(crowd.window.around[0], z[:, None]) for z in crowd.pole_hz.T], axis=1)
+    at.sort(axis=1)
+    P = crowd.response(at, np.arange(len(at)))
+    for made in (at, P):
+        made.setflags(write=False)
+    return at, P
 
 
 def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
