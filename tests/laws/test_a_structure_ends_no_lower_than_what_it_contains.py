@@ -27,7 +27,7 @@ def found_by(plant: str, structure: tuple[dict, ...], seed: int):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.hour)])
 @pytest.mark.parametrize(
     ("plant", "less", "more"),
     [

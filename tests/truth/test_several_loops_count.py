@@ -33,7 +33,10 @@ def random_case(rng, n, low, high, lines=600):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("n", "count", "least"), [(1, 100, 0.9), (2, 110, 0.7), (3, 60, 0.55), (4, 25, 0.3)])
+@pytest.mark.parametrize(
+    ("n", "count", "least"),
+    [(1, 100, 0.9), (2, 110, 0.7), pytest.param(3, 60, 0.55, marks=pytest.mark.hour), (4, 25, 0.3)],
+)
 def test_from_lines_below_the_lowest_corner_the_count_is_never_wrong(n, count, least):
     rng = np.random.default_rng(10 + n)
     cases = [random_case(rng, n, 0.01, 0.3) for _ in range(count)]
