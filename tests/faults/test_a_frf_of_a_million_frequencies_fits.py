@@ -53,7 +53,7 @@ def written(folder, n):
 
 @pytest.mark.parametrize(
     ("frequencies", "most_bytes"),
-    [(100_000, 200_000_000), pytest.param(1_000_000, 1_600_000_000, marks=pytest.mark.long)],
+    [(100_000, 200_000_000), pytest.param(1_000_000, 1_600_000_000, marks=(pytest.mark.long, pytest.mark.hour))],
 )
 def test_check_figures_and_report(tmp_path, frequencies, most_bytes):
     few, many = written(tmp_path / "few", 1_000), written(tmp_path / "many", frequencies)

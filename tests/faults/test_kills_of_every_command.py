@@ -160,6 +160,6 @@ def test_kills_before_steps_of_writing(name, place, undisturbed):
 @pytest.mark.long
 def test_kills_at_random_times(place, undisturbed):
     rng, kills = random.Random(15), 0
-    while kills < 60:
+    while kills < 30:
         name = rng.choice(WRITING)
         kills += kill_and_go_on(name, place, undisturbed, lambda: killed_after(rng.uniform(0.0, 0.25)))

@@ -23,7 +23,8 @@ def blocks() -> dict[str, str]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["tour", "own", "rig", "arm", "several", "gap"])
+# the demo of the arm is the whole of its block
+@pytest.mark.parametrize("name", ["tour", "own", "rig", pytest.param("arm", marks=pytest.mark.hour), "several", "gap"])
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent

@@ -115,6 +115,7 @@ def test_from_lines_below_the_lowest_corner_the_answer_is_never_wrong():
 
 
 @pytest.mark.long
+@pytest.mark.hour
 def test_with_a_model_below_the_lines_the_answer_is_never_wrong():
     # lines that start up to four times above the lowest corner
     answers = list(random_answers(700, 0.01, 4.0, model=True))

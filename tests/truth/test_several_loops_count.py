@@ -35,7 +35,12 @@ def random_case(rng, n, low, high, lines=600):
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("n", "count", "least"),
-    [(1, 100, 0.9), (2, 110, 0.7), pytest.param(3, 60, 0.55, marks=pytest.mark.hour), (4, 25, 0.3)],
+    [
+        (1, 100, 0.9),
+        (2, 110, 0.7),
+        pytest.param(3, 60, 0.55, marks=pytest.mark.hour),
+        pytest.param(4, 25, 0.3, marks=pytest.mark.hour),
+    ],
 )
 def test_from_lines_below_the_lowest_corner_the_count_is_never_wrong(n, count, least):
     rng = np.random.default_rng(10 + n)
@@ -50,7 +55,7 @@ def test_from_lines_below_the_lowest_corner_the_count_is_never_wrong(n, count, l
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("low", [0.01, 0.5])
+@pytest.mark.parametrize("low", [pytest.param(0.01, marks=pytest.mark.hour), 0.5])
 def test_from_loops_that_stood_nothing_has_to_be_declared(low):
     rng = np.random.default_rng(3)
     outcomes = []
