@@ -47,7 +47,7 @@ def test_s_plus_t_is_one_and_the_four_belong_together(loop):
     np.testing.assert_allclose(S * (1.0 + loop.L), 1.0, rtol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(loops())
 def test_margins_bound_each_other(loop):
     # every crossing of the axis lies on a chord, and no chord comes nearer to -1 than the modulus margin
