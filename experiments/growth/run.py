@@ -24,7 +24,7 @@ from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check, loops_of
-from loopshape.view.style import png
+from loopshape.view.style import new_figure, png, styled
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
@@ -129,17 +129,18 @@ def _peer(name: str, how: str, case: Case, p: object, x: np.ndarray, begun: floa
     return row
 
 
+@styled()
 def fronts(rows: Sequence[Sequence[str]]) -> Figure:
     """Bandwidth over that of the first structure, against the controller's order and against |CS|."""
-    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure = new_figure(1, 2, (8.0, 3.4), sharey=True)
+    left, right = figure.axes
     for name in dict.fromkeys(row[0] for row in rows):
         mine = [row for row in rows if row[0] == name]
         gain = np.array([float(row[2]) for row in mine]) / float(mine[0][2])
         left.plot([int(row[5]) for row in mine], gain, "o-", label=name)
         right.plot([float(row[3]) for row in mine], gain, "o-")
-    left.set(xlabel="order of C", ylabel="bandwidth over that of the first structure")
-    right.set(xlabel="peak |CS| [dB]")
+    left.set(xlabel="order of C", ylabel="bandwidth over that of the first structure", title="What blocks pay")
+    right.set(xlabel="peak |CS| [dB]", title="and what they cost in control")
     left.legend(fontsize=7)
     return figure
 

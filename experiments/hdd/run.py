@@ -19,7 +19,7 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from loopshape.core.units import TWO_PI, Array, db  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.view.style import png  # noqa: E402
+from loopshape.view.style import new_figure, png, styled  # noqa: E402
 
 #: limits are tuned to this much inside, for what lies between nodes
 PEAK_DB, GAIN_DB, PHASE_DEG, LOW_DB = 0.03, 0.05, 0.2, 0.03
@@ -175,15 +175,17 @@ def seeds(benchmark: Benchmark, sets: Mapping[str, Mapping[str, System]]) -> Ite
             yield [name, str(first), f"{worst:.4g}"]
 
 
+@styled()
 def sensitivities(forecast: Forecast, sets: Mapping[str, Mapping[str, System]]) -> Figure:
     """|S| at all nine plants under each set."""
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.subplots()
+    figure = new_figure(1, 1, (7.0, 4.0))
+    (axes,) = figure.axes
     for (name, one), colour in zip(sets.items(), ("0.6", "C0"), strict=True):
         S = -db(np.abs(1.0 + forecast.loops(forecast.K(dict(one)))))
         axes.semilogx(forecast.f, S.T, color=colour, lw=0.6, label=[name, *[None] * 8])
     axes.set(xlim=(100.0, 25200.0), ylim=(-60.0, 10.0), xlabel="frequency [Hz]", ylabel="|S| at the sectors [dB]")
-    axes.axhline(Limits().peak_db, color="k", lw=0.5)
+    axes.axhline(Limits().peak_db, color="k", lw=0.5, label=f"limit {Limits().peak_db:g} dB")
+    axes.set_title("Nine plants under one set of controllers")
     axes.legend()
     return figure
 
