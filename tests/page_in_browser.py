@@ -44,6 +44,15 @@ def opened(context: Any, path: Path) -> Any:
     return page
 
 
+def until(page: Any, true: str) -> None:
+    """Waits until an expression is true in the page, whose policy allows no other way to ask it."""
+    for _ in range(400):
+        if page.evaluate(true):
+            return
+        page.wait_for_timeout(25)
+    raise AssertionError(f"{true} did not become true within 10 s")
+
+
 def settled(page: Any) -> None:
     """Waits until intervals and stability of what is shown are there."""
     page.wait_for_timeout(30)

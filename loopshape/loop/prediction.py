@@ -44,10 +44,10 @@ def predict(
     loops, notes = loops_of(frfs, controller, Requirements(controller.loop), fits)
     if notes:
         notes = ("stability: " + "; ".join(notes),)
-    return [_one(loop, _fit_of(frf, fits), notes, draws, seed) for loop, frf in zip(loops, frfs, strict=True)]
+    return [_one(loop, fit_of(frf, fits), notes, draws, seed) for loop, frf in zip(loops, frfs, strict=True)]
 
 
-def _fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
+def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
     """The fit made for this very FRF."""
     return next((x for x in fits if (x.recording, x.loop, x.frf_digest) == (frf.recording, frf.loop, frf.digest)), None)
 

@@ -169,8 +169,8 @@ def shape(
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
 
     `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
-    of 1). Margins, intervals and stability are computed in the page as `check` computes them; the detuning margin is
-    not. Raises WrongUseError as `check` does.
+    of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
+    `fits` it draws the step of each fit's loop. Raises WrongUseError as `check` does.
 
     Examples
     --------

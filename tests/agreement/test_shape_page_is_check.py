@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import shaped_cases
 import loopshape as ls
 from loopshape.data.controller import Controller
 from loopshape.data.requirements import LIMITS, Requirements, Verdict
+from loopshape.loop.step_response import predict_step
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words
@@ -22,7 +24,7 @@ LAGS = ls.controller(ls.gain(3.0), ls.lead_lag(5.0, 60.0), rate_hz=shaped_cases.
 WANTED = Requirements(
     "x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, gain_margin_db=5.0, disk_margin=0.5, delay_margin_s=1e-3,
     bandwidth_hz=5.0, integrators=0, unstable_poles=0, control_high_frequency_db=30.0,
-    control_high_frequency_from_hz=200.0, controller_bandwidth_hz=400.0,
+    control_high_frequency_from_hz=200.0, controller_bandwidth_hz=400.0, detuning_percent=1.0,
 )  # fmt: skip
 
 
@@ -51,8 +53,6 @@ def differences(verdict: Verdict, found: dict[str, Any]) -> list[str]:
         if m.stable != other["stability"]["outcome"]:
             out.append(f"{name}: {m.stable} ({m.stability_reason}), and {other['stability']}")
         for limit in LIMITS:
-            if limit.name == "detuning_percent":
-                continue
             pairs = [(getattr(m, limit.name), other["values"][limit.name])]
             pairs += list(zip(m.intervals.get(limit.name, ()), other["intervals"].get(limit.name, ()), strict=True))
             pairs += [(m.bounds[limit.name], other["bounds"].get(limit.name))] if limit.name in m.bounds else []
@@ -74,7 +74,7 @@ def compared(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: R
     page, rng = page_on(context, folder, frfs, C, R), np.random.default_rng(3)
     out = list(page.errors)
     for controller in [C, *(shaped_cases.moved(C, rng) for _ in range(count))]:
-        out += differences(check(frfs, controller, R, detuned=False), asked(page, controller))
+        out += differences(check(frfs, controller, R), asked(page, controller))
     page.close()
     return out
 
@@ -87,6 +87,44 @@ def test_the_bench_and_its_controller(context: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
 def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
+
+
+@pytest.mark.parametrize("percent", [1.5, None])
+def test_the_detuning_margin_moves_with_the_controller(percent: float | None, context: Any, tmp_path: Path) -> None:
+    """Where it is required, with its intervals from draws, and of a plant with a fit; and where it is only told."""
+    P, R, _ = shaped_cases.bench()
+    fits = (ls.fit(P, "rational", numerator=2, denominator=4, delay=True),) if percent else ()
+    R = replace(R, detuning_percent=percent)
+    made = [
+        ls.controller(
+            ls.gain(gain), ls.lead_lag(1.0, 50.0), ls.notch(hz, 0.1, 0.6), ls.low_pass(400.0, 1.0),
+            rate_hz=2500.0, loop="motor",
+        )
+        for gain, hz in ((12.0, 77.5), (10.0, 77.5), (11.0, 79.0), (9.0, 75.0))
+    ]  # fmt: skip
+    file = tmp_path / "shape.html"
+    file.write_bytes(page_of([shaped([P], made[0], R, fits)], "test"))
+    page = page_in_browser.opened(context, file)
+    verdicts = [check([P], C, R, fits) for C in made]
+    assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * 4
+    page.close()
+    found = [m.detuning_percent for v in verdicts for m in v.margins.values()]
+    assert len({round(x, 3) for x in found if 0.0 < x < 20.0}) >= 3
+
+
+def test_the_step_is_that_of_the_prediction_from_the_fit(context: Any, tmp_path: Path) -> None:
+    P, R, C = shaped_cases.bench()
+    fit = ls.fit(P, "rational", numerator=2, denominator=4, delay=True)
+    file = tmp_path / "shape.html"
+    file.write_bytes(page_of([shaped([P], C, R, (fit,))], "test"))
+    page, step = page_in_browser.opened(context, file), predict_step(fit, C, draws=0)
+    found = page.evaluate("(({timeS, y, ...read}) => ({timeS: [...timeS], y: [...y], ...read}))(loopshape.step(0))")
+    page.close()
+    assert step is not None
+    assert step.time_s == pytest.approx(found["timeS"], rel=1e-12)
+    assert step.response == pytest.approx(found["y"], abs=1e-9)
+    assert step.indicators.overshoot == pytest.approx(found["overshoot"], abs=1e-9)
+    assert step.indicators.settling_time_s == pytest.approx(found["settlingS"], rel=1e-9)
 
 
 @pytest.mark.long

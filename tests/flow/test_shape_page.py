@@ -175,8 +175,7 @@ def test_keys_undo_redo_lock_and_a_link_is_a_design(page: Any, browser: Any) -> 
     assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == -3
     page.get_by_role("button", name="lock gain of block 1, gain", exact=True).press("Enter")
     page.wait_for_selector('[aria-label="gain of block 1, gain"]:disabled')  # drawn with the next picture
-    while page.evaluate("location.hash.slice(1) !== loopshape.address"):
-        page.wait_for_timeout(50)
+    page_in_browser.until(page, "location.hash.slice(1) === loopshape.address")
     other = browser.new_context().new_page()
     other.goto(page.url)
     page_in_browser.settled(other)
@@ -200,6 +199,77 @@ def test_a_design_is_compared_with_one_that_was_kept(page: Any) -> None:
     assert page.get_by_text("B: ").count() > 0
     page.get_by_role("button", name="continue with the design that was kept").click()
     assert state(page)["controller"]["blocks"][0]["parameters"]["gain"] == 1
+
+
+def tabbed(page: Any) -> tuple[list[str], list[str]]:
+    """What can be operated, and what the Tab key reaches from the top, each by its label; a radio group is one stop."""
+    numbered = """(() => { const shown = [...document.querySelectorAll('button, select, input, canvas, summary')]
+      .filter(x => !x.disabled && x.checkVisibility() && !(x.type === 'radio' && !x.checked))
+      shown.forEach((x, k) => x.dataset.stop = k); document.activeElement.blur(); scrollTo(0, 0)
+      return shown.map((x, k) => `${k} ${x.ariaLabel ?? x.labels?.[0]?.innerText ?? x.innerText}`) })()"""
+    wanted, seen = page.evaluate(numbered), []
+    for _ in range(len(wanted) + 2):
+        page.keyboard.press("Tab")
+        seen.append(page.evaluate("document.activeElement.dataset.stop ?? ''"))
+    return wanted, [one for one in wanted if one.split(" ")[0] in seen]
+
+
+def test_every_control_is_reached_by_tab_and_works_by_keys(page: Any) -> None:
+    typed(page, "gain of block 1, gain", 12)
+    page.get_by_label("Add a requirement").select_option("detuning_percent")
+    page.get_by_role("button", name="add the requirement that is chosen").press("Enter")
+    page.get_by_role("button", name="add a block of this kind").press("Enter")
+    page.get_by_role("button", name="keep this design to compare with").press("Enter")
+    page.get_by_label("step of the fit").press("Space")
+    page.locator("#step").wait_for()
+    page_in_browser.settled(page)
+    wanted, reached = tabbed(page)
+    assert len(wanted) > 50
+    assert wanted == reached
+    page.get_by_role("button", name="remove block 2, notch").press("Enter")
+    page_in_browser.until(page, "document.activeElement.id === 'new-kind'")
+    page.get_by_role("radio", name="L", exact=True).press("ArrowRight")
+    page.locator("#response-P:checked").wait_for()
+    page.locator("#phase, #step").locator("visible=true").press("ArrowRight")
+    page.locator("#nichols").press("ArrowRight")
+    page.locator("#readout", has_text="Hz").wait_for()
+    for key in ("+", "+", *["Shift+ArrowRight"] * 3):  # zoomed in, the paper follows the cursor
+        page.locator("#magnitude").press(key)
+    assert " Hz" in page.locator("#readout").inner_text()
+
+
+def test_a_finger_drags_a_notch_on_a_phone(browser: Any, file: Path) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    page = page_in_browser.opened(context, file)
+    added(page, "notch")
+    page_in_browser.until(page, "'N' in loopshape.handles")
+    page.locator("#magnitude").scroll_into_view_if_needed()
+    (x, y), touch = handle(page, "N"), context.new_cdp_session(page)
+    before = state(page)["controller"]["blocks"][1]["parameters"]
+    for kind, dx, dy in [("Start", 0, 0), *(("Move", -4 * k, 3 * k) for k in range(1, 9)), ("End", 0, 0)]:
+        points = [] if kind == "End" else [{"x": x + dx, "y": y + dy}]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+    wanted = f"b => b.f1_hz < 0.9 * {before['f1_hz']} && b.damping1 < 0.7 * {before['damping1']}"
+    page_in_browser.until(page, f"({wanted})(loopshape.state.controller.blocks[1].parameters)")
+    assert not page.errors
+    context.close()
+
+
+def test_the_step_of_the_fit_stands_in_place_of_the_phase_and_names_the_fit(
+    browser: Any, tmp_path: Path
+) -> None:
+    P, R, C = shaped_cases.bench()
+    fit = ls.fit(P, "rational", numerator=2, denominator=4, delay=True)
+    context = browser.new_context()
+    page = page_in_browser.opened(context, ls.shape(P, C, R, tmp_path / "fit.html", fits=[fit]))
+    page.get_by_label("step of the fit").check()
+    page.locator("#step-words", has_text="fit rational 2/4").wait_for()
+    before = page.evaluate("loopshape.step(0).y.at(-1)")
+    typed(page, "gain of block 1, gain", 0.7 * C.blocks[0].parameters["gain"])
+    page_in_browser.until(page, f"loopshape.step(0) && loopshape.step(0).y.at(-1) < {before} - 0.02")
+    typed(page, "gain of block 1, gain", -1)
+    page.locator("#step-words", has_text="does not come to rest").wait_for()
+    context.close()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (1024, "dark"), (390, "light")])

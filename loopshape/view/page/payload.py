@@ -17,6 +17,7 @@ from loopshape.core.json_ready import json_ready
 from loopshape.data import smoothed as dense
 from loopshape.data.block import BLOCK_KINDS
 from loopshape.data.controller import Controller
+from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
@@ -24,9 +25,11 @@ from loopshape.data.requirements import LIMITS, Objective, Requirements, Verdict
 from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.smoothing import Recipe, recipe_of
-from loopshape.loop import between, holes, margins, obstacles, sampling, stability
+from loopshape.identify.resonances import Phase, resonances
+from loopshape.loop import between, detuning, holes, margins, obstacles, sampling, shifted, stability, step_response
 from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
+from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of
 
 FORMAT = "loopshape-shape/1"
@@ -86,6 +89,27 @@ def _constants() -> dict[str, Any]:
         "hole_apart": holes.APART,
         "hole_turn": holes.TURN,
         "hole_far": holes.FAR,
+        "detuning": _detuning_constants(),
+        "step_response": {"small": step_response.SMALL, "flat": step_response.FLAT, "longest": step_response.LONGEST},
+    }
+
+
+def _detuning_constants() -> dict[str, Any]:
+    return {
+        "searched": SEARCHED_PERCENT,
+        "warned": WARNED_PERCENT,
+        "coarse": detuning.COARSE,
+        "fine": detuning.FINE,
+        "finest": detuning.FINEST,
+        "outer": list(detuning.OUTER),
+        "fewer": list(detuning.FEWER),
+        "steps": detuning.STEPS,
+        "finest_step": detuning.FINEST_STEP,
+        "rounding": detuning.ROUNDING,
+        "draws": shifted.DRAWN,
+        "reach": shifted.REACH,
+        "matters": shifted.MATTERS,
+        "near": shifted.NEAR.tolist(),
     }
 
 
@@ -102,7 +126,10 @@ def _loop(one: Shaped) -> dict[str, Any]:
         "rate_hz": one.controller.rate_hz,
         "requirements": _requirements(one.requirements),
         "controller": controller_words(one.controller),
-        "points": [_point(name, loop) for name, loop in zip(one.verdict.margins, loops, strict=True)],
+        "points": [
+            _point(name, loop) | {"fit": _fit(fit_of(frf, one.fits))}
+            for name, loop, frf in zip(one.verdict.margins, loops, one.frfs, strict=True)
+        ],
         "certificate": certificate_words(one.verdict),
         "notes": list(notes),
     }
@@ -142,21 +169,8 @@ def controller_words(controller: Controller) -> dict[str, Any]:
 
 
 def certificate_words(verdict: Verdict) -> dict[str, Any]:
-    """What Python's check says of the start: the outcome, and what the page does not compute."""
-    return {
-        "outcome": verdict.outcome.value,
-        "detuning": {
-            name: json_ready(
-                {
-                    "percent": m.detuning_percent,
-                    "interval": m.intervals.get("detuning_percent"),
-                    "beyond": m.detuning is not None and m.detuning.worst.beyond,
-                },
-                None,
-            )
-            for name, m in verdict.margins.items()
-        },
-    }
+    """What Python's check says."""
+    return {"outcome": verdict.outcome.value}
 
 
 def _point(name: str, loop: Loop) -> dict[str, Any]:
@@ -176,6 +190,11 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
         **_low_end(loop),
         "beyond": _beyond(loop.beyond),
         "rough": _rough(loop),
+        "resonances": [
+            {"hz": x.frequency_hz, "damping": x.damping, "peak": x.peak}
+            for x in resonances(raw)
+            if x.phase is not Phase.UNKNOWN
+        ],
         "hidden": [
             {
                 "low_hz": one.low_hz,
@@ -237,6 +256,14 @@ def _beyond(frf: FRF | None) -> dict[str, str] | None:
 def _rough(loop: Loop) -> str | None:
     reach = obstacles.rough_reach(loop)
     return _packed(reach) if reach.any() else None
+
+
+def _fit(fit: Fit | None) -> dict[str, Any] | None:
+    if fit is None:
+        return None
+    named = {"structure": fit.structure, "misfit_db": fit.misfit_db, "sufficient": fit.sufficient}
+    model = fit.model
+    return named | {"num": model.num.tolist(), "den": model.den.tolist(), "delay_s": model.delay_s}
 
 
 def _pair(value: complex) -> list[float]:

@@ -52,10 +52,10 @@ export class BlockList {
   }
 
   private rebuild(blocks: DesignBlock[]): void {
-    const focused = document.activeElement?.id;
+    const focused = this.list.contains(document.activeElement) ? document.activeElement?.id : null;
     this.cards = [];
     this.list.replaceChildren(...blocks.map((block, k) => this.card(block, k)));
-    if (focused) document.getElementById(focused)?.focus();
+    if (focused) (document.getElementById(focused) ?? this.kind).focus();
   }
 
   private card(block: DesignBlock, k: number): HTMLLIElement {
@@ -76,7 +76,7 @@ export class BlockList {
       el("label", { class: "check" }, on, "on"),
       button("↑", `move ${where} up`, () => this.move(k, -1), { id: `up-${k}`, class: "plain", disabled: k === 0 }),
       button("↓", `move ${where} down`, () => this.move(k, 1), { id: `down-${k}`, class: "plain", disabled: k === this.design().blocks.length - 1 }),
-      button("×", `remove ${where}`, () => this.remove(k), { class: "plain" }),
+      button("×", `remove ${where}`, () => this.remove(k), { id: `gone-${k}`, class: "plain" }),
     );
     return el("li", { class: block.off ? "off" : "" }, head, el("div", { class: "parameters" }, ...parts));
   }

@@ -8,6 +8,8 @@ import { slopes, valueAt } from "./spline";
 /** Draws (count) of an error on n lines, one after the other. */
 export interface Draws {
   count: number;
+  /** Of how many these are the first, where they are not all. */
+  of?: number;
   re: Real;
   im: Real;
 }
@@ -415,7 +417,7 @@ export function densified(dense: Dense, at: Real, source: Source, make: MakeDraw
     const bentBack = product(b, bent);
     put(off, j, [size * bentBack[0], size * bentBack[1]]);
   }
-  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.count), make);
+  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.of ?? draws.count), make);
   return out;
 }
 

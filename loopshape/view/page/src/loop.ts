@@ -58,7 +58,7 @@ export class Loop {
   }
 }
 
-function followed(known: Dense, controller: Controller, source: Source): Dense {
+export function followed(known: Dense, controller: Controller, source: Source): Dense {
   const { constants } = source;
   let dense = known;
   const own = controllerPlaces(controller, dense.f, source);

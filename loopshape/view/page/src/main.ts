@@ -11,10 +11,11 @@ import { button, download, el, shown } from "./dom";
 import { unitCrossings } from "./margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
+import { stepOf, type Step } from "./step";
 import { badge, RequirementTable } from "./table";
 import { Engine, verdictOn, type Found } from "./verdict";
 import type { Trace } from "./views";
-import { Pool, workHere, type Worked } from "./work";
+import { highFrom, Pool, workHere, type Worked } from "./work";
 import { worstOf } from "./worst";
 
 class Page {
@@ -26,6 +27,8 @@ class Page {
   private current = 0;
   private found: Found | null = null;
   private settled = false;
+  /** Whether detuning margins are known of what is shown. */
+  private detuned = false;
   private otherFound: Found | null = null;
   private traces: Trace[] = [];
   private queued = 0;
@@ -38,8 +41,8 @@ class Page {
   private readonly verdict = el("span", { id: "verdict-badge" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
   private readonly root: HTMLElement;
-  /** Milliseconds from a change to its picture, and to its intervals: read by tests and by who measures. */
-  readonly timings: { picture: number[]; intervals: number[] } = { picture: [], intervals: [] };
+  /** Milliseconds from a change to its picture, its intervals, its detuning margins: read by tests and by who measures. */
+  readonly timings: Record<"picture" | "intervals" | "detuning", number[]> = { picture: [], intervals: [], detuning: [] };
   private changedAt = 0;
 
   constructor(
@@ -103,6 +106,8 @@ class Page {
       change: (blocks, goesOn) => this.changeBlocks(blocks, goesOn),
       ended: () => this.histories[this.current].close(),
       crossover: () => this.crossover(),
+      fit: (point) => this.loop.points[point].fit,
+      step: (point, other) => this.step(point, other),
     });
     this.root.replaceChildren(
       this.header(),
@@ -124,8 +129,8 @@ class Page {
     const file = el("input", { type: "file", id: "file", accept: ".toml,text/plain", "aria-label": "Open a controller or requirements file", change: () => this.opened(file) });
     const bar = el(
       "div", { class: "bar", role: "toolbar", "aria-label": "Design" },
-      button("Undo", "undo (Ctrl+Z)", () => this.step(-1), { id: "undo" }),
-      button("Redo", "redo (Ctrl+Y)", () => this.step(1), { id: "redo" }),
+      button("Undo", "undo (Ctrl+Z)", () => this.back(-1), { id: "undo" }),
+      button("Redo", "redo (Ctrl+Y)", () => this.back(1), { id: "redo" }),
       button("Keep as B", "keep this design to compare with", () => this.keep(), { id: "keep" }),
       button("Swap A and B", "continue with the design that was kept", () => this.swap(), { id: "swap" }),
       button("controller.toml", "download the controller", () => this.save("controller.toml"), { id: "save-controller" }),
@@ -188,7 +193,7 @@ class Page {
       if (key !== "z" && key !== "y") return;
       event.preventDefault();
       (document.activeElement as HTMLElement | null)?.blur();
-      this.step(key === "y" || event.shiftKey ? 1 : -1);
+      this.back(key === "y" || event.shiftKey ? 1 : -1);
     });
     document.addEventListener("dragover", (event) => event.preventDefault());
     document.addEventListener("drop", (event) => {
@@ -210,12 +215,20 @@ class Page {
   }
 
   private get controller(): Controller {
-    return controllerOf(this.design);
+    return this.running(this.design);
+  }
+
+  private readonly controllers = new WeakMap<Design, Controller>();
+
+  /** The controller of a design, the same one as long as the design is: responses are remembered by it. */
+  private running(design: Design): Controller {
+    const made = this.controllers.get(design) ?? controllerOf(design);
+    this.controllers.set(design, made);
+    return made;
   }
 
   private get fromHz(): number | null {
-    const value = this.design.requirements.control_high_frequency_from_hz;
-    return typeof value === "number" ? value : null;
+    return highFrom(this.design.requirements);
   }
 
   private crossover(): number {
@@ -253,7 +266,14 @@ class Page {
     this.refresh();
   }
 
-  private step(by: -1 | 1): void {
+  /** Step of the fit of an operating point under the design, or under B. */
+  step(point: number, other = false): Step | null {
+    const design = other ? this.others[this.current] : this.design;
+    const { fit } = this.loop.points[point];
+    return fit && design && stepOf(fit, this.running(design), this.payload.constants.step_response);
+  }
+
+  private back(by: -1 | 1): void {
     const design = this.histories[this.current].move(by);
     if (!design) {
       this.say(by < 0 ? "Nothing to undo." : "Nothing to redo.");
@@ -328,7 +348,7 @@ class Page {
 
   private refresh(): void {
     if (!this.changedAt) this.changedAt = performance.now();
-    this.settled = false;
+    this.settled = this.detuned = false;
     if (!this.queued) {
       this.queued = requestAnimationFrame(() => {
         this.queued = 0;
@@ -343,15 +363,17 @@ class Page {
     const estimates = this.engines[this.current].estimates(controller, this.fromHz);
     if (!this.settled) this.found = verdictOn(this.payload.limits, this.design.requirements, estimates);
     this.worst = worstOf(this.found as Found);
-    this.pool.ask(this.current, controller, this.fromHz);
+    this.pool.ask({ loop: this.current, controller, requirements: this.design.requirements });
     this.show();
     this.timings.picture.push(performance.now() - this.changedAt);
     this.intervalsFrom ??= this.changedAt;
+    this.detuningFrom ??= this.changedAt;
     this.changedAt = 0;
     this.writeAddressSoon();
   }
 
   private intervalsFrom: number | null = null;
+  private detuningFrom: number | null = null;
   private addressTimer = 0;
 
   private writeAddressSoon(): void {
@@ -367,27 +389,23 @@ class Page {
   }
 
   private worked(worked: Worked): void {
-    if (worked.loop !== this.current || worked.fromHz !== this.fromHz) return;
-    if (this.intervalsFrom !== null) this.timings.intervals.push(performance.now() - this.intervalsFrom);
-    this.intervalsFrom = null;
-    if (JSON.stringify(worked.controller) !== JSON.stringify(this.controller)) return;
-    this.detuned(worked);
+    if (worked.loop !== this.current) return;
+    const from = worked.detuned ? this.detuningFrom : this.intervalsFrom;
+    if (from !== null) this.timings[worked.detuned ? "detuning" : "intervals"].push(performance.now() - from);
+    if (worked.detuned) this.detuningFrom = null;
+    else this.intervalsFrom = null;
+    const now = { controller: this.controller, requirements: this.design.requirements };
+    if (JSON.stringify([worked.controller, worked.requirements]) !== JSON.stringify([now.controller, now.requirements])) return;
     this.found = verdictOn(this.payload.limits, this.design.requirements, worked.margins);
     this.worst = worstOf(this.found);
     this.settled = true;
+    this.detuned = worked.detuned;
     this.show();
   }
 
-  /** The detuning margin is told by Python's check of the start alone. */
-  private detuned(worked: Worked): void {
-    const { certificate, points } = this.loop;
-    if (!certificate || !this.isStart()) return;
-    worked.margins.forEach((m, k) => {
-      const own = certificate.detuning[points[k].name];
-      if (own?.percent == null) return;
-      m.values.detuning_percent = own.percent;
-      if (own.interval) m.intervals.detuning_percent = own.interval;
-    });
+  /** Whether all that the verdict depends on is known. */
+  private get decided(): boolean {
+    return this.settled && (this.detuned || typeof this.design.requirements.detuning_percent !== "number");
   }
 
   private isStart(): boolean {
@@ -398,9 +416,9 @@ class Page {
   private show(): void {
     const found = this.found as Found;
     const asked = found.rows.length > 0;
-    this.verdict.replaceChildren(badge(this.settled ? found.outcome : null));
+    this.verdict.replaceChildren(badge(this.decided ? found.outcome : null));
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
-    this.table.show(this.design.requirements, found, this.settled, this.otherFound);
+    this.table.show(this.design.requirements, found, { settled: this.settled, detuned: this.detuned }, this.otherFound);
     this.blocks.show(this.controller);
     const { certificate } = this.loop;
     const here = "The numbers above are computed here, from the same draws.";
@@ -411,21 +429,24 @@ class Page {
     (document.getElementById("undo") as HTMLButtonElement).disabled = !this.histories[this.current].can(-1);
     (document.getElementById("redo") as HTMLButtonElement).disabled = !this.histories[this.current].can(1);
     (document.getElementById("swap") as HTMLButtonElement).disabled = !this.others[this.current];
-    document.title = `${this.settled ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`;
+    document.title = `${this.decided ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`;
     this.draw();
   }
 
   private draw(): void {
     if (!this.found) return;
     const other = this.others[this.current];
-    this.screen.draw(this.traces, this.worst, other ? this.traced(controllerOf(other)) : null);
+    this.screen.draw(this.traces, this.worst, other ? this.traced(this.running(other)) : null);
   }
 
   /** What is found of a controller, as `check` finds it: for scripts and tests. */
   async ask(controller: Controller): Promise<Found> {
     const engine = this.engines[this.current];
-    const margins = Array.from({ length: engine.size }, (_, k) => engine.settled(k, controller, this.fromHz));
-    return verdictOn(this.payload.limits, this.design.requirements, margins);
+    const { requirements } = this.design;
+    const margins = Array.from({ length: engine.size }, (_, k) =>
+      engine.detuned(k, controller, requirements, engine.settled(k, controller, this.fromHz)),
+    );
+    return verdictOn(this.payload.limits, requirements, margins);
   }
 
   /** Where the handles of the Bode plot stand on it, in pixels, by their letters. */
@@ -433,9 +454,10 @@ class Page {
     return this.screen.places;
   }
 
-  get state(): { settled: boolean; outcome: string | null; rows: string[]; controller: Controller } {
+  get state(): { settled: boolean; detuned: boolean; outcome: string | null; rows: string[]; controller: Controller } {
     const rows = (this.found?.rows ?? []).map((row) => `${row.quantity} ${shown(row.found)} ${row.outcome}`);
-    return { settled: this.settled, outcome: this.settled ? (this.found as Found).outcome : null, rows, controller: this.controller };
+    const outcome = this.decided ? (this.found as Found).outcome : null;
+    return { settled: this.settled, detuned: this.detuned, outcome, rows, controller: this.controller };
   }
 }
 

@@ -3,11 +3,12 @@
 import { clip, db, geometric, placeIn, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
 import { sumsOf, type Draws } from "./dense";
+import type { Detuning } from "./detuning";
 import { readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
 
-const PLAIN: Record<string, number> = {
+export const PLAIN: Record<string, number> = {
   gain_margin_db: kernel.GAIN_DB,
   gain_reduction_margin_db: kernel.REDUCTION_DB,
   phase_margin_deg: kernel.PHASE_DEG,
@@ -16,7 +17,7 @@ const PLAIN: Record<string, number> = {
   control_high_frequency_db: kernel.CONTROL_HIGH_DB,
   process_peak_db: kernel.PROCESS_DB,
 };
-const LOGARITHMS: Record<string, number> = {
+export const LOGARITHMS: Record<string, number> = {
   modulus_margin: kernel.LN_MODULUS,
   delay_margin_s: kernel.LN_DELAY_S,
   disk_margin: kernel.LN_DISK,
@@ -46,6 +47,8 @@ export interface Margins {
   crossings_hz: number[];
   phase_crossings_hz: number[];
   stability: Stability | null;
+  /** What is known of the detuning margin, nothing while it is not. */
+  detuning: Detuning | null;
   settled: boolean;
 }
 
@@ -69,6 +72,7 @@ export function margins(loop: Loop, fromHz: number | null): Margins {
     }
   }
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
+  values.detuning_percent = NaN;
   return {
     values,
     intervals,
@@ -77,6 +81,7 @@ export function margins(loop: Loop, fromHz: number | null): Margins {
     crossings_hz: unitCrossings(first.f, first.L),
     phase_crossings_hz: axisCrossings(first.f, first.L),
     stability: null,
+    detuning: null,
     settled: first.draws !== null,
   };
 }
@@ -104,7 +109,7 @@ function readingsOf(grid: kernel.Grid, j: Judged, draws: Draws): kernel.Readings
 
 const above = new Map<string, Real>();
 
-function aboveHz(last: number, rate_hz: number): Real {
+export function aboveHz(last: number, rate_hz: number): Real {
   const key = `${last} ${rate_hz}`;
   const made = above.get(key) ?? (last < 0.45 * rate_hz ? geometric(last, 0.45 * rate_hz, 80).subarray(1) : new Float64Array(0));
   above.set(key, made);

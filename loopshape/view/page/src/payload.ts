@@ -39,6 +39,29 @@ export interface Constants {
   along: number[];
   draws: number;
   down: number[];
+  detuning: {
+    searched: number;
+    warned: number;
+    coarse: number;
+    fine: number;
+    finest: number;
+    outer: number[];
+    fewer: number[];
+    steps: number;
+    finest_step: number;
+    rounding: number;
+    draws: number;
+    reach: number;
+    matters: number;
+    near: number[];
+  };
+  step_response: StepConstants;
+}
+
+export interface StepConstants {
+  small: number;
+  flat: number;
+  longest: number;
 }
 
 export type Requirements = Record<string, unknown> & { loop: string };
@@ -63,7 +86,26 @@ interface RawPoint {
   down: { P: string; P_led: string; moves: string | null; lines: number }[];
   beyond: { f: string; P: string } | null;
   rough: string | null;
+  resonances: Seen[];
+  fit: FitModel | null;
   hidden: { low_hz: number; high_hz: number; centre: string; width: string; residue: string }[];
+}
+
+/** A model fitted to an operating point, num(s)/den(s) exp(-s delay) in descending powers, and how well it does. */
+export interface FitModel {
+  structure: string;
+  misfit_db: number;
+  sufficient: boolean;
+  num: number[];
+  den: number[];
+  delay_s: number;
+}
+
+/** A resonance of the plant: frequency in Hz, damping, and the height of its peak. */
+export interface Seen {
+  hz: number;
+  damping: number;
+  peak: number;
 }
 
 export interface Term {
@@ -109,13 +151,14 @@ export interface Point {
   down: Down[];
   beyond: { f: Real; P: Complex } | null;
   rough: Real | null;
+  resonances: Seen[];
+  fit: FitModel | null;
   hidden: Hidden[];
 }
 
 /** What Python's check said of the controller that the page was made with. */
 export interface Certificate {
   outcome: string;
-  detuning: Record<string, { percent: number | null; interval: [number, number] | null }>;
 }
 
 interface RawLoop {

@@ -81,6 +81,10 @@ export class Plot {
     this.home = { x: { ...x }, y: { ...y } };
   }
 
+  get isZoomed(): boolean {
+    return this.zoomed;
+  }
+
   /** Axes to show unless the reader zoomed. */
   show(x: Axis, y: Axis): void {
     this.home = { x, y };
@@ -111,6 +115,12 @@ export class Plot {
     this.x = moved(this.x, -dx / wide);
     this.y = moved(this.y, dy / tall);
     this.zoomed = true;
+  }
+
+  /** Where it is zoomed and a place lies outside, moves so that the place comes to the middle. */
+  bring([px, py]: [number, number]): void {
+    const inside = px >= LEFT && px <= this.width - RIGHT && py >= TOP && py <= this.height - BOTTOM;
+    if (this.zoomed && !inside) this.pan(this.width / 2 - px, this.height / 2 - py);
   }
 
   begin(): void {

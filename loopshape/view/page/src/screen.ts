@@ -6,11 +6,12 @@ import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
 import { dragged, handlesOf, widened, type Handle } from "./handles";
 import { axisCrossings, unitCrossings } from "./margins";
-import type { Requirements } from "./payload";
+import type { FitModel, Requirements } from "./payload";
 import { coloursOf, Plot, type Axis } from "./plot";
+import type { Step } from "./step";
 import {
   frequencyAxis, nicholsAxis, nicholsChart, nicholsCurve, nyquistChart, phaseAxis, phaseDeg, responseOf, RESPONSES, sizeAxis,
-  sizeDb, styleOf, type Response, type Trace,
+  sizeDb, stepAxes, styleOf, type Response, type Trace,
 } from "./views";
 
 export interface Asked {
@@ -20,6 +21,9 @@ export interface Asked {
   change: (blocks: DesignBlock[], goesOn: boolean) => void;
   ended: () => void;
   crossover: () => number;
+  /** The fit of an operating point, and the step of its loop: null where it does not come to rest. */
+  fit: (point: number) => FitModel | null;
+  step: (point: number, other: boolean) => Step | null;
 }
 
 interface Hold {
@@ -29,6 +33,9 @@ interface Hold {
   startDb: number;
 }
 
+/** How near a finger must come to a handle, in pixels. */
+const FINGER = 28;
+
 const KEY = [["worst", "worst operating point"], ["chosen", "chosen"], ["point", "others"], ["other", "B"]];
 
 const LINEAR = (low: number, high: number, label: string, ticks: number): Axis => ({ low, high, log: false, label, ticks });
@@ -37,18 +44,25 @@ export class Screen {
   readonly element = el("div", { class: "screen" });
   private readonly size = this.canvas("magnitude", "Bode plot, magnitude");
   private readonly phase = this.canvas("phase", "Bode plot, phase");
+  private readonly step = this.canvas("step", "Step of the closed loop of the fit");
   private readonly nichols = this.canvas("nichols", "Nichols plot of L");
   private readonly nyquist = this.canvas("nyquist", "Nyquist plot of L");
   private readonly readout = el("p", { class: "readout", id: "readout" });
   private readonly legend = el("ul", { class: "legend" });
   private readonly hidden = new Set<number>();
   private shown: Response = "L";
+  private stepping = false;
+  private cursorS: number | null = null;
+  private readonly stepWords = el("p", { class: "readout", id: "step-words" });
   private chosen: number | null = null;
   private cursorHz: number | null = null;
   private hold: Hold | null = null;
   private traces: Trace[] = [];
   private others: Trace[] | null = null;
   private worst = 0;
+  private readonly plots: Plot[];
+  /** Where the cursor stands on each plot, in pixels. */
+  private readonly marked = new Map<Plot, [number, number]>();
   private handlePlaces: { handle: Handle; px: number; py: number }[] = [];
 
   constructor(
@@ -61,23 +75,35 @@ export class Screen {
       input.checked = name === this.shown;
       choice.append(el("label", { for: `response-${name}` }, input, name));
     }
+    const steps = el("input", { type: "checkbox", id: "show-step", change: () => this.pickStep(steps.checked) });
+    choice.append(el("label", { for: "show-step", title: "in place of the phase" }, steps, "step of the fit"));
     const points = el("details", { class: "points" }, el("summary", {}, `Operating points (${names.length})`), this.legend);
     if (names.length > 1) points.open = names.length <= 8;
     this.element.append(
       choice,
-      el("div", { class: "bode" }, this.size.canvas, this.phase.canvas),
+      el("div", { class: "bode" }, this.size.canvas, this.phase.canvas, this.step.canvas, this.stepWords),
       el("div", { class: "maps" }, this.nichols.canvas, this.nyquist.canvas),
       this.readout,
       el("p", { class: "key", "aria-hidden": "true" }, ...KEY.map(([name, words]) => el("span", { class: name }, words))),
       points,
     );
     this.fillLegend();
-    for (const plot of [this.size, this.phase, this.nichols, this.nyquist]) this.listen(plot);
+    this.plots = [this.size, this.phase, this.nichols, this.nyquist, this.step];
+    for (const plot of this.plots) this.listen(plot);
+    this.pickStep(false);
   }
 
   private canvas(id: string, label: string): Plot {
     const canvas = el("canvas", { id, tabindex: "0", role: "img", "aria-label": label });
     return new Plot(canvas, { low: 1, high: 10, log: true, label: "" }, { low: -1, high: 1, log: false, label: "" });
+  }
+
+  /** The step of the fit in place of the phase, or the phase. */
+  private pickStep(on: boolean): void {
+    this.stepping = on;
+    this.phase.canvas.hidden = on;
+    this.step.canvas.hidden = this.stepWords.hidden = !on;
+    this.redraw();
   }
 
   private pick(name: Response): void {
@@ -122,8 +148,9 @@ export class Screen {
 
   private redraw(): void {
     if (!this.traces.length) return;
-    for (const plot of [this.size, this.phase, this.nichols, this.nyquist]) plot.colours = coloursOf(plot.canvas);
+    for (const plot of this.plots) plot.colours = coloursOf(plot.canvas);
     this.drawBode();
+    if (this.stepping) this.drawStep();
     this.drawMap(this.nichols);
     this.drawMap(this.nyquist);
     this.readValues();
@@ -142,10 +169,11 @@ export class Screen {
     const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
     if (!this.hold) {
       // axes stand still while something is dragged on them
-      this.size.show(frequencyAxis(this.traces, ""), sizeAxis(sizes, this.shown));
+      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis(sizes, this.shown));
       this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
     }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
+      if (plot.canvas.hidden) continue;
       plot.begin();
       this.guides(plot);
       if (this.others && !this.hidden.has(this.front)) {
@@ -154,11 +182,45 @@ export class Screen {
         plot.curve({ x: this.others[this.front].f, y }, { colour: plot.colours.other, width: 2, dash: [7, 4] });
       }
       for (const k of this.order()) plot.curve({ x: this.traces[k].f, y: curves[k] }, this.style(plot, k));
-      if (this.cursorHz !== null) plot.upright(this.cursorHz, { colour: plot.colours.ink, width: 1, dash: [2, 3] });
+      if (this.cursorHz !== null) {
+        plot.upright(this.cursorHz, { colour: plot.colours.ink, width: 1, dash: [2, 3] });
+        this.marked.set(plot, [plot.px(this.cursorHz), plot.py(interpolated(this.traces[this.front].f, curves[this.front], this.cursorHz))]);
+      }
       this.marks(plot, curves[this.front]);
       if (plot === this.size && (this.shown === "L" || this.shown === "C")) this.drawHandles(curves[this.front]);
       plot.end();
     }
+  }
+
+  private drawStep(): void {
+    const plot = this.step;
+    const steps = new Map(this.order().map((k) => [k, this.asked.step(k, false)]));
+    const front = steps.get(this.front) ?? null;
+    const other = this.others && !this.hidden.has(this.front) ? this.asked.step(this.front, true) : null;
+    if (!this.hold) plot.show(...stepAxes([...steps.values(), other], front));
+    plot.begin();
+    plot.level(1, { colour: plot.colours.ink, width: 1, dash: [6, 3] });
+    if (other) plot.curve({ x: other.timeS, y: other.y }, { colour: plot.colours.other, width: 2, dash: [7, 4] });
+    for (const [k, one] of steps) if (one) plot.curve({ x: one.timeS, y: one.y }, this.style(plot, k));
+    if (this.cursorS !== null) {
+      plot.upright(this.cursorS, { colour: plot.colours.ink, width: 1, dash: [2, 3] });
+      this.marked.set(plot, [plot.px(this.cursorS), plot.py(front ? interpolatedAt(front, this.cursorS) : 0)]);
+    }
+    plot.end();
+    this.stepWords.textContent = this.wordsOfStep(front);
+  }
+
+  /** Of which fit the step in front is, and what is read off it. */
+  private wordsOfStep(step: Step | null): string {
+    const fit = this.asked.fit(this.front);
+    const who = this.names[this.front];
+    if (!fit) return `${who}: no fit of this FRF. Make one with loopshape fit, then write this page again.`;
+    const quality = `misfit ${shown(fit.misfit_db)} dB, leaves ${fit.sufficient ? "nothing but noise" : "more than noise"}`;
+    const model = `${who}: fit ${fit.structure.replaceAll("_", " ")} (${quality}), sampled, with the controller as it runs`;
+    if (!step) return `${model}. Its closed loop does not come to rest: no step.`;
+    const settles = Number.isNaN(step.settlingS) ? "not settled" : `within 2 % from ${shown(step.settlingS)} s on`;
+    const there = this.cursorS === null ? "" : `; ${shown(interpolatedAt(step, this.cursorS))} at ${shown(this.cursorS)} s`;
+    return `${model}. Overshoot ${shown(Number((100 * step.overshoot).toFixed(2)))} %, ${settles}${there}.`;
   }
 
   private style(plot: Plot, k: number): ReturnType<typeof styleOf> {
@@ -211,12 +273,16 @@ export class Screen {
 
   private drawHandles(curve: ArrayLike<number>): void {
     const trace = this.traces[this.front];
-    const gainHz = this.size.toX(this.size.px(this.size.x.low) + 26);
+    const { x } = this.size;
+    const edge = (hz: number, off: number): number => this.size.toX(this.size.px(hz) + off);
+    const blocks = this.asked.design().blocks;
+    // what lies left of the plot stands at its edge, side by side, and gains behind that
+    let left = handlesOf(blocks, Infinity).filter(({ hz }) => hz < edge(x.low, 12)).length;
+    const gainHz = edge(x.low, 12 + 22 * left);
     const { handle: colour, paper } = this.size.colours;
-    this.handlePlaces = handlesOf(this.asked.design().blocks, gainHz).map((handle) => {
-      const { x } = this.size;
-      const edge = (hz: number, off: number): number => this.size.toX(this.size.px(hz) + off);
-      const hz = Math.min(Math.max(handle.hz, edge(x.low, 12)), edge(x.high, -12));
+    this.handlePlaces = handlesOf(blocks, gainHz).map((handle) => {
+      const outside = handle.name !== "gain" && handle.hz < edge(x.low, 12);
+      const hz = outside ? edge(x.low, 12 + 22 * --left) : Math.min(handle.hz, edge(x.high, -12));
       const db = interpolated(trace.f, curve, hz);
       const on = this.hold?.handle.block === handle.block && this.hold.handle.name === handle.name;
       this.size.dot(hz, db, on ? 11 : 9, on ? colour : paper, colour);
@@ -251,6 +317,7 @@ export class Screen {
       const at = this.pointAt(this.traces[this.front], this.cursorHz);
       const one = curveOf({ ...this.traces[this.front], L: { re: Float64Array.of(at.re), im: Float64Array.of(at.im) } });
       plot.dot(one.x[0], one.y[0], 5, plot.colours.paper, plot.colours.ink);
+      this.marked.set(plot, [plot.px(one.x[0]), plot.py(one.y[0])]);
     }
     plot.end();
   }
@@ -304,19 +371,24 @@ export class Screen {
     };
     canvas.addEventListener("pointerup", up);
     canvas.addEventListener("pointercancel", up);
+    canvas.addEventListener("touchstart", (event) => {
+      // a finger on a handle drags it, up and down too; elsewhere it scrolls the page
+      const [touch, box] = [event.touches[0], canvas.getBoundingClientRect()];
+      if (plot === this.size && this.nearest(touch.clientX - box.left, touch.clientY - box.top, FINGER)) event.preventDefault();
+    }, { passive: false });
     canvas.addEventListener("dblclick", () => this.home(plot));
     canvas.addEventListener("wheel", (event) => this.wheel(plot, event), { passive: false });
     canvas.addEventListener("keydown", (event) => this.key(plot, event));
   }
 
-  private nearest(event: PointerEvent | WheelEvent): Handle | null {
-    const far = this.handlePlaces.map(({ px, py }) => Math.hypot(px - event.offsetX, py - event.offsetY));
+  private nearest(x: number, y: number, reach = 18): Handle | null {
+    const far = this.handlePlaces.map(({ px, py }) => Math.hypot(px - x, py - y));
     const k = far.indexOf(Math.min(...far));
-    return k >= 0 && far[k] < 18 ? this.handlePlaces[k].handle : null;
+    return k >= 0 && far[k] < reach ? this.handlePlaces[k].handle : null;
   }
 
   private taken(event: PointerEvent): Hold | null {
-    const handle = this.nearest(event);
+    const handle = this.nearest(event.offsetX, event.offsetY, event.pointerType === "touch" ? FINGER : undefined);
     if (!handle) return null;
     event.preventDefault();
     const from = structuredClone(this.asked.design().blocks[handle.block]);
@@ -335,8 +407,9 @@ export class Screen {
   }
 
   private point(plot: Plot, event: PointerEvent): void {
-    if (plot === this.size) this.size.canvas.style.cursor = this.nearest(event) ? "grab" : "crosshair";
-    if (plot === this.size || plot === this.phase) this.cursorHz = this.inRange(plot.toX(event.offsetX));
+    if (plot === this.size) this.size.canvas.style.cursor = this.nearest(event.offsetX, event.offsetY) ? "grab" : "crosshair";
+    if (plot === this.step) this.cursorS = Math.max(plot.toX(event.offsetX), 0);
+    else if (plot === this.size || plot === this.phase) this.cursorHz = this.inRange(plot.toX(event.offsetX));
     else {
       const { f, L } = this.traces[this.front];
       const curve = plot === this.nichols ? null : L;
@@ -357,6 +430,7 @@ export class Screen {
   }
 
   private link(plot: Plot): void {
+    if (!plot.isZoomed) return;
     if (plot === this.size) this.phase.follow(plot.x);
     if (plot === this.phase) this.size.follow(plot.x);
   }
@@ -369,7 +443,7 @@ export class Screen {
   }
 
   private wheel(plot: Plot, event: WheelEvent): void {
-    const handle = plot === this.size ? this.nearest(event) : null;
+    const handle = plot === this.size ? this.nearest(event.offsetX, event.offsetY) : null;
     if (!handle && !event.ctrlKey && document.activeElement !== plot.canvas) return;
     event.preventDefault();
     if (handle) {
@@ -385,9 +459,10 @@ export class Screen {
   private key(plot: Plot, event: KeyboardEvent): void {
     const { f } = this.traces[this.front];
     const k = placeIn(f, this.cursorHz ?? this.asked.crossover());
+    const by = event.shiftKey ? 10 : 1;
     const steps: Record<string, () => void> = {
-      ArrowRight: () => (this.cursorHz = f[Math.min(k + (event.shiftKey ? 10 : 1), f.length - 1)]),
-      ArrowLeft: () => (this.cursorHz = f[Math.max(k - (event.shiftKey ? 10 : 1), 0)]),
+      ArrowRight: () => this.moveCursor(plot, f, k, by),
+      ArrowLeft: () => this.moveCursor(plot, f, k, -by),
       ArrowDown: () => this.look((this.front + 1) % this.traces.length, null),
       ArrowUp: () => this.look((this.front + this.traces.length - 1) % this.traces.length, null),
       "+": () => this.zoomKey(plot, 1 / 1.25),
@@ -399,10 +474,20 @@ export class Screen {
     event.preventDefault();
     step();
     this.redraw();
+    const mark = event.key.startsWith("Arrow") ? this.marked.get(plot) : null;
+    if (!mark) return;
+    plot.bring(mark);
+    this.link(plot);
+    this.redraw();
+  }
+
+  private moveCursor(plot: Plot, f: Float64Array, k: number, by: number): void {
+    if (plot !== this.step) this.cursorHz = f[Math.min(Math.max(k + by, 0), f.length - 1)];
+    else this.cursorS = Math.min(Math.max((this.cursorS ?? 0) + 0.005 * by * plot.x.high, 0), plot.x.high);
   }
 
   private zoomKey(plot: Plot, factor: number): void {
-    plot.zoom(factor, plot.width / 2, plot.height / 2);
+    plot.zoom(factor, ...(this.marked.get(plot) ?? [plot.width / 2, plot.height / 2]));
     this.link(plot);
   }
 }
@@ -413,6 +498,12 @@ const first = ({ x, y }: { x: ArrayLike<number>; y: ArrayLike<number> }): { x: n
 function nearestLine(f: Float64Array, hz: number): number {
   const k = Math.min(Math.max(placeIn(f, hz), 1), f.length - 1);
   return hz * hz < f[k - 1] * f[k] ? k - 1 : k;
+}
+
+function interpolatedAt({ timeS, y }: Step, at: number): number {
+  const k = Math.min(Math.max(placeIn(timeS, at, true) - 1, 0), timeS.length - 2);
+  const share = Math.min((at - timeS[k]) / (timeS[k + 1] - timeS[k]), 1);
+  return y[k] + share * (y[k + 1] - y[k]);
 }
 
 function interpolated(f: Float64Array, y: ArrayLike<number>, hz: number): number {

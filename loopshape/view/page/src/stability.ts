@@ -11,17 +11,21 @@ export interface Stability {
   outcome: "stable" | "unstable" | "undecided";
   reason: string;
   band_hz: [number, number] | null;
+  /** Whether Python follows closer what is bounded here, and may decide. */
+  wider?: boolean;
 }
 
 interface Obstacle {
   reason: string;
   band_hz: [number, number] | null;
+  wider?: boolean;
 }
 
-const undecided = (reason: string, band_hz: [number, number] | null = null): Stability => ({
+const undecided = (reason: string, band_hz: [number, number] | null = null, wider = false): Stability => ({
   outcome: "undecided",
   reason,
   band_hz,
+  wider,
 });
 
 const short = (value: number, digits = 3): string => String(Number(value.toPrecision(digits)));
@@ -42,7 +46,7 @@ export function closedLoopStability(loop: Loop): Stability {
     );
   }
   const poles = unstableCount(loop, point.unstable_poles);
-  if (typeof poles !== "number") return undecided(poles.reason, poles.band_hz);
+  if (typeof poles !== "number") return undecided(poles.reason, poles.band_hz, poles.wider);
   if (poles < 0) return undecided(`${-poles} encirclements too many for ${point.unstable_poles} unstable poles`);
   if (poles) return { outcome: "unstable", reason: `${poles} closed-loop poles in the right half plane`, band_hz: null };
   return { outcome: "stable", reason: "the encirclements of -1 balance the unstable poles", band_hz: null };
@@ -86,7 +90,7 @@ function startOf(loop: Loop, led: Complex | null, unstable: number): number[] | 
 }
 
 /** Closed-loop poles in the right half plane by the bare count, null where the first value fits badly. */
-function countUnstable(
+export function countUnstable(
   L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number,
 ): number | null {
   const led = below !== null && below.re.length > 0;
@@ -270,7 +274,7 @@ function rough(loop: Loop): Obstacle | null {
   if (!gaps.length) return null;
   const band: [number, number] = [f[gaps[0]], f[gaps[gaps.length - 1] + 1]];
   const reason = `neither noise nor one resonance explains the lines between ${short(band[0], 4)} and ${short(band[1], 4)} Hz: measure finer there`;
-  return { reason, band_hz: band };
+  return { reason, band_hz: band, wider: true };
 }
 
 function obstacle(loop: Loop, between: Past, start: number[] | null): Obstacle | null {

@@ -2,6 +2,7 @@
 
 import { button, el, numberField, shown } from "./dom";
 import type { Margins } from "./margins";
+import { STABILITY, worstReach } from "./detuning";
 import type { Limit, Requirements } from "./payload";
 import type { Found, Outcome, Row } from "./verdict";
 
@@ -16,12 +17,19 @@ export function badge(outcome: Outcome | null): HTMLElement {
   return el("span", { class: `badge ${outcome ?? "none"}` }, `${sign} ${word}`);
 }
 
+/** What is known beside estimates: intervals and stability, and after them detuning margins. */
+export interface Known {
+  settled: boolean;
+  detuned: boolean;
+}
+
 interface Cells {
   row: HTMLTableRowElement;
   required: HTMLInputElement;
   found: HTMLTableCellElement;
   slack: HTMLTableCellElement;
-  where: HTMLTableCellElement;
+  where: HTMLButtonElement;
+  place: [number, number | null];
   outcome: HTMLTableCellElement;
 }
 
@@ -29,7 +37,8 @@ export class RequirementTable {
   readonly element = el("div");
   private readonly body = el("tbody");
   private readonly stability = el("p", { class: "stability" });
-  private readonly adder = el("select", { id: "add-requirement", change: () => this.added() });
+  private readonly detuning = el("p", { class: "stability", id: "detuning" });
+  private readonly adder = el("select", { id: "add-requirement" });
   private readonly cells = new Map<string, Cells>();
 
   constructor(
@@ -42,11 +51,12 @@ export class RequirementTable {
     const row = el("tr", {}, ...head.map((text) => el("th", { scope: "col" }, text)), el("td"));
     const table = el("table", { id: "requirements" }, el("thead", {}, row), this.body);
     const label = el("label", { for: "add-requirement" }, "Add a requirement ");
-    this.element.append(el("div", { class: "scroll" }, table), this.stability, el("p", {}, label, this.adder));
+    const add = button("Add", "add the requirement that is chosen", () => this.added());
+    this.element.append(el("div", { class: "scroll" }, table), this.stability, this.detuning, el("p", { class: "row" }, label, this.adder, add));
   }
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
-  show(requirements: Requirements, found: Found, settled: boolean, before: Found | null): void {
+  show(requirements: Requirements, found: Found, known: Known, before: Found | null): void {
     const asked = this.limits.filter((limit) => typeof requirements[limit.name] === "number");
     if (asked.map((x) => x.name).join() !== [...this.cells.keys()].join()) this.rebuild(asked, requirements);
     for (const limit of asked) {
@@ -54,9 +64,10 @@ export class RequirementTable {
       const cells = this.cells.get(limit.name);
       if (!row || !cells) continue;
       if (document.activeElement !== cells.required) cells.required.value = String(row.wished);
-      this.fill(limit, row, cells, settled, before?.rows.find((one) => one.quantity === limit.name) ?? null);
+      this.fill(limit, row, cells, limit.name === DETUNING ? known.detuned : known.settled, before?.rows.find((one) => one.quantity === limit.name) ?? null);
     }
-    this.stability.replaceChildren(...this.stabilityWords(found, settled));
+    this.stability.replaceChildren(...this.stabilityWords(found, known.settled));
+    this.detuning.textContent = this.detuningWords(found, known.detuned);
   }
 
   private fill(limit: Limit, row: Row, cells: Cells, settled: boolean, before: Row | null): void {
@@ -64,18 +75,19 @@ export class RequirementTable {
     const interval = row.interval ? `${shown(row.interval[0])} … ${shown(row.interval[1])}` : "no interval";
     const small = settled ? interval : "interval follows";
     const compare = before ? el("span", { class: "other" }, `B: ${shown(before.found)}`) : null;
-    cells.found.replaceChildren(el("b", {}, shown(row.found)), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
+    cells.found.replaceChildren(el("b", {}, `${row.beyond ? "≥ " : ""}${shown(row.found)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
     cells.slack.textContent = shown(row.spare);
     const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz`;
     const name = this.names[row.point];
-    const show = button("", `show ${name} ${at}`, () => this.choose(row.point, row.at_hz), { class: "link" });
-    show.append(...(at ? [el("span", {}, at), " "] : []), el("span", {}, name));
-    cells.where.replaceChildren(show);
-    cells.outcome.replaceChildren(badge(row.outcome));
+    cells.place = [row.point, row.at_hz];
+    cells.where.setAttribute("aria-label", `show ${name} ${at}`);
+    cells.where.replaceChildren(...(at ? [el("span", {}, at), " "] : []), el("span", {}, name));
+    const waits = limit.name === DETUNING && !settled;
+    cells.outcome.replaceChildren(badge(waits ? null : row.outcome));
     if (row.bound !== null && row.outcome === "undecided") {
       cells.outcome.append(el("small", {}, "decided above the last frequency"));
     }
-    if (Number.isNaN(row.found)) cells.outcome.append(el("small", {}, "told by loopshape check alone"));
+    if (Number.isNaN(row.found) && !waits) cells.outcome.append(el("small", {}, "known where stability is decided"));
   }
 
   private rebuild(asked: Limit[], requirements: Requirements): void {
@@ -89,19 +101,19 @@ export class RequirementTable {
       });
       const cells: Cells = {
         row: el("tr"), required, found: el("td", { class: "number" }), slack: el("td", { class: "number" }),
-        where: el("td"), outcome: el("td"),
+        where: button("", "show", () => this.choose(...cells.place), { class: "link" }), place: [0, null], outcome: el("td"),
       };
       const sign = limit.sense === "at_least" ? "≥" : "≤";
       const gone = button("×", `remove the requirement ${limit.label}`, () => this.change(limit.name, null, false), { class: "plain" });
       cells.row.append(
         el("th", { scope: "row" }, limit.label),
         el("td", { class: "required" }, `${sign} `, required, ` ${unit(limit)}`),
-        cells.found, cells.slack, cells.where, cells.outcome, el("td", {}, gone),
+        cells.found, cells.slack, el("td", {}, cells.where), cells.outcome, el("td", {}, gone),
       );
       this.body.append(cells.row);
       this.cells.set(limit.name, cells);
     }
-    const rest = this.limits.filter((limit) => !asked.includes(limit) && limit.name !== "detuning_percent");
+    const rest = this.limits.filter((limit) => !asked.includes(limit));
     const options = rest.map((limit) => el("option", { value: limit.name }, limit.label));
     this.adder.replaceChildren(el("option", { value: "" }, "choose …"), ...options);
   }
@@ -112,10 +124,23 @@ export class RequirementTable {
       gain_margin_db: 6, gain_reduction_margin_db: 6, phase_margin_deg: 45, modulus_margin: 0.5, delay_margin_s: 0.001,
       sensitivity_peak_db: 6, complementary_peak_db: 6, control_peak_db: 40, control_high_frequency_db: 20,
       bandwidth_hz: 10, disk_margin: 0.7, process_peak_db: 0, sensitivity_bandwidth_hz: 5,
-      complementary_bandwidth_hz: 10, controller_bandwidth_hz: 100,
+      complementary_bandwidth_hz: 10, controller_bandwidth_hz: 100, detuning_percent: 2,
     };
     const name = this.adder.value;
     if (name) this.change(name, typical[name] ?? 1, false);
+  }
+
+  /** How far frequencies of the plant may move, and what breaks first, at the operating point that bears least. */
+  private detuningWords({ margins }: Found, detuned: boolean): string {
+    if (!detuned) return "Detuning margin: computing";
+    const each = margins.flatMap((m, k) => (m.detuning ? [{ ...worstReach(m.detuning), interval: m.intervals[DETUNING], k }] : []));
+    if (!each.length) return "Detuning margin: not known where stability is undecided.";
+    const least = each.reduce((a, b) => (b.percent < a.percent ? b : a));
+    const ends = least.interval ? ` (95 %: ${shown(least.interval[0])} … ${shown(least.interval[1])})` : "";
+    const where = margins.length > 1 ? ` at ${this.names[least.k]}` : "";
+    if (least.beyond) return `Detuning margin: nothing breaks while the plant's frequencies move by ±${shown(least.percent)} %${ends}.`;
+    const label = this.limits.find((limit) => limit.name === least.breaks)?.label ?? STABILITY;
+    return `Detuning margin: ${shown(least.percent)} %${ends}${where}. Farther shifts of the plant's frequencies break first: ${label}.`;
   }
 
   private stabilityWords(found: Found, settled: boolean): (Node | string)[] {
@@ -125,9 +150,12 @@ export class RequirementTable {
     return found.unstable.slice(0, 3).map((k) => {
       const { stability } = found.margins[k] as Margins;
       const word = stability?.outcome === "unstable" ? "failed" : "undecided";
-      return el("span", { class: `line ${word}` }, `${this.names[k]}: ${stability?.outcome ?? ""}, ${stability?.reason ?? ""}`);
+      const more = stability?.wider ? ". loopshape check follows resonances that stand close together and may decide" : "";
+      return el("span", { class: `line ${word}` }, `${this.names[k]}: ${stability?.outcome ?? ""}, ${stability?.reason ?? ""}${more}`);
     });
   }
 }
+
+const DETUNING = "detuning_percent";
 
 const unit = (limit: Limit): string => (limit.unit === "1" ? "" : limit.unit === "deg" ? "°" : limit.unit);

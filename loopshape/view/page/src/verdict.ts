@@ -1,7 +1,8 @@
 // Margins at all operating points -> a row a requirement at its worst point (Python: loop/verdict.py, points.py).
 
-import { type Controller } from "./controller";
-import { Source, type Draws } from "./dense";
+import type { Controller } from "./controller";
+import { Source } from "./dense";
+import { withDetuning, worstReach } from "./detuning";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
 import type { Limit, Payload, PlantLoop, Requirements } from "./payload";
@@ -20,6 +21,8 @@ export interface Row {
   point: number;
   at_hz: number | null;
   bound: number | null;
+  /** Whether `found` is as far as was looked. */
+  beyond: boolean;
 }
 
 export interface Found {
@@ -55,6 +58,7 @@ function rowAt(limit: Limit, wished: number, point: number, m: Margins): Row {
     point,
     at_hz: m.at_hz[limit.name] ?? null,
     bound: m.bounds[limit.name] ?? null,
+    beyond: limit.name === "detuning_percent" && m.detuning !== null && worstReach(m.detuning).beyond,
   };
 }
 
@@ -113,9 +117,13 @@ export class Engine {
     return { ...margins(loop, fromHz), stability: closedLoopStability(loop), settled: true };
   }
 
+  /** The same with its detuning margin, which takes longest. */
+  detuned(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
+    const loop = new Loop(this.quick[index], controller);
+    return withDetuning(loop, this.drawn[index], m, requirements, this.payload.limits);
+  }
+
   get size(): number {
     return this.drawn.length;
   }
 }
-
-export type { Draws };

@@ -3,6 +3,7 @@
 import { fromDb, TWO_PI, type Complex, type Real } from "./arrays";
 import { wrappedDown } from "./phase";
 import type { Axis, Curve, Plot, Style } from "./plot";
+import type { Step } from "./step";
 
 /** What there is to draw of one operating point. */
 export interface Trace {
@@ -68,6 +69,18 @@ export function phaseAxis(curves: Real[]): Axis {
 export function nicholsAxis(traces: Trace[]): Axis {
   const [low, high] = range(traces.map(({ L }) => sizeDb(L)), 10, 40, -90, 60);
   return { low: Math.min(high < 0 ? low : Math.max(low, -40), -20), high: Math.max(Math.min(high, 40), 20), log: false, label: "|L| [dB]", ticks: low < -60 && high < 0 ? 20 : 10 };
+}
+
+/** Axes of steps: as long as the one in front takes, or else the longest. */
+export function stepAxes(steps: (Step | null)[], front: Step | null): [Axis, Axis] {
+  const known = steps.filter((one) => one !== null);
+  const longest = Math.max(...known.map((one) => one.timeS[one.timeS.length - 1]), 1e-6);
+  const end = front ? Math.min(front.timeS[front.timeS.length - 1], 2.5 * front.settlingS || Infinity) : longest;
+  const low = Math.min(0, ...known.map((one) => one.y.reduce((a, b) => Math.min(a, b), 0)));
+  const high = Math.max(1, ...known.map((one) => one.y.reduce((a, b) => Math.max(a, b), 0)));
+  const room = 0.06 * (Math.min(high, 4) - Math.max(low, -2));
+  const x: Axis = { low: 0, high: end, log: false, label: "time [s]" };
+  return [x, { low: Math.max(low, -2) - room, high: Math.min(high, 4) + room, log: false, label: "step of the fit" }];
 }
 
 /** Phase of L in Nichols coordinates, (-360, 0], with a break where it wraps. */

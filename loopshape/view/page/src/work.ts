@@ -1,15 +1,20 @@
-// Intervals and stability beside the page: some workers, each with its share of the operating points.
+// Intervals and stability, then detuning margins, beside the page: some workers, each with its share of the operating
+// points.
 
 import type { Controller } from "./controller";
 import type { Margins } from "./margins";
-import { payloadOf, type Payload, type Raw } from "./payload";
+import { payloadOf, type Payload, type Raw, type Requirements } from "./payload";
 import { Engine } from "./verdict";
 
-interface Task {
-  id: number;
+/** What is asked about. */
+export interface Asked {
   loop: number;
   controller: Controller;
-  fromHz: number | null;
+  requirements: Requirements;
+}
+
+interface Task extends Asked {
+  id: number;
 }
 
 interface Start {
@@ -20,31 +25,54 @@ interface Start {
 
 interface Answer {
   id: number;
+  detuned: boolean;
   points: [number, Margins][];
 }
 
-export interface Worked {
-  controller: Controller;
-  fromHz: number | null;
-  loop: number;
+/** Margins at all operating points; `detuned` tells that detuning margins are in them. */
+export interface Worked extends Asked {
   margins: Margins[];
+  detuned: boolean;
 }
 
-/** What runs in a worker: the newest task is done, those that it overtook are not. */
+/** Where |CS| counts as high, null where nothing is said of it. */
+export function highFrom(requirements: Requirements): number | null {
+  const value = requirements.control_high_frequency_from_hz;
+  return typeof value === "number" ? value : null;
+}
+
+/** What runs in a worker: the newest task is done, those that it overtook are not; a margin at a time between messages. */
 export function workHere(scope: DedicatedWorkerGlobalScope): void {
   let start: Start | null = null;
   const engines = new Map<number, Engine>();
   let payload: Payload | null = null;
   let next: Task | null = null;
+  let current: Task | null = null;
+  const engineOf = (loop: number, known: Payload): Engine => {
+    const made = engines.get(loop) ?? new Engine(known, known.loops[loop], [...engines.values()][0]?.source);
+    engines.set(loop, made);
+    return made;
+  };
   const work = (): void => {
     if (!next || !start || !payload) return;
     const task = next;
-    next = null;
-    const known = engines.get(task.loop) ?? new Engine(payload, payload.loops[task.loop], [...engines.values()][0]?.source);
-    engines.set(task.loop, known);
+    [current, next] = [task, null];
+    const engine = engineOf(task.loop, payload);
     const points: [number, Margins][] = [];
-    for (let k = start.share; k < known.size; k += start.of) points.push([k, known.settled(k, task.controller, task.fromHz)]);
-    scope.postMessage({ id: task.id, points } satisfies Answer);
+    const from = highFrom(task.requirements);
+    for (let k = start.share; k < engine.size; k += start.of) points.push([k, engine.settled(k, task.controller, from)]);
+    scope.postMessage({ id: task.id, detuned: false, points } satisfies Answer);
+    setTimeout(() => detune(engine, task, points, 0), 0);
+  };
+  const detune = (engine: Engine, task: Task, points: [number, Margins][], at: number): void => {
+    if (next || current !== task) return;
+    if (at === points.length) {
+      scope.postMessage({ id: task.id, detuned: true, points } satisfies Answer);
+      return;
+    }
+    const [k, margins] = points[at];
+    points[at] = [k, engine.detuned(k, task.controller, task.requirements, margins)];
+    setTimeout(() => detune(engine, task, points, at + 1), 0);
   };
   scope.onmessage = ({ data }: MessageEvent<Start | Task>) => {
     if ("raw" in data) {
@@ -62,52 +90,58 @@ interface DedicatedWorkerGlobalScope {
   postMessage(message: unknown): void;
 }
 
+/** Shares of an answer that are still missing, and what came. */
+interface Gathered {
+  left: number;
+  margins: Margins[];
+}
+
 /** Workers, and what they are asked. */
 export class Pool {
   private readonly workers: Worker[];
-  private readonly asked = new Map<number, { task: Task; left: number; margins: Margins[] }>();
+  private task: Task | null = null;
+  private gathered = new Map<boolean, Gathered>();
   private waiting: Task | null = null;
-  private busy = 0;
+  private busy = false;
   private last = 0;
 
-  constructor(raw: Raw, script: string, done: (worked: Worked) => void) {
+  constructor(raw: Raw, script: string, private readonly done: (worked: Worked) => void) {
     const most = Math.max(...raw.loops.map((loop) => loop.points.length));
     const count = Math.max(1, Math.min(4, (navigator.hardwareConcurrency || 2) - 1, most));
     const address = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
     this.workers = Array.from({ length: count }, (_, share) => {
       const worker = new Worker(address);
-      worker.onmessage = ({ data }: MessageEvent<Answer>) => this.answered(data, done);
+      worker.onmessage = ({ data }: MessageEvent<Answer>) => this.answered(data);
       worker.postMessage({ raw, share, of: count } satisfies Start);
       return worker;
     });
   }
 
-  /** Ask about a controller; what is under way is finished first, and of those that wait only the newest is done. */
-  ask(loop: number, controller: Controller, fromHz: number | null): void {
+  /** Ask; intervals under way are finished first, and of those that wait only the newest is done. */
+  ask(asked: Asked): void {
     this.last += 1;
-    this.waiting = { id: this.last, loop, controller, fromHz };
+    this.waiting = { id: this.last, ...asked };
     if (!this.busy) this.send();
   }
 
   private send(): void {
     const task = this.waiting;
     if (!task) return;
-    this.waiting = null;
-    this.busy = this.workers.length;
-    this.asked.set(task.id, { task, left: this.workers.length, margins: [] });
+    [this.waiting, this.task, this.busy] = [null, task, true];
+    this.gathered = new Map([false, true].map((detuned) => [detuned, { left: this.workers.length, margins: [] }]));
     for (const worker of this.workers) worker.postMessage(task);
   }
 
-  private answered({ id, points }: Answer, done: (worked: Worked) => void): void {
-    const one = this.asked.get(id);
-    if (!one) return;
+  private answered({ id, detuned, points }: Answer): void {
+    const { task } = this;
+    const one = this.gathered.get(detuned);
+    if (!task || !one || task.id !== id) return;
     for (const [k, margins] of points) one.margins[k] = margins;
     one.left -= 1;
     if (one.left) return;
-    this.asked.delete(id);
-    this.busy = 0;
-    const { controller, fromHz, loop } = one.task;
-    done({ controller, fromHz, loop, margins: one.margins });
-    this.send();
+    const { loop, controller, requirements } = task;
+    if (!detuned) this.busy = false;
+    this.done({ loop, controller, requirements, margins: one.margins, detuned });
+    if (!detuned) this.send();
   }
 }
