@@ -255,9 +255,7 @@ def test_a_finger_drags_a_notch_on_a_phone(browser: Any, file: Path) -> None:
     context.close()
 
 
-def test_the_step_of_the_fit_stands_in_place_of_the_phase_and_names_the_fit(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_the_step_of_the_fit_stands_in_place_of_the_phase_and_names_the_fit(browser: Any, tmp_path: Path) -> None:
     P, R, C = shaped_cases.bench()
     fit = ls.fit(P, "rational", numerator=2, denominator=4, delay=True)
     context = browser.new_context()

@@ -24,8 +24,8 @@ from loopshape.data.model import Fit
 from loopshape.data.requirements import LIMITS, Objective, Requirements, Verdict
 from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
-from loopshape.identify.smoothing import Recipe, recipe_of
 from loopshape.identify.resonances import Phase, resonances
+from loopshape.identify.smoothing import Recipe, recipe_of
 from loopshape.loop import between, detuning, holes, margins, obstacles, sampling, shifted, stability, step_response
 from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
