@@ -164,11 +164,15 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
 
 def _scattered(windows: Windows, misfit: Array, rough: Array) -> np.ndarray:
     """At which rough gaps (n,) most windows about, of other lines, leave much too, by their `misfit` (n,)."""
-    off = np.abs(np.arange(rough.size)[:, None] - np.arange(rough.size))
-    about = (off >= 2 * HALF) & (off < ALONG)
-    least = np.maximum((COMPARABLE * rough / windows.std) ** 2, ROUNDED) * LEFT
-    count, alike = about.sum(axis=1), (about & (misfit > least[:, None])).sum(axis=1)
-    return np.asarray((rough > 0.0) & (count > ALONG // 2) & (alike > MOSTLY * count))
+    scatter = rough > 0.0
+    off = np.arange(2 * HALF, ALONG)
+    gaps = np.flatnonzero(scatter)[:, None] + np.concatenate([-off[::-1], off])  # of a million lines few are rough
+    about = (gaps >= 0) & (gaps < rough.size)
+    least = np.maximum((COMPARABLE * rough[scatter] / windows.std[scatter]) ** 2, ROUNDED) * LEFT
+    left = misfit[np.clip(gaps, 0, rough.size - 1)]
+    count, alike = about.sum(axis=1), (about & (left > least[:, None])).sum(axis=1)
+    scatter[scatter] = (count > ALONG // 2) & (alike > MOSTLY * count)
+    return np.asarray(scatter)
 
 
 def _noise(misfit: Array) -> Array:

@@ -1,5 +1,6 @@
 """A FRF of very many frequencies is checked, drawn and reported in bounded memory, and its page stays small."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from loopshape.data.block import Block
 from loopshape.data.controller import Controller
 from loopshape.io.controllers import write_controllers
 from loopshape.io.frf_exchange import add_frfs
+from loopshape.loop.sampling import scattered
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -60,3 +62,19 @@ def test_check_figures_and_report(tmp_path, frequencies, most_bytes):
     assert in_a_child(BEFORE, WORK, most_bytes, few, many) < 2e9
     assert (many / "page.html").stat().st_size < 10e6
     assert len(list((many / "run" / "figures").glob("*.png"))) >= 5
+
+
+def most_bytes_of(n):
+    """What the search for resonances between n frequencies takes at most."""
+    f = np.linspace(1.0, 1000.0, n)
+    P = 1.0 / (1.0 + 1j * f / 30.0)
+    tracemalloc.start()
+    scattered(f, P, (1e-3 * np.abs(P)) ** 2)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return most
+
+
+def test_memory_grows_as_the_frequencies_do():
+    most_bytes_of(100)  # what is made once
+    assert most_bytes_of(8_000) < 4.4 * most_bytes_of(2_000)

@@ -154,3 +154,16 @@ def test_a_key_covers_all_that_an_import_runs(package):
     for module, file in files.items():
         keyed = {str(p.relative_to(room.parent)) for p in sources(file) for room in rooms if p.is_relative_to(room)}
         assert set(loaded[module]) <= keyed, module
+
+
+def test_what_is_imported_for_types_alone_is_no_part_of_a_key(tmp_path):
+    """An edit of what no kernel runs compiles none again, and a start reads a few files and not the whole package."""
+    (tmp_path / "kernel.py").write_text(
+        "from typing import TYPE_CHECKING\n\nimport runs\n\nif TYPE_CHECKING:\n    import types_alone\n\n"
+        "    from types_too import Kind\nimport runs_too\n"
+    )
+    for one in ("runs", "runs_too", "types_alone", "types_too"):
+        (tmp_path / f"{one}.py").write_text("")
+    assert {p.stem for p in sources(tmp_path / "kernel.py")} == {"kernel", "runs", "runs_too"}
+    margins = Path(loopshape.__file__).with_name("core") / "kernels" / "margins.py"
+    assert not [p for p in sources(margins) if "core" not in p.parts and p.name != "__init__.py"]

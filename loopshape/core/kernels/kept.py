@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,9 @@ from loopshape.core.folders import cache_folder
 PACKAGE = Path(__file__).resolve().parents[2]
 #: `from a.b import c, d`, over several lines too, or `import a.b`
 _IMPORTS = re.compile(r"^[ \t]*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n#]*)|import\s+([\w.]+))", re.MULTILINE)
+
+#: what is imported for types alone: it does not run
+_FOR_TYPES = re.compile(r"^if TYPE_CHECKING:\n(?:(?:[ \t].*)?\n)+", re.MULTILINE)
 
 
 class Kept:
@@ -84,7 +87,7 @@ def keep(function: Callable[..., Any]) -> Kept | None:
     return Kept(function, folder) if of_a_file and folder is not None else None
 
 
-@lru_cache
+@cache
 def source_key(file: Path) -> str:
     """Key of the source beneath the functions of a file."""
     key = hashlib.sha256()
@@ -104,11 +107,11 @@ def sources(file: Path) -> set[Path]:
     return found
 
 
-@lru_cache
+@cache
 def _imported(file: Path) -> tuple[Path, ...]:
     """The files that a file imports: the package's by their full names, those beside it by their own."""
     out = []
-    for origin, names, plain in _IMPORTS.findall(file.read_text(encoding="utf-8")):
+    for origin, names, plain in _IMPORTS.findall(_FOR_TYPES.sub("", file.read_text(encoding="utf-8"))):
         parts = (origin or plain).split(".")
         base = PACKAGE.parent if parts[0] == PACKAGE.name else file.parent
         module = base.joinpath(*parts)
@@ -123,7 +126,7 @@ def _above(module: Path, base: Path) -> Iterator[Path]:
         yield module
 
 
-@lru_cache
+@cache
 def _folder() -> Path | None:
     """NUMBA_CACHE_DIR, the package's own __pycache__, or the user's cache: the first that can be written."""
     for folder in _folders():
