@@ -155,20 +155,22 @@ def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Ar
     own = crowd.window.around[0]
     here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
     at, P = _along(crowd)
-    turns, ways = np.zeros(len(at)), np.arange(len(at))
+    turns, ways, L = np.zeros(len(at)), np.arange(len(at)), loop.controller.response(at) * P
+    near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
     for k in range(ROUNDS):
-        L = loop.controller.response(at) * P
-        if not k:
-            near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
-        turns[ways] = turn(1.0 + L)
-        far = np.abs(np.angle((1.0 + L[:, 1:]) / (1.0 + L[:, :-1]))) > FAR
+        steps = _steps(1.0 + L)
+        turns[ways] = steps.sum(axis=1)
+        far = np.abs(steps) > FAR
         coarse = far.any(axis=1)
-        if not coarse.any():
+        if not coarse.any() or k == ROUNDS - 1:
             break
+        ways, at, L, far = ways[coarse], at[coarse], L[coarse], far[coarse]
         most = int(far.sum(axis=1).max())
-        middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0])[coarse], axis=1)[:, -most:]
-        ways, at = ways[coarse], np.sort(np.concatenate([at[coarse], middles], axis=1), axis=1)
-        P = crowd.response(at, ways)
+        middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0]), axis=1)[:, -most:]
+        at = np.concatenate([at, middles], axis=1)
+        L = np.concatenate([L, loop.controller.response(middles) * crowd.response(middles, ways)], axis=1)
+        rising = np.argsort(at, axis=1, kind="stable")
+        at, L = np.take_along_axis(at, rising, axis=1), np.take_along_axis(L, rising, axis=1)
     more = np.rint((turns - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
     return int(more.min()), int(more.max()), near, not coarse.any()
 
@@ -176,8 +178,7 @@ def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Ar
 @lru_cache(maxsize=16)
 def _along(crowd: Crowd) -> tuple[Array, ComplexArray]:
     """Frequencies (ways, n) in Hz along the lines of a crowd, dense about its poles, and P there: of no controller."""
-    at = np.concatenate([_places(crowd.window.around[0], z[:, None]) for z in crowd.pole_hz.T], axis=1)
-    at.sort(axis=1)
+    at = _places(crowd.window.around[0], crowd.pole_hz)
     P = crowd.response(at, np.arange(len(at)))
     for made in (at, P):
         made.setflags(write=False)
@@ -190,9 +191,10 @@ def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
 
 
 def _places(own: Array, z: ComplexArray) -> Array:
-    """Frequencies (nz, n) in Hz along lines `own`, dense about each pole z (nz, 1)."""
+    """Frequencies (nz, n) in Hz along lines `own`, dense about each of the poles z (nz, m)."""
     even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
-    every = np.concatenate([z.real + np.abs(z.imag) * ALONG, np.broadcast_to(even, (z.shape[0], even.size))], axis=1)
+    dense = (z.real[:, :, None] + np.abs(z.imag)[:, :, None] * ALONG).reshape(len(z), -1)
+    every = np.concatenate([dense, np.broadcast_to(even, (len(z), even.size))], axis=1)
     return np.sort(np.clip(every, own[0], own[-1]), axis=1)
 
 
@@ -206,8 +208,13 @@ def _straight(at: Array, own: Array, values: ComplexArray) -> ComplexArray:
 
 def turn(path: ComplexArray) -> Array:
     """Angle in rad that a path (..., n) turns about zero, at most half a turn a step."""
+    return np.asarray(np.sum(_steps(path), axis=-1))
+
+
+def _steps(path: ComplexArray) -> Array:
+    """Angles in rad (..., n - 1) that each step of a path turns about zero; nothing where it meets it."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.sum(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])), axis=-1))
+        return np.asarray(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])))
 
 
 def bulges(f: Array, L: ComplexArray) -> Array:

@@ -99,11 +99,13 @@ class Crowd:
         x = 2.0 * (np.log(f) - ends[0]) / (ends[1] - ends[0]) - 1.0
         made = np.zeros(f.shape, dtype=complex)
         for c in self.polynomial[ways].T[::-1]:
-            made = made * x + c[:, None]
-        for z, r in zip(self.pole_hz[ways].T, self.residue[ways].T, strict=True):
-            made = made + r[:, None] / (1j * (f - z[:, None]))
-        late = np.exp(-1j * TWO_PI * self.delay_s * (f - self.window.around[0, 0]))
-        return np.asarray(made * np.exp(self.window.power[0] * np.log(f / self.window.middle[0])) * late)
+            made *= x
+            made += c[:, None]
+        for z, r in zip(self.pole_hz[ways].T, -1j * self.residue[ways].T, strict=True):
+            made += r[:, None] / (f - z[:, None])
+        late = 1j * TWO_PI * self.delay_s * (f - self.window.around[0, 0])
+        made *= np.exp(self.window.power[0] * np.log(f / self.window.middle[0]) - late)
+        return made
 
 
 def stretches(f: Array, rough: np.ndarray) -> Iterator[Stretch]:
