@@ -25,15 +25,17 @@ docs: $(STAMP) ## build the documentation site into build/docs; every warning is
 	$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/docs
 	@echo "build/docs/index.html"
 
+# A worker a core, each with whole files while it has them: what a file's tests share is made once, not on every worker.
+WORKERS = -n auto --dist worksteal
 test: $(STAMP) ## run the tests
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto tests  # a worker a core: libraries add no threads
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(WORKERS) tests  # libraries add no threads
 
 LONG ?= long
 test-long: $(STAMP) ## run the tests of minutes: kills, damaged files, bad lines; LONG="long and not hour" for what CI runs
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "$(LONG)" tests
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(WORKERS) -m "$(LONG)" tests
 
 # Old libraries warn of newer ones: there a warning is no failure.
-SHORT = -m pytest -n auto -m short -o filterwarnings=default -W ignore --timeout 600 tests
+SHORT = -m pytest $(WORKERS) -m short -o filterwarnings=default -W ignore --timeout 600 tests
 EXTRAS = -e '.[uff,mdf,ulog,tdms,cluster,serial]'
 RUNNER = pytest pytest-timeout pytest-xdist hypothesis markdown-it-py
 UV := $(BIN)/uv --quiet --no-python-downloads

@@ -1,16 +1,13 @@
 """A run folder with all that commands make of it, and commands run in processes of their own, stopped where asked."""
 
-import io
 import os
 import sys
 import traceback
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from unittest import mock
 
 import numpy as np
+from commands import said_by
 
-from loopshape.cli import main
 from loopshape.io import seen
 
 MAP = """
@@ -81,20 +78,6 @@ def in_a_child(work):
         text = file.read()
     _, status = os.waitpid(pid, 0)
     return text, os.WEXITSTATUS(status) if os.WIFEXITED(status) else None
-
-
-def said_by(words):
-    """Exit code, output and complaints of a command, as one text."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with redirect_stdout(out), redirect_stderr(err), mock.patch.object(sys, "argv", ["loopshape", *map(str, words)]):
-        try:
-            main.run()
-        except SystemExit as ended:
-            code = ended.code or 0
-        except BaseException:
-            code = 70
-            traceback.print_exc(file=err)
-    return f"{code}\0{out.getvalue()}\0{err.getvalue()}"
 
 
 def command(words, before=lambda: None):

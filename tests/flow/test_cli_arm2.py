@@ -1,22 +1,16 @@
 """A study of the 2-DoF arm through the commands: `measure` records its four loops and estimates a FRF of each."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import loopshape
 
 ROOT = Path(__file__).parents[2]
 STUDY = ROOT / "examples" / "arm2" / "study.toml"
 LOOPS = {"theta1": "rad", "theta2": "rad", "p_a": "bar", "p_c": "bar"}
-
-
-def loopshape(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "loopshape.cli.main", *map(str, words)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.fixture(scope="module")

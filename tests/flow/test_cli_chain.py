@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from commands import loopshape
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
@@ -35,12 +36,6 @@ excitation = { kind = "sweep", f_low_hz = 0.5, f_high_hz = 15.0, duration_s = 60
 lead_s = 8.0
 tail_s = 8.0
 """
-
-
-def loopshape(*words: object, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Run the command as a user would."""
-    command = [sys.executable, "-m", "loopshape.cli.main", *map(str, words)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.fixture(scope="module")
