@@ -21,7 +21,7 @@ from os import PathLike
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.requirements import LIMITS, Verdict
+from loopshape.data.requirements import Verdict
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_text,
@@ -75,7 +75,7 @@ class ControllerTest:
         return tuple(
             f"{wished.loop}: {name}"
             for wished in read_requirements(self.require)
-            for name in (*(limit.name for limit in LIMITS if getattr(wished, limit.name) is not None), STABILITY)
+            for name in (*wished.limited(), STABILITY)
         )
 
     @cached_property

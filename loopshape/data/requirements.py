@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from loopshape.core.json_ready import json_ready
 from loopshape.data.block import refuse_too_large
 from loopshape.data.controller import BLOCK_KINDS, Block, block_kind
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
+from loopshape.data.limits_over import MASKED, AtPoints, Mask
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,8 +110,16 @@ LIMITS: tuple[Limit, ...] = (
     Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)", positive=True),
     Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)",
           positive=True, most=SEARCHED_PERCENT, why_most=_SEARCHED, margin=True),
+    Limit("sensitivity_mask_db", "at_most", "dB", "|S| over its mask", plot="S"),
+    Limit("complementary_mask_db", "at_most", "dB", "|T| over its mask", plot="T"),
+    Limit("control_mask_db", "at_most", "dB", "|CS| over its mask", plot="CS"),
+    Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS"),
+    Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
+    Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
 )  # fmt: skip
 LIMIT_OF = {limit.name: limit for limit in LIMITS}
+#: limits that hold for all operating points alike
+OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent")
 
 
 @dataclass(frozen=True)
@@ -128,7 +137,8 @@ class Margins:
     the number found is the worst that may be, and `bounds` holds the best. `last_hz` is that frequency, `last_gain`
     |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
     `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
-    it was not looked for.
+    it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
+    where there is no mask.
     """
 
     gain_margin_db: float
@@ -161,6 +171,12 @@ class Margins:
     last_slope: float = float("nan")
     detuning_percent: float = float("nan")
     detuning: Detuning | None = None
+    sensitivity_mask_db: float = float("nan")
+    complementary_mask_db: float = float("nan")
+    control_mask_db: float = float("nan")
+    process_mask_db: float = float("nan")
+    loop_mask_db: float = float("nan")
+    loop_floor_db: float = float("nan")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what was not found is None."""
@@ -278,6 +294,8 @@ class Requirements:
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
     are looked at, and None takes the FRF's trusted band. `integrators` and `unstable_poles` declare the
     plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
+    `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
+    much |S| may exceed its masks) to 0. Where several of `at` hold at an operating point the last has its way.
     Refuses values that make no sense.
     """
 
@@ -299,6 +317,14 @@ class Requirements:
     complementary_bandwidth_hz: float | None = None
     controller_bandwidth_hz: float | None = None
     detuning_percent: float | None = None
+    sensitivity_mask_db: float | None = None
+    complementary_mask_db: float | None = None
+    control_mask_db: float | None = None
+    process_mask_db: float | None = None
+    loop_mask_db: float | None = None
+    loop_floor_db: float | None = None
+    masks: tuple[Mask, ...] = ()
+    at: tuple[AtPoints, ...] = ()
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
@@ -309,10 +335,14 @@ class Requirements:
         """One line: its loop and each limit that is given."""
         asked = [(limit, getattr(self, limit.name)) for limit in LIMITS if getattr(self, limit.name) is not None]
         words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
+        words += [f"others at {len(self.at)} ranges of operating points"] if self.at else []
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
 
     def __post_init__(self) -> None:
+        self._allow_nothing_over_masks()
         self._check_values()
+        for one in self.at:
+            self._check_at(one)
         if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
             raise WrongUseError(
                 f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
@@ -331,10 +361,66 @@ class Requirements:
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
                 raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
 
+    def _allow_nothing_over_masks(self) -> None:
+        masked = {mask.quantity for mask in self.masks}
+        for name in MASKED:
+            if name in masked and getattr(self, name) is None:
+                object.__setattr__(self, name, 0.0)
+            if name not in masked and getattr(self, name) is not None:
+                raise WrongUseError(f"{name} of loop {self.loop!r} needs a mask", f"{getattr(self, name)!r}", "give one")
+
+    def _check_at(self, one: AtPoints) -> None:
+        """Refuse limits at operating points that are none of one operating point, or make no sense."""
+        known = set(LIMIT_OF) - set(OF_ALL_POINTS) - set(MASKED)
+        if unknown := sorted(set(one.limits) - known):
+            raise WrongUseError(
+                f"at operating points of loop {self.loop!r} cannot be limited", ", ".join(unknown),
+                f"known are {', '.join(sorted(known))} and masks",
+            )  # fmt: skip
+        for name, value in one.limits.items():
+            if not _is_number(value):
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be a number", f"{value!r}")
+        self._with(one)
+
+    def _with(self, one: AtPoints) -> Requirements:
+        replaced = {mask.quantity for mask in one.masks}
+        kept = tuple(mask for mask in self.masks if mask.quantity not in replaced)
+        changes: dict[str, Any] = {name: float(value) for name, value in one.limits.items()}
+        return replace(self, at=(), masks=(*kept, *one.masks), **changes)
+
+    def of(self, point: Mapping[str, float]) -> Requirements:
+        """What is required at an operating point."""
+        made = self
+        for one in self.at:
+            made = made._with(one) if one.holds_at(point) else made
+        return replace(made, at=()) if self.at else self
+
+    def limited(self) -> tuple[str, ...]:
+        """Names of the quantities that are limited, at some operating point at least, in the order of `LIMITS`."""
+        every = (self, *(self._with(one) for one in self.at))
+        return tuple(x.name for x in LIMITS if any(getattr(one, x.name) is not None for one in every))
+
+    def moved(self, by: Mapping[str, float]) -> Requirements:
+        """The same with limits moved by these amounts, at all operating points."""
+        at = tuple(replace(one, limits={k: v + by.get(k, 0.0) for k, v in one.limits.items()}) for one in self.at)
+        own = {name: getattr(self, name) for name in by}
+        changes: dict[str, Any] = {name: now + by[name] for name, now in own.items() if now is not None}
+        return replace(self, at=at, **changes)
+
+    def without_masks(self) -> Requirements:
+        """The same without masks and without what depends on the operating point."""
+        none: dict[str, Any] = dict.fromkeys(MASKED)
+        return replace(self, masks=(), at=(), **none)
+
+    def masks_on(self, plot: str) -> tuple[Mask, ...]:
+        """Masks of a response, those of some operating points alone included."""
+        every = (*self.masks, *(mask for one in self.at for mask in one.masks))
+        return tuple(mask for mask in every if mask.response == plot)
+
     def ceilings_db(self, plot: str) -> list[tuple[float, float | None]]:
         """Upper limits of a response in dB that are asked for, each with the frequency it begins at (None: all)."""
         begins = {"control_high_frequency_db": self.control_high_frequency_from_hz}
-        drawn = [x for x in LIMITS if (x.plot, x.sense, x.unit) == (plot, "at_most", "dB")]
+        drawn = [x for x in LIMITS if (x.plot, x.sense, x.unit) == (plot, "at_most", "dB") and x.name not in MASKED]
         asked = ((getattr(self, x.name), begins.get(x.name)) for x in drawn)
         return [(limit, from_hz) for limit, from_hz in asked if limit is not None]
 
@@ -354,6 +440,8 @@ class Requirements:
             )
         structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
         band = given.pop("band_hz", None)
+        masks = tuple(Mask.from_table(t) for t in given.pop("masks", ()))
+        at = tuple(AtPoints.from_table(t) for t in given.pop("at", ()))
         objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
@@ -361,7 +449,7 @@ class Requirements:
         if band is not None and not _rising_pair(band):
             raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
         band_hz = None if band is None else (band[0], band[1])
-        return cls(**given, structure=structure, band_hz=band_hz, objective=objective)
+        return cls(**given, structure=structure, band_hz=band_hz, objective=objective, masks=masks, at=at)
 
 
 def _rising_pair(band: Any) -> bool:

@@ -43,18 +43,18 @@ def unit_crossings(e: Evaluation) -> Crossings:
 
 def crossing_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     """Rows of every limit at a crossing that the requirements make."""
-    needs = e.p.requirements
-    if needs.phase_margin_deg is not None or needs.delay_margin_s is not None:
+    limits = e.p.limits
+    if "phase_margin_deg" in limits or "delay_margin_s" in limits:
         yield from _phase_rows(e, tighten, unit_crossings(e))
-    if needs.gain_margin_db is not None or needs.gain_reduction_margin_db is not None:
+    if "gain_margin_db" in limits or "gain_reduction_margin_db" in limits:
         yield from _gain_rows(e, tighten)
-    if needs.objective.bandwidth:
+    if e.p.requirements.objective.bandwidth:
         yield _dips(e, tighten)
-    if needs.bandwidth_hz is not None:
+    if "bandwidth_hz" in limits:
         yield _at_least(bandwidth(e), "bandwidth_hz", e, tighten)
-    if needs.sensitivity_bandwidth_hz is not None:
+    if "sensitivity_bandwidth_hz" in limits:
         yield _at_least(_sensitivity_bandwidth(e), "sensitivity_bandwidth_hz", e, tighten)
-    if needs.complementary_bandwidth_hz is not None:
+    if "complementary_bandwidth_hz" in limits:
         yield _at_least(_complementary_bandwidth(e, tighten), "complementary_bandwidth_hz", e, tighten)
 
 
@@ -68,12 +68,12 @@ def _phase_rows(e: Evaluation, tighten: Tighten, c: Crossings) -> Iterator[Rows]
     p, owner = e.p, e.p.owner[c.at]
     ahead = (np.angle(e.L[c.at]) + c.share * c.turn + np.pi) % TWO_PI  # rotation by lag onto -1
     factor = -1j + c.turn / c.span * c.move  # d phase = Re(factor d ln C)
-    if p.requirements.phase_margin_deg is not None:
+    if "phase_margin_deg" in p.limits:
         limit = scaled("phase_margin_deg", wished(p, "phase_margin_deg", tighten))[owner]
         lag = ahead <= np.pi
         either = np.where(lag, ahead, TWO_PI - ahead)
         yield between_lines("phase_margin_deg", p, either - limit, c.at, c.share, np.where(lag, 1.0, -1.0) * factor)
-    if p.requirements.delay_margin_s is not None:
+    if "delay_margin_s" in p.limits:
         limit = scaled("delay_margin_s", wished(p, "delay_margin_s", tighten))[owner]
         ahead = np.maximum(ahead, 1e-12)
         ln_delay = np.log(ahead / TWO_PI) - c.ln_f
@@ -93,7 +93,7 @@ def _gain_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     value, factor = e.ln_L[at] + share * rise, 1.0 + 1j * rise / turn
     inside = value <= 0.0
     for name, mine, sign in (("gain_margin_db", inside, -1.0), ("gain_reduction_margin_db", ~inside, 1.0)):
-        if getattr(p.requirements, name) is None:
+        if name not in p.limits:
             continue
         limit = scaled(name, wished(p, name, tighten))
         room = sign * value[mine] - limit[p.owner[at[mine]]]

@@ -32,6 +32,10 @@ def _disk(L: ComplexArray) -> ComplexArray:
     return np.asarray(-2.0 * L / (1.0 - L**2))
 
 
+def _one(L: ComplexArray) -> ComplexArray:
+    return np.ones_like(L)
+
+
 #: quantity -> ln of its magnitude on the flat lines, and d of it/d ln L
 _PEAKS: dict[str, tuple[Callable[[Evaluation], Array], Callable[[ComplexArray], ComplexArray]]] = {
     "sensitivity_peak_db": (lambda e: e.ln_S, _minus_T),
@@ -41,13 +45,27 @@ _PEAKS: dict[str, tuple[Callable[[Evaluation], Array], Callable[[ComplexArray], 
     "control_high_frequency_db": (lambda e: e.ln_C[e.p.line] + e.ln_S, _S),
     "process_peak_db": (lambda e: e.p.ln_P + e.ln_S, _minus_T),
     "disk_margin": (lambda e: e.ln_disk, _disk),
+    "sensitivity_mask_db": (lambda e: e.ln_S - e.p.masks["sensitivity_mask_db"], _minus_T),
+    "complementary_mask_db": (lambda e: e.ln_L + e.ln_S - e.p.masks["complementary_mask_db"], _S),
+    "control_mask_db": (lambda e: e.ln_C[e.p.line] + e.ln_S - e.p.masks["control_mask_db"], _S),
+    "process_mask_db": (lambda e: e.p.ln_P + e.ln_S - e.p.masks["process_mask_db"], _minus_T),
+    "loop_mask_db": (lambda e: e.ln_L - e.p.masks["loop_mask_db"], _one),
+    "loop_floor_db": (lambda e: e.p.masks["loop_floor_db"] - e.ln_L, lambda L: -_one(L)),
+}
+#: above the last line, where |L| <= l, a masked response is at most |C|^own l^share (1/(1 - l))^worst
+_ABOVE = {
+    "sensitivity_mask_db": (0.0, 0.0, 1.0),
+    "complementary_mask_db": (0.0, 1.0, 1.0),
+    "control_mask_db": (1.0, 0.0, 1.0),
+    "process_mask_db": (-1.0, 1.0, 1.0),
+    "loop_mask_db": (0.0, 1.0, 0.0),
 }
 
 
 def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     """Rows of every limit on a magnitude that the requirements make."""
     for name, (size_of, factor_of) in _PEAKS.items():
-        if getattr(e.p.requirements, name) is None:
+        if name not in e.p.limits:
             continue
         level = _level(name, wished(e.p, name, tighten))
         from_hz = _from_hz(e.p, name)
@@ -96,8 +114,23 @@ def _above(e: Evaluation, name: str, level: Array, from_hz: float) -> Iterator[R
         yield on_lines(name, p, level - np.log(share) - worst, last, -1.0 - slope)
     elif name == "disk_margin":
         yield on_lines(name, p, level - np.log1p(share) - worst, last, -2.0 * share / (1.0 - share**2))
-    elif name.startswith("control_") and p.f_above.size:
+    elif name in _ABOVE and p.f_above.size:
+        yield _mask_above(e, name, level)
+    elif name in ("control_peak_db", "control_high_frequency_db") and p.f_above.size:
         yield _control_above(e, name, level - worst, slope, from_hz)
+
+
+def _mask_above(e: Evaluation, name: str, level: Array) -> Rows:
+    """Rows of a masked response above the last lines, one for each point where it has least room there."""
+    p, (own, share, worst) = e.p, _ABOVE[name]
+    ln_share, ln_worst = np.log(e.share_above), -np.log1p(-e.share_above)
+    size = own * e.ln_C[p.above] + (share * ln_share + worst * ln_worst)[:, None] - p.masks_above[name]
+    k = size.argmax(axis=1)
+    point = np.flatnonzero(np.isfinite(size.max(axis=1)))
+    k, slope = k[point], share + worst * (e.share_above / (1.0 - e.share_above))[point]
+    a, b = np.full(point.size, -own, dtype=complex), np.asarray(-slope, dtype=complex)
+    room = level[point] - size[point, k]
+    return Rows(name, room, p.f.size + k, point, p.above.start + k, a, p.line[e.last[point]], b)
 
 
 def _control_above(e: Evaluation, name: str, left: Array, slope: Array, from_hz: float) -> Rows:

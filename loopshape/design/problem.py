@@ -6,7 +6,7 @@ evaluation is a handful of array operations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,8 +14,9 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Block, Controller, series_response
+from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
-from loopshape.data.requirements import BlockTemplate, Requirements
+from loopshape.data.requirements import LIMIT_OF, BlockTemplate, Requirements
 from loopshape.design.structure import Variable, refuse, variables_of
 from loopshape.loop.controller_bandwidth import controller_grid_hz
 from loopshape.loop.low_end import low_hz, low_models
@@ -31,7 +32,7 @@ class Problem:
     the same for the models' lines below the measured ones, which only the count of encirclements sees: the fit's where
     `fitted` (points,), else those of a small model of the lowest lines. Those with `beyond` are for less sure lines
     above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle of P at each flat line: -1
-    must lie outside that of L.
+    must lie outside that of L. `places` (points,) are the operating points' coordinates.
     """
 
     requirements: Requirements
@@ -59,6 +60,40 @@ class Problem:
     P_beyond: ComplexArray
     owner_beyond: np.ndarray
     f_wide: Array
+    places: tuple[Mapping[str, float], ...]
+
+    @cached_property
+    def each(self) -> tuple[Requirements, ...]:
+        """What is required at each operating point."""
+        return tuple(self.requirements.of(place) for place in self.places)
+
+    @cached_property
+    def limits(self) -> dict[str, Array]:
+        """Limit of each quantity at each operating point (points,); where it has none one that nothing misses."""
+        every = {name: [getattr(one, name) for one in self.each] for name in self.requirements.limited()}
+        return {
+            name: np.array([_none(name) if value is None else value for value in values], dtype=float)
+            for name, values in every.items()
+            if any(value is not None for value in values)
+        }
+
+    @cached_property
+    def masks(self) -> dict[str, Array]:
+        """ln of each mask on the flat lines, +inf without one (of the floor -inf)."""
+        cut = zip(self.each, self.first[:-1], self.first[1:], strict=True)
+        return self._masks([_ln_masks(one, self.f[a:b]) for one, a, b in cut], np.concatenate)
+
+    @cached_property
+    def masks_above(self) -> dict[str, Array]:
+        """ln of each mask (points, above) above the last lines, +inf without one and below a point's last line."""
+        last = self.f[self.first[1:] - 1]
+        levels = [_ln_masks(one, self.f_above) for one in self.each]
+        for level, f in zip(levels, last, strict=True):
+            level[:, self.f_above < f] = np.inf
+        return self._masks(levels, np.stack)
+
+    def _masks(self, levels: list[Array], put: Callable[[list[Array]], Array]) -> dict[str, Array]:
+        return {name: put([level[k] for level in levels]) for k, name in enumerate(MASKED) if name in self.limits}
 
     @cached_property
     def low(self) -> Array:
@@ -175,6 +210,8 @@ class Problem:
 
 #: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
 OUTSIDE = 0.05
+#: a limit in dB that nothing comes up to
+NONE_DB = 300.0
 #: where L is led below its first line, as shares of its frequency
 DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
 
@@ -221,7 +258,22 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         P_beyond=np.concatenate([P for _, P in beyond]),
         owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
         f_wide=_wide(requirements, rate_hz),
+        places=tuple(loop.plant.operating_point for loop in loops),
     )
+
+
+def _none(name: str) -> float:
+    """A limit in its own unit that nothing misses."""
+    return 0.0 if LIMIT_OF[name].sense == "at_least" else NONE_DB
+
+
+def _ln_masks(requirements: Requirements, f: Array) -> Array:
+    """ln of the sharpest masks (6, nf) at frequencies in Hz, +inf where there is none, of the floor -inf."""
+    over = weights(requirements.masks, f) if requirements.masks else np.zeros((len(MASKED), f.size))
+    with np.errstate(divide="ignore"):
+        level = -0.5 * np.log(over)
+    level[MASKED.index("loop_floor_db")] *= -1.0
+    return level
 
 
 def _below(loop: Loop) -> tuple[Array, ComplexArray]:

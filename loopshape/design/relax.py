@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
@@ -174,7 +173,7 @@ def _relaxation(
     p: Problem, name: str, starts: Sequence[Found], tighten: Tighten, judge_of: Callable[[Requirements], Judge]
 ) -> Relaxation:
     """How far one requirement has to give for the others to hold, and whether a tuning with that passes."""
-    limit, now = LIMIT_OF[name], float(getattr(p.requirements, name))
+    limit, now = LIMIT_OF[name], _now(p, name)
     goal = Goal(tighten, objective=False, soft=frozenset([name]))
     least = _least_miss(p, starts, goal)
     reachable, verified, bandwidth_hz = float("nan"), False, float("nan")
@@ -184,7 +183,7 @@ def _relaxation(
             asked = now + (by if limit.sense == "at_most" else -by)
             if asked <= 0.0 < now:
                 break
-            tried = _tuned(p, _with(p.requirements, name, asked), least, tighten, judge_of)
+            tried = _tuned(p, p.requirements.moved({name: asked - now}), least, tighten, judge_of)
             reachable, verified = asked, tried.verdict.passed
             bandwidth_hz = min(m.bandwidth_hz for m in tried.verdict.margins.values())
             spare = min((line.spare for line in tried.verdict.lines if line.quantity == name), default=0.0)
@@ -196,14 +195,14 @@ def _relaxation(
     return Relaxation(name, limit.unit, now, reachable, verified, float(bandwidth_hz))
 
 
-def _with(requirements: Requirements, name: str, limit: float) -> Requirements:
-    change: dict[str, Any] = {name: limit}
-    return replace(requirements, **change)
+def _now(p: Problem, name: str) -> float:
+    """A limit as it is required, the strictest where it depends on the operating point."""
+    return float(p.limits[name].max() if LIMIT_OF[name].sense == "at_least" else p.limits[name].min())
 
 
 def _needed(p: Problem, name: str, least: Found, tighten: Tighten) -> float:
     """What is missed of a quantity, in its unit, and a little more."""
-    now = float(getattr(p.requirements, name))
+    now = _now(p, name)
     if name == "controller_bandwidth_hz":
         return max(controller_bandwidth_hz(p.controller(least.x)) - now, 0.0) + 1e-3 * now
     room = least_rooms(p, least.measures)[name]

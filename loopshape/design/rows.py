@@ -61,7 +61,7 @@ def wished(p: Problem, name: str, tighten: Tighten) -> Array:
     """Limit of a quantity at each operating point, tightened, in its own unit; ratios stay above zero."""
     limit = LIMIT_OF[name]
     moved = np.asarray(tighten.get(name, 0.0)) * (1.0 if limit.sense == "at_least" else -1.0)
-    every = np.broadcast_to(float(getattr(p.requirements, name)) + moved, p.points)
+    every = p.limits[name] + moved
     return every if limit.unit in ("dB", "deg") else np.maximum(every, LEAST)
 
 

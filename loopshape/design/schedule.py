@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
@@ -148,11 +147,9 @@ def _tuned(
         missed = [line for line in verdict.lines if line.outcome == "failed"]
         if not missed or verdict.unstable:
             break
-        for line in missed:
-            closer: Any = {line.quantity: _closer(getattr(asked, line.quantity), line)}
-            asked = replace(asked, **closer)
+        asked = asked.moved({line.quantity: _closer(line) for line in missed})
     return controller, verdict
 
 
-def _closer(limit: float, line: Line) -> float:
-    return limit + (-1.5 if LIMIT_OF[line.quantity].sense == "at_least" else 1.5) * line.spare
+def _closer(line: Line) -> float:
+    return (-1.5 if LIMIT_OF[line.quantity].sense == "at_least" else 1.5) * line.spare

@@ -105,7 +105,7 @@ def allowances(p: Problem, x: Array, verdict: Verdict) -> dict[str, Array]:
         ends = [m.intervals.get(name, (getattr(m, name),) * 2) for m in verdict.margins.values()]
         bad = np.array([low if sign > 0.0 else high for low, high in ends])
         with np.errstate(invalid="ignore"):
-            gap = mine - sign * (bad - getattr(p.requirements, name))
+            gap = mine - sign * (bad - p.limits[name])
         out[name] = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
     return out
 
@@ -149,7 +149,7 @@ def _tightened(
     for name, needed in asked.items():
         given = np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points)
         rise = np.maximum(needed - given, 0.0)
-        next_one = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(getattr(p.requirements, name)), 1e-3)
+        next_one = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(p.limits[name]), 1e-3)
         out[name] = np.maximum(given, next_one + 0.3 * rise) if firm else next_one
     lines = {line.quantity: line.spare for line in verdict.lines}
     name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz

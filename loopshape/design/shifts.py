@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -70,12 +69,13 @@ def closer(
     another bias): an end goes a little farther out, and else what is missed is added to the limits `asked` of all.
     """
     required, out = requirements.detuning_percent or 0.0, list(copies)
-    limits: dict[str, Any] = {}
+    limits: dict[str, float] = {}
     for k, (loop, margins) in enumerate(zip(loops, verdict.margins.values(), strict=True)):
         found = margins.detuning
         if found is None or found.interval_percent[0] >= required:
             continue
-        percent, missed = worst_shift(replace(loop, controller=controller), margins, requirements, required)
+        own = requirements.of(loop.plant.operating_point)
+        percent, missed = worst_shift(replace(loop, controller=controller), margins, own, required)
         near = [one for one in copies if one.index == k and abs(one.percent - percent) < BESIDE * required]
         reach = max((abs(one.percent) for one in near), default=0.0)
         if not near:
@@ -86,8 +86,7 @@ def closer(
             out.append(Copy(k, float(np.copysign(min(1.1 * reach, FARTHEST * required), percent))))
             continue
         for name, limit in missed.items():
-            more = limit - getattr(requirements, name)
+            more = limit - getattr(own, name)
             before = limits.get(name, 0.0)
             limits[name] = more if abs(more) > abs(before) else before
-    changes: dict[str, Any] = {name: getattr(asked, name) + more for name, more in limits.items()}
-    return tuple(sorted(out)), replace(asked, **changes)
+    return tuple(sorted(out)), asked.moved(limits)

@@ -48,6 +48,11 @@ def _read(words: Words) -> Requirements:
     words.text("name")
     for block in words.tables("structure"):
         _check_block(block)
+    for mask in words.tables("masks"):
+        mask.only("response", "points", "sense")
+    for one in words.tables("at"):
+        for mask in one.tables("masks"):
+            mask.only("response", "points", "sense")
     if "band_hz" in words.table:
         words.list_of_numbers("band_hz")
     for key, value in words.table.items():

@@ -29,6 +29,7 @@ from loopshape.data.requirements import LIMITS, Limit, Margins, Requirements
 from loopshape.identify.resonances import Resonance
 from loopshape.loop.margins import LOGARITHMS, PLAIN
 from loopshape.loop.obstacles import REACH_95
+from loopshape.loop.reading import Reader
 from loopshape.loop.shifted import Plant, Reading, plant_of, read, scatter_of, seen_resonances
 
 #: steps between shifts, in per cent: up to what is required, and farther out
@@ -61,7 +62,7 @@ def detuning(loop: Loop, margins: Margins, requirements: Requirements) -> Detuni
     plant = plant_of(loop, seen)
     shifts = _shifts(required, seen, loop)
     dense = plant.dense()
-    unmoved = read(loop, plant, requirements.control_high_frequency_from_hz or np.inf)
+    unmoved = read(loop, plant, Reader.of(requirements))
     if unmoved.poles is None:  # the first line alone does not tell how L starts: a shift cannot be counted
         return None
     whole = _Search(loop, margins, requirements, unmoved, dense.stretched, shifts)
@@ -94,7 +95,7 @@ def worst_shift(
     """
     seen = seen_resonances(loop)
     plant = plant_of(loop, seen)
-    unmoved = read(loop, plant, requirements.control_high_frequency_from_hz or np.inf)
+    unmoved = read(loop, plant, Reader.of(requirements))
     shifts = _shifts(within, seen, loop)
     whole = _Search(loop, margins, requirements, unmoved, plant.dense().stretched, shifts)
     every = [way * x for x in shifts[shifts <= within].tolist() for way in (1.0, -1.0)]
@@ -139,7 +140,7 @@ class _Search:
         shifts: Array,
     ) -> None:
         self.loop, self.margins, self.moved, self.shifts = loop, margins, moved, shifts
-        self.from_hz = requirements.control_high_frequency_from_hz or np.inf
+        self.reader = Reader.of(requirements)
         self.closely = requirements.detuning_percent is not None
         self.drawn = self.closely and loop.scatter is not None
         self.limits = [x for x in LIMITS if x.name in _COLUMNS and getattr(requirements, x.name) is not None]
@@ -170,7 +171,7 @@ class _Search:
     def reading(self, percent: float) -> Reading:
         """The loop at a shift."""
         if percent not in self.readings:
-            self.readings[percent] = read(self.loop, self.moved(0.01 * percent), self.from_hz)
+            self.readings[percent] = read(self.loop, self.moved(0.01 * percent), self.reader)
         return self.readings[percent]
 
     def slacks(self, percent: float, end: float = 0.0) -> Array:
@@ -200,7 +201,7 @@ class _Search:
     def _scatter(self, percent: float) -> tuple[Array, Array]:
         if percent not in self.scatters:
             plant, reading = self.moved(0.01 * percent), self.reading(percent)
-            bias, reach = scatter_of(self.loop, plant, self.from_hz, reading)
+            bias, reach = scatter_of(self.loop, plant, self.reader, reading)
             self.scatters[percent] = bias[self.columns], reach[self.columns]
         return self.scatters[percent]
 
@@ -309,7 +310,7 @@ def _explained(whole: _Search, lost: Lost, plant: Plant, seen: tuple[Resonance, 
     near = [x for x in seen if abs(x.frequency_hz - own_hz) < max(BESIDE, WIDTHS * x.damping) * x.frequency_hz]
     if not near:
         return lost
-    alone = [read(loop, plant.with_moved(x, shift), whole.from_hz).values[kernel.LN_MODULUS] for x in near]
+    alone = [read(loop, plant.with_moved(x, shift), whole.reader).values[kernel.LN_MODULUS] for x in near]
     one = near[int(np.argmin(alone))]
     block = _block_at(loop, one.frequency_hz, shift)
     kind = loop.controller.blocks[block - 1].kind

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from loopshape.core.kernels import margins as kernel
 from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Margins
 from loopshape.loop.between import followed
@@ -16,6 +18,7 @@ from loopshape.loop.crossings import axis_crossings, unit_crossings
 from loopshape.loop.low_end import Model, judged_lines, low_models
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.obstacles import slope_at_end
+from loopshape.loop.reading import Reader
 from loopshape.loop.stability import closed_loop_stability
 
 #: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
@@ -32,6 +35,12 @@ PLAIN = {
     "control_peak_db": kernel.CONTROL_DB,
     "control_high_frequency_db": kernel.CONTROL_HIGH_DB,
     "process_peak_db": kernel.PROCESS_DB,
+    "sensitivity_mask_db": kernel.MASK_S,
+    "complementary_mask_db": kernel.MASK_T,
+    "control_mask_db": kernel.MASK_CS,
+    "process_mask_db": kernel.MASK_PS,
+    "loop_mask_db": kernel.MASK_L,
+    "loop_floor_db": kernel.FLOOR_L,
 }
 LOGARITHMS = {
     "modulus_margin": kernel.LN_MODULUS,
@@ -68,7 +77,7 @@ class _Judged:
     deviations: ComplexArray | None
 
 
-def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margins:
+def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: Sequence[Mask] = ()) -> Margins:
     """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
 
     - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
@@ -86,6 +95,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
       complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
     - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
       -3 dB (0 where it never reaches it, the last line where it does not fall);
+    - masks: by how much each response exceeds its mask at the worst frequency, on the lines and above the last one as
+      far as what was said of it goes; below the first line nothing is judged;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 
@@ -98,14 +109,14 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None) -> Margi
     `stable` says "stable".
     """
     j = _judged(loop)
-    from_hz = np.inf if high_frequency_from_hz is None else high_frequency_from_hz
+    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks))
     first, *others = _readings_from_zero(loop, j)
-    found, at = _read(loop, first, first.L[None], from_hz)
-    value, low, high = _with_intervals(loop, first, found[0], from_hz)
+    found, at = _read(loop, first, first.L[None], reader)
+    value, low, high = _with_intervals(loop, first, found[0], reader)
     for other in others:  # what the models disagree about is as unknown as what noise hides
-        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], from_hz)[0][0], from_hz)
+        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], reader)[0][0], reader)
         low, high = np.minimum(low, lower), np.maximum(high, higher)
-    bounds = _bounds(loop, first, found[0], from_hz)
+    bounds = _bounds(loop, first, found[0], reader)
     stability = closed_loop_stability(loop)
     crossings, crossing_intervals = _crossings(j, unit=True)
     phase_crossings, phase_intervals = _crossings(j, unit=False)
@@ -181,35 +192,35 @@ def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
     return [_from_zero(loop, j, model) for model in low_models(loop)] or [j]
 
 
-def _read(loop: Loop, j: _Judged, L: ComplexArray, from_hz: float, *, bounded: bool = True) -> tuple[Array, Array]:
+def _read(loop: Loop, j: _Judged, L: ComplexArray, reader: Reader, *, bounded: bool = True) -> tuple[Array, Array]:
     above = loop.above_hz
-    return kernel.read_margins(j.f, L, j.C, above, loop.controller.response(above), from_hz, bounded)
+    return reader.read(j.f, L, j.C, above, loop.controller.response(above), bounded=bounded)
 
 
-def _bounds(loop: Loop, j: _Judged, found: Array, from_hz: float) -> dict[str, float]:
+def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, float]:
     """How good the quantities may be that what lies above the last line bounds: the good end of what lines alone tell.
 
     A bandwidth that the lines do not reach is at least their last frequency.
     """
-    best, _ = _read(loop, j, j.L[None], from_hz, bounded=False)
+    best, _ = _read(loop, j, j.L[None], reader, bounded=False)
     ends = {name: float("inf") for name, k in _BANDWIDTHS.items() if found[k] == np.log(j.f[-1])}
     bounded = found != best[0]
     if not bounded.any():
         return ends
-    _, low, high = _with_intervals(loop, j, best[0], from_hz, bounded=False)
+    _, low, high = _with_intervals(loop, j, best[0], reader, bounded=False)
     better = np.where(best[0] > found, np.maximum(low, high), np.minimum(low, high))
     good = _fields(np.where(bounded, better, np.nan))
     return ends | {name: value for name, value in good.items() if not np.isnan(value)}
 
 
 def _with_intervals(
-    loop: Loop, j: _Judged, found: Array, from_hz: float, *, bounded: bool = True
+    loop: Loop, j: _Judged, found: Array, reader: Reader, *, bounded: bool = True
 ) -> tuple[Array, Array, Array]:
     """Each column freed of its bias, with the ends of its interval."""
     if j.deviations is None or j.reference is None:
         return found, found, found
-    drawn, _ = _read(loop, j, j.reference + j.deviations, from_hz, bounded=bounded)
-    reference, _ = _read(loop, j, j.reference[None], from_hz, bounded=bounded)
+    drawn, _ = _read(loop, j, j.reference + j.deviations, reader, bounded=bounded)
+    reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
     if _drowned(j):
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
     ordered = np.sort(drawn, axis=0)
@@ -246,7 +257,8 @@ def _drowned(j: _Judged) -> bool:
 
 def _fields(columns: Array) -> dict[str, float]:
     """Fields of `Margins` from the kernel's columns."""
-    out = {name: float(columns[k]) for name, k in PLAIN.items()}
+    asked = {name: k for name, k in PLAIN.items() if name not in MASKED or columns[k] > -np.inf}
+    out = {name: float(columns[k]) for name, k in asked.items()}
     out |= {name: float(np.exp(columns[k])) for name, k in LOGARITHMS.items()}
     with np.errstate(over="ignore"):
         out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
@@ -257,7 +269,7 @@ def _fields(columns: Array) -> dict[str, float]:
 
 
 def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, float, float]]:
-    return [(name, low[name], high[name]) for name in low]
+    return [(name, low[name], high[name]) for name in low if name in high]
 
 
 def _places(at: Array, first_hz: float) -> dict[str, float]:

@@ -19,6 +19,7 @@ from loopshape.data.smoothed import Dense, Scatter
 from loopshape.identify.resonances import Phase, Resonance, resonances
 from loopshape.loop.between import followed
 from loopshape.loop.low_end import judged_lines
+from loopshape.loop.reading import Reader
 from loopshape.loop.stability import count_unstable
 
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
@@ -183,11 +184,11 @@ def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
     return tuple(x for x, c in zip(found, largest, strict=True) if c * x.peak > MATTERS)
 
 
-def read(loop: Loop, plant: Plant, from_hz: float) -> Reading:
+def read(loop: Loop, plant: Plant, reader: Reader) -> Reading:
     """What a loop's margins and count are with its plant as it stands moved."""
     f, C, above, C_above, C_below = _responses(loop, plant)
     L = C * plant.P[: f.size]
-    found, at = kernel.read_margins(f, L[None], C, above, C_above, from_hz)
+    found, at = reader.read(f, L[None], C, above, C_above)
     with np.errstate(divide="ignore"):
         clear = float(np.min(np.abs(1.0 + L) / (np.abs(C) * plant.std[: f.size])))
     integrators = (loop.integrators or 0) + loop.controller.integrators()
@@ -195,13 +196,13 @@ def read(loop: Loop, plant: Plant, from_hz: float) -> Reading:
     return Reading(found[0], at[0], poles, clear)
 
 
-def scatter_of(loop: Loop, plant: Plant, from_hz: float, reading: Reading) -> tuple[Array, Array]:
+def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: Reading) -> tuple[Array, Array]:
     """Bias and half 95 % interval (columns,) of a reading, by draws of the plant's error; infinite where one jumps."""
     draws = plant.draws
     if draws is None:
         return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
     f, C, above, C_above, _ = _responses(loop, plant)
-    drawn, _ = kernel.read_margins(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, from_hz)
+    drawn, _ = reader.read(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above)
     known = np.isfinite(drawn).all(axis=0) & np.isfinite(reading.values)
     off = np.where(known, drawn, 0.0) - np.where(known, reading.values, 0.0)
     return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)

@@ -245,18 +245,39 @@ def check(
     loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
     named = dict(zip(_names(frfs), loops, strict=True))
     found = verdict_on(named, requirements, detuned=detuned)
-    return replace(found, warnings=(*notes, *detuning_warnings(found.margins, controller)))
+    unseen = outside_warnings(requirements, loops)
+    return replace(found, warnings=(*notes, *unseen, *detuning_warnings(found.margins, controller)))
+
+
+def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple[str, ...]:
+    """Sentences on the parts of masks that lie below the lowest frequency, and on limits of no operating point."""
+    out = []
+    for loop in loops:
+        first_hz = float(loop.frequency_hz[0])
+        low = [x for x in requirements.of(loop.plant.operating_point).masks if x.band_hz[0] < first_hz * (1.0 - 1e-9)]
+        out += [
+            f"the mask on |{x.response}| begins at {x.band_hz[0]:.4g} Hz and is not judged below {first_hz:.4g} Hz, the"
+            f" lowest frequency of {loop.plant.recording}"
+            for x in low
+        ]
+    for one in requirements.at:
+        if not any(one.holds_at(loop.plant.operating_point) for loop in loops):
+            ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in one.where.items())
+            out.append(f"limits at {ranges} hold at no operating point that was measured")
+    return tuple(out)
 
 
 def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True) -> Verdict:
     """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`."""
+    asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
     from_hz = requirements.control_high_frequency_from_hz
-    found = {name: margins(loop, high_frequency_from_hz=from_hz) for name, loop in loops.items()}
+    found = {
+        name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks) for name, loop in loops.items()
+    }
     if detuned or requirements.detuning_percent is not None:
-        found = {name: with_detuning(loop, found[name], requirements) for name, loop in loops.items()}
-    lines = [
-        _line(limit, wished, found) for limit in LIMITS if (wished := getattr(requirements, limit.name)) is not None
-    ]
+        found = {name: with_detuning(loop, found[name], asked[name]) for name, loop in loops.items()}
+    wished = {x: {name: v for name, one in asked.items() if (v := getattr(one, x.name)) is not None} for x in LIMITS}
+    lines = [_line(limit, asks, found) for limit, asks in wished.items() if asks]
     return Verdict(requirements.loop, tuple(lines), found)
 
 
@@ -267,8 +288,8 @@ def _names(frfs: Sequence[FRF]) -> list[str]:
     return names
 
 
-def _line(limit: Limit, wished: float, found: Mapping[str, Margins]) -> Line:
-    lines = [_line_at(limit, wished, name, margin) for name, margin in found.items()]
+def _line(limit: Limit, wished: Mapping[str, float], found: Mapping[str, Margins]) -> Line:
+    lines = [_line_at(limit, value, name, found[name]) for name, value in wished.items()]
     return min(lines, key=lambda line: (SEVERITY[line.outcome], line.spare))
 
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.limits_over import Mask
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import LIMIT_OF, Margins, Requirements, Verdict
 from loopshape.loop.bands import band
@@ -195,6 +196,8 @@ def guides(panels: dict[Any, Axes], wished: Requirements | None, verdict: Verdic
     if wished is not None:
         ceiling(panels["S"], wished.sensitivity_peak_db)
         ceiling(panels["T"], wished.complementary_peak_db)
+        for mask in (mask for name in "LST" for mask in wished.masks_on(name)):
+            mask_line(panels[mask.response], mask)
         if wished.phase_margin_deg is not None:
             panels["l"].axhline(wished.phase_margin_deg - 180.0, color=LIMIT, linewidth=0.9, linestyle="--")
         if wished.bandwidth_hz is not None:
@@ -216,9 +219,28 @@ def limit_entries(wished: Requirements | None, verdict: Verdict | None) -> list[
     if wished is not None and wished.phase_margin_deg is not None:
         text = f"phase margin {wished.phase_margin_deg:g} deg"
         entries.append((text, {"color": LIMIT, "linestyle": "--", "linewidth": 0.9}))
+    if wished is not None and any(wished.masks_on(name) for name in "LST"):
+        entries.append(("masks", {"color": LIMIT, "linewidth": 1.1}))
     if verdict is not None and len(verdict.margins) > 1:
         entries.append(("bandwidths found", {"color": QUIET, "alpha": 0.3, "linewidth": 6.0, "solid_capstyle": "butt"}))
     return entries
+
+
+def mask_line(ax: Axes, mask: Mask) -> None:
+    """A mask over frequency, its forbidden side tinted; the axis of magnitude grows to show it."""
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    low, high = max(left, mask.band_hz[0]), min(right, mask.band_hz[1])
+    if low >= high:
+        return
+    inner = [f for f, _ in mask.points if low < f < high]
+    f = np.array([low, *inner, high])
+    level = mask.level_db(f)
+    bottom = min(bottom, 10.0 * np.floor((level.min() - 1.0) / 10.0))
+    top = max(top, 10.0 * np.ceil((level.max() + 1.0) / 10.0))
+    ax.plot(f, level, color=LIMIT, linewidth=1.1, scalex=False, scaley=False, gid="limit")
+    ax.fill_between(f, level, bottom if mask.sense == "at_least" else top, color=LIMIT, alpha=0.08, linewidth=0.0)
+    ax.set_xlim(left, right)
+    ax.set_ylim(bottom, top)
 
 
 def ceiling(ax: Axes, limit_db: float | None, from_hz: float | None = None) -> None:

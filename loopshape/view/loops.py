@@ -17,6 +17,7 @@ from loopshape.view.loop_parts import (
     limit_entries,
     looks_of,
     magnitude_and_phase,
+    mask_line,
     needs_loops,
     sensitivity,
     title_of,
@@ -74,6 +75,8 @@ def sensitivities(
     for ax, name in zip(figure.axes, PLOTTED, strict=True):
         for limit_db, begins_hz in [] if requirements is None else requirements.ceilings_db(name):
             ceiling(ax, limit_db, begins_hz)
+        for mask in () if requirements is None else requirements.masks_on(name):
+            mask_line(ax, mask)
     s, t, _, _ = figure.axes
     hide_inner(s, t)
     entries = worst_entries(loops, looks, worst.index)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from loopshape.data.experiment import Told
+from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.recording import RecordingInfo
 from loopshape.data.requirements import LIMITS, Line, Margins, Requirements, Verdict
 from loopshape.design.bound_nodes import COUNTED, counted
@@ -32,13 +33,18 @@ LOOPS = (SimpleNamespace(name="a"), SimpleNamespace(name="b"))
 def asked(name, value=0.9):
     """Requirements of one limit alone."""
     also = {"control_high_frequency_from_hz": 50.0} if name == "control_high_frequency_db" else {}
+    if name in MASKED:
+        response = ("S", "T", "CS", "PS", "L", "L")[MASKED.index(name)]
+        sense = "at_least" if name == "loop_floor_db" else "at_most"
+        also = {"masks": (Mask(response, ((1.0, 0.0), (2.0, 0.0)), sense),)}
     return {name: value} | also
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_limit_is_asked_for_and_found_under_one_name(name):
     assert name in {f.name for f in fields(Requirements)} & {f.name for f in fields(Margins)}
-    assert Requirements.from_table({"name": "axis", **asked(name)}) is not None
+    table = {key: [vars(one) for one in value] if key == "masks" else value for key, value in asked(name).items()}
+    assert Requirements.from_table({"name": "axis", **table}) is not None
     assert name in margins().to_dict()
     assert f"{name} at" in repr(Requirements("axis", **asked(name)))
 

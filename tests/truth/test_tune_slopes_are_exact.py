@@ -29,6 +29,9 @@ LIMITS = {
     "sensitivity_bandwidth_hz": 6.0,
     "complementary_bandwidth_hz": 15.0,
     "controller_bandwidth_hz": 300.0,
+    "masks": [
+        {"response": name, "points": [[1.0, -20.0], [30.0, 3.0], [4000.0, -10.0]]} for name in ("S", "T", "CS", "PS", "L")
+    ] + [{"response": "L", "sense": "at_least", "points": [[1.0, 20.0], [10.0, 3.0]]}],
 }
 OBJECTIVE = {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 3.0}
 LAG = {"kind": "low_pass", "order": 1, "f_hz": {"min": 50.0, "max": 4000.0}}
@@ -54,7 +57,7 @@ def test_slopes_agree_with_finite_differences(runs):
     p = problem_of(servos(), wished(*STRUCTURE, **LIMITS, objective=OBJECTIVE), **runs)
     x = np.log(AT)
     here = measure(p, x, {})
-    assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz"}
+    assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz", "masks"}
     every = {limit.name for limit in requirements.LIMITS}
     assert every - set(here.what) == {"detuning_percent"}  # met by shifted copies of the plants (design/shifts.py)
     for k in range(x.size):

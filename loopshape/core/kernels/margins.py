@@ -13,7 +13,11 @@ from loopshape.core.kernels.types import Array, ComplexArray
 #: what a column of `read_margins` holds
 GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB = range(8)
 LN_BANDWIDTH_HZ, LN_DISK, PROCESS_DB, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ = range(8, 13)
-COLUMNS = 13
+#: by how much |S|, |T|, |CS|, |PS| and |L| exceed their masks, and a floor exceeds |L|, in the order of the masks' rows
+MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L = range(13, 19)
+COLUMNS = 19
+#: columns that are the largest of squared magnitudes, and in the end in dB
+LARGEST = (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L)
 _DB = 10.0 / np.log(10.0)  # of a squared magnitude
 _DEG = 180.0 / np.pi
 _TINY = 1e-300
@@ -86,6 +90,43 @@ def _line(f: float, L: complex, c2: float, high: bool, found: Array, at: Array) 
 
 
 @compiled
+def _over_masks(
+    f: float, s2: float, t2: float, c2: float, l2: float, least2: float, weights: Array, found: Array, at: Array
+) -> None:
+    """Squared excess of |S|, |T|, |CS|, |PS| and |L| over their masks at one frequency, and of the floor over |L|.
+
+    `weights` (6,) are 1 over squared limits, 0 where there is none, and the squared floor; `least2` is the least |L|².
+    """
+    _masked(MASK_S, s2, weights[0], f, found, at)
+    _masked(MASK_T, t2, weights[1], f, found, at)
+    _masked(MASK_CS, c2 * s2, weights[2], f, found, at)
+    _masked(MASK_PS, t2 / max(c2, _TINY), weights[3], f, found, at)
+    _masked(MASK_L, l2, weights[4], f, found, at)
+    if weights[5] > 0.0:
+        _note(found, at, FLOOR_L, weights[5] / max(least2, _TINY), f, True)
+
+
+@compiled
+def _masked(column: int, size2: float, weight: float, f: float, found: Array, at: Array) -> None:
+    if weight > 0.0:
+        _note(found, at, column, size2 * weight, f, True)
+
+
+@compiled
+def _masks_above(
+    last: float, f_above: Array, c2_above: Array, masks_above: Array, bounded: bool, found: Array, at: Array
+) -> None:
+    """Above the last line, where |L| stays below `last`: the worst that may be, or the best where not `bounded`."""
+    room = max(1.0 - last, 1e-9)
+    for i in range(f_above.size):
+        if bounded:
+            s2, t2, l2, least2 = 1.0 / room**2, (last / room) ** 2, last**2, 0.0
+        else:
+            s2, t2, l2, least2 = 1.0 / (1.0 + last) ** 2, 0.0, 0.0, last**2
+        _over_masks(f_above[i], s2, t2, c2_above[i], l2, least2, masks_above[:, i], found, at)
+
+
+@compiled
 def _above(
     f_last: float, last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array
 ) -> None:
@@ -115,7 +156,7 @@ def _above_at_best(last: float, f_above: Array, c2_above: Array, from_hz: float,
 @compiled
 def _finish(found: Array) -> None:
     """From squared magnitudes to dB and logarithms."""
-    for column in (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB):
+    for column in LARGEST:
         found[column] = _DB * np.log(found[column]) if found[column] > 0.0 else -np.inf
     found[LN_MODULUS] = 0.5 * np.log(found[LN_MODULUS]) if found[LN_MODULUS] > 0.0 else -np.inf
     found[LN_DISK] = np.log(2.0) + 0.5 * np.log(found[LN_DISK]) if found[LN_DISK] > 0.0 else -np.inf
@@ -129,12 +170,15 @@ def read_margins(
     f_above: Array,
     C_above: ComplexArray,
     from_hz: float,
-    bounded: bool = True,
+    bounded: bool,
+    masks: Array,
+    masks_above: Array,
 ) -> tuple[Array, Array]:
     """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
 
     `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
-    below its last value, counts where `bounded` is true; without it the answer is the best that may be. +-inf where the
+    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (6, nf)
+    and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where there is no mask. +-inf where the
     loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
     """
     loops, lines = L.shape
@@ -142,7 +186,7 @@ def read_margins(
     c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
     for b in range(loops):
         found[b, :] = np.inf
-        for column in (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB):
+        for column in LARGEST:
             found[b, column] = -np.inf
         found[b, LN_BANDWIDTH_HZ] = found[b, LN_SENSITIVITY_HZ] = found[b, LN_COMPLEMENTARY_HZ] = -np.inf
         before_s = before_t = before_size = 0.0
@@ -151,6 +195,8 @@ def read_margins(
             now = L[b, k]
             s2, t2 = _line(f[k], now, c2[k], f[k] >= from_hz, found[b], at[b])
             size = now.real**2 + now.imag**2
+            if masks.shape[0]:
+                _over_masks(f[k], s2, t2, c2[k], size, size, masks[:, k], found[b], at[b])
             if k > 0:
                 last = L[b, k - 1]
                 _chord(f[k - 1], f[k], last, now, found[b], at[b])
@@ -183,5 +229,7 @@ def read_margins(
             _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])
         else:
             _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found[b], at[b])
+        if masks.shape[0]:
+            _masks_above(size if bounded else min(size, 1.0), f_above, c2_above, masks_above, bounded, found[b], at[b])
         _finish(found[b])
     return found, at

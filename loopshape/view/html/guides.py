@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.units import db
+from loopshape.data.limits_over import Mask
 from loopshape.data.requirements import Requirements
 from loopshape.view.contours import constant_s, constant_t, nichols_coordinates, turns
 from loopshape.view.html.axes import LEFT, RIGHT, TOP, WIDTH, Frame
@@ -65,6 +66,24 @@ def ceiling(frame: Frame, limit_db: float, from_hz: float | None) -> Guide:
     return Guide(
         joined([tint, line]), tag("text", words, x=f"{right - 4:.1f}", y=f"{y - 4:.1f}", class_="limit-text end")
     )
+
+
+def mask_guide(frame: Frame, mask: Mask) -> Guide:
+    """A mask over frequency, its forbidden side tinted; nothing where it lies outside the plot."""
+    low, high = max(frame.x.low, mask.band_hz[0]), min(frame.x.high, mask.band_hz[1])
+    if low >= high:
+        return Guide()
+    f = np.array([low, *(f for f, _ in mask.points if low < f < high), high])
+    path = frame.path(f, mask.level_db(f))
+    left, right = frame.x(np.array([low, high]))
+    edge = frame.y.start if mask.sense == "at_least" else TOP
+    tint = tag("path", d=f"{path}L{right:.1f} {edge:g}H{left:.1f}Z", class_="forbidden")
+    return Guide(joined([tint, tag("path", d=path, class_="limit")]))
+
+
+def mask_sizes(masks: Sequence[Mask]) -> list[np.ndarray]:
+    """Values that an axis must span to show its masks."""
+    return [np.array([level for _, level in mask.points]) for mask in masks]
 
 
 def level(frame: Frame, value: float, kind: str, words: str = "") -> Guide:

@@ -34,6 +34,8 @@ from loopshape.view.html.guides import (
     least_bandwidth,
     level,
     limits_of,
+    mask_guide,
+    mask_sizes,
     nichols_guides,
     nichols_words,
     shown_sizes,
@@ -83,10 +85,11 @@ class Plots:
     def magnitude(self, name: str) -> Markup:
         """|name| over frequency with its 95 % bands, and its limits where there are any."""
         limits = limits_of(self.wished, name)
-        sizes = [trace.size_db[name] for trace in self.traces] + shown_sizes(limits)
+        masks = () if self.wished is None else self.wished.masks_on(name)
+        sizes = [trace.size_db[name] for trace in self.traces] + shown_sizes(limits) + mask_sizes(masks)
         low, high = decibel_range(sizes, span=100.0 if name in "PL" else 60.0)
         frame = frequency_frame(self.band_hz, low, high, decibel(f"|{name}|", self.unit(name)))
-        guides = [ceiling(frame, *limit) for limit in limits]
+        guides = [ceiling(frame, *limit) for limit in limits] + [mask_guide(frame, mask) for mask in masks]
         if name == "L":
             guides += [level(frame, 0.0, "zero"), least_bandwidth(frame, self.wished)]
         guides += [self._worst(frame, name, [x.size_db[name] for x in self.traces])]

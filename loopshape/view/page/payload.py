@@ -19,6 +19,7 @@ from loopshape.data.block import BLOCK_KINDS
 from loopshape.data.controller import Controller
 from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.frf import FRF
+from loopshape.data.limits_over import MASKED
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import LIMITS, Objective, Requirements, Verdict
@@ -33,6 +34,7 @@ from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of
 
 FORMAT = "loopshape-shape/1"
+NOT_JUDGED = "masks and limits of single operating points are not judged on this page; check judges them"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,7 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "format": FORMAT,
         "version": version,
         "title": title,
-        "limits": [json_ready(limit) for limit in LIMITS],
+        "limits": [json_ready(limit) for limit in LIMITS if limit.name not in MASKED],
         "blocks": {kind: list(known.parameters) for kind, known in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
@@ -121,6 +123,8 @@ def _state(seed: int) -> dict[str, str]:
 
 def _loop(one: Shaped) -> dict[str, Any]:
     loops, notes = loops_of(one.frfs, one.controller, one.requirements, one.fits)
+    if one.requirements.masks or one.requirements.at:
+        notes = (*notes, NOT_JUDGED)
     return {
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
@@ -137,7 +141,10 @@ def _loop(one: Shaped) -> dict[str, Any]:
 
 def _requirements(wished: Requirements) -> dict[str, Any]:
     """What is required as its file has it; what is not asked for is left out."""
-    out = {f.name: getattr(wished, f.name) for f in fields(wished) if f.name not in ("structure", "objective")}
+    kept = [f.name for f in fields(wished) if f.name not in ("structure", "objective", "masks", "at", *MASKED)]
+    out = {name: getattr(wished, name) for name in kept}
+    out |= {"masks": wished.masks} if wished.masks else {}
+    out |= {"at": [{"where": x.where, **x.limits, "masks": x.masks} for x in wished.at]} if wished.at else {}
     out |= {} if wished.objective == Objective() else {"objective": _table(wished.objective)}
     out |= {"structure": [_template(one) for one in wished.structure]} if wished.structure else {}
     return {name: json_ready(value) for name, value in out.items() if value is not None}

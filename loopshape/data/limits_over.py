@@ -1,0 +1,143 @@
+"""Limits over frequency (masks on |S|, |T|, |L|, |CS|, |PS|) and over operating points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, from_db
+
+#: how far the worst frequency lies beyond all masks of a kind, in the order of the kernel's columns
+MASKED = (
+    "sensitivity_mask_db", "complementary_mask_db", "control_mask_db", "process_mask_db", "loop_mask_db",
+    "loop_floor_db",
+)  # fmt: skip
+_QUANTITY = dict(zip(("S", "T", "CS", "PS", "L"), MASKED, strict=False))
+_SENSES = ("at_most", "at_least")
+
+
+@dataclass(frozen=True)
+class Mask:
+    """A limit on |response| over frequency: in dB, straight over ln f between `points` (Hz, dB), none outside them.
+
+    `response` is S, T, L, CS or PS; `sense` is "at_most", of L "at_least" too. Refuses another response, fewer than two
+    points, frequencies that do not rise, and numbers that are not finite.
+
+    >>> Mask("S", ((0.1, -40.0), (10.0, 0.0))).level_db(np.array([0.01, 1.0]))
+    array([inf, -20.])
+    """
+
+    response: str
+    points: tuple[tuple[float, float], ...]
+    sense: str = "at_most"
+
+    def __post_init__(self) -> None:
+        if self.response not in _QUANTITY:
+            raise WrongUseError("a mask limits S, T, L, CS or PS", f"{self.response!r}")
+        if self.sense not in _SENSES:
+            raise WrongUseError("the sense of a mask is at_most or at_least", f"{self.sense!r}")
+        if self.sense == "at_least" and self.response != "L":
+            raise WrongUseError(
+                f"a mask on |{self.response}| is an upper limit", "at_least",
+                "give the floor as a mask on L with sense at_least",
+            )  # fmt: skip
+        self._check_points()
+
+    def _check_points(self) -> None:
+        of = f"the points of a mask on |{self.response}|"
+        pairs = [isinstance(one, (list, tuple)) and len(one) == 2 and all(map(_is_finite, one)) for one in self.points]
+        if len(pairs) < 2 or not all(pairs):
+            raise WrongUseError(f"{of} are two pairs (Hz, dB) at least", f"{self.points!r}")
+        hz = [one[0] for one in self.points]
+        if hz[0] <= 0.0 or not all(a < b for a, b in pairwise(hz)):
+            raise WrongUseError(f"{of} must have positive, strictly increasing frequencies", f"{hz!r}")
+        object.__setattr__(self, "points", tuple((float(f), float(level)) for f, level in self.points))
+
+    @property
+    def quantity(self) -> str:
+        """Name of the limit that this mask belongs to."""
+        return "loop_floor_db" if self.sense == "at_least" else _QUANTITY[self.response]
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """First and last frequency."""
+        return self.points[0][0], self.points[-1][0]
+
+    def level_db(self, f: Array) -> Array:
+        """The limit in dB at frequencies (nf,) in Hz; outside its points no limit, inf (of a floor -inf)."""
+        hz, level = np.array(self.points).T
+        none = -np.inf if self.sense == "at_least" else np.inf
+        return np.interp(np.log(f), np.log(hz), level, none, none)
+
+    @classmethod
+    def from_table(cls, table: Any) -> Mask:
+        """A mask from TOML: { response = "S", points = [[0.1, -40.0], [10.0, 0.0]] }, perhaps with a sense."""
+        known = {"response", "points", "sense"}
+        if not isinstance(table, Mapping) or not {"response", "points"} <= set(table) <= known:
+            raise WrongUseError("a mask has response, points and perhaps sense", f"{table!r}")
+        points = table["points"]
+        if not isinstance(points, Sequence) or isinstance(points, str):
+            raise WrongUseError("the points of a mask are a list of pairs (Hz, dB)", f"{points!r}")
+        return cls(table["response"], tuple(points), table.get("sense", "at_most"))
+
+
+def weights(masks: Sequence[Mask], f: Array) -> Array:
+    """What squared magnitudes are multiplied with to be 1 at the sharpest limit, a row for each of `MASKED` (6, nf).
+
+    0 where nothing is limited; the row of the floor is for 1/|L|². No rows (0, nf) without masks.
+    """
+    if not masks:
+        return np.zeros((0, f.size))
+    out = np.zeros((len(MASKED), f.size))
+    for mask in masks:
+        level, row = mask.level_db(f), MASKED.index(mask.quantity)
+        sign = 1.0 if mask.sense == "at_least" else -1.0
+        out[row] = np.maximum(out[row], from_db(sign * level) ** 2)
+    return out
+
+
+@dataclass(frozen=True)
+class AtPoints:
+    """Limits that take the place of a loop's others at some operating points.
+
+    `where` gives for coordinates of the operating point the range (low, high) in which these hold, ends included;
+    `limits` are by the names of `Requirements`; a mask replaces those of its kind.
+    """
+
+    where: Mapping[str, tuple[float, float]]
+    limits: Mapping[str, float] = field(default_factory=dict)
+    masks: tuple[Mask, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.where or not (self.limits or self.masks):
+            raise WrongUseError(
+                "limits at operating points need where and a limit", f"{dict(self.where)}, {dict(self.limits)}"
+            )
+        for name, ends in self.where.items():
+            if not (isinstance(ends, (list, tuple)) and len(ends) == 2 and all(map(_is_finite, ends))):
+                raise WrongUseError(f"where {name} of an operating point is a range", f"{ends!r}", "give [low, high]")
+            if ends[0] > ends[1]:
+                raise WrongUseError(f"where {name} of an operating point must rise", f"{ends!r}")
+
+    def holds_at(self, point: Mapping[str, float]) -> bool:
+        """Whether an operating point lies in all ranges; one that lacks a coordinate does not."""
+        return all(name in point and low <= point[name] <= high for name, (low, high) in self.where.items())
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> AtPoints:
+        """From TOML: { where = { x_m = [0.0, 0.5] }, phase_margin_deg = 40.0 }, perhaps with masks."""
+        given = dict(table)
+        where, masks = given.pop("where", {}), given.pop("masks", ())
+        if not isinstance(where, Mapping):
+            raise WrongUseError("where of an operating point is a table of ranges", f"{where!r}")
+        ranges = {k: tuple(v) if isinstance(v, (list, tuple)) else (v, v) for k, v in where.items()}
+        return cls(ranges, given, tuple(Mask.from_table(one) for one in masks))  # type: ignore[arg-type]
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))
