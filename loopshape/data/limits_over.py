@@ -136,7 +136,7 @@ class AtPoints:
         if not isinstance(where, Mapping):
             raise WrongUseError("where of an operating point is a table of ranges", f"{where!r}")
         ranges = {k: tuple(v) if isinstance(v, (list, tuple)) else (v, v) for k, v in where.items()}
-        return cls(ranges, given, tuple(Mask.from_table(one) for one in masks))  # type: ignore[arg-type]
+        return cls(ranges, given, tuple(Mask.from_table(one) for one in masks))
 
 
 def _is_finite(value: Any) -> bool:

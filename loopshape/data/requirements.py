@@ -367,7 +367,9 @@ class Requirements:
             if name in masked and getattr(self, name) is None:
                 object.__setattr__(self, name, 0.0)
             if name not in masked and getattr(self, name) is not None:
-                raise WrongUseError(f"{name} of loop {self.loop!r} needs a mask", f"{getattr(self, name)!r}", "give one")
+                raise WrongUseError(
+                    f"{name} of loop {self.loop!r} needs a mask", f"{getattr(self, name)!r}", "give one"
+                )
 
     def _check_at(self, one: AtPoints) -> None:
         """Refuse limits at operating points that are none of one operating point, or make no sense."""

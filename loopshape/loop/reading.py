@@ -25,8 +25,9 @@ class Reader:
         return cls(requirements.control_high_frequency_from_hz or np.inf, requirements.masks)
 
     def read(
-        self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray, *, bounded: bool = True
-    ) -> tuple[Array, Array]:
+        self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray,
+        *, bounded: bool = True,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Columns (loops, columns) of the kernel for open loops L (loops, nf) under C (nf,), and where they lie in Hz.
 
         What |L| may do above the last line counts where `bounded`.

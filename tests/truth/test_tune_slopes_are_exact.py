@@ -30,8 +30,10 @@ LIMITS = {
     "complementary_bandwidth_hz": 15.0,
     "controller_bandwidth_hz": 300.0,
     "masks": [
-        {"response": name, "points": [[1.0, -20.0], [30.0, 3.0], [4000.0, -10.0]]} for name in ("S", "T", "CS", "PS", "L")
-    ] + [{"response": "L", "sense": "at_least", "points": [[1.0, 20.0], [10.0, 3.0]]}],
+        {"response": name, "points": [[1.0, -20.0], [30.0, 3.0], [4000.0, -10.0]]}
+        for name in ("S", "T", "CS", "PS", "L")
+    ]
+    + [{"response": "L", "sense": "at_least", "points": [[1.0, 20.0], [10.0, 3.0]]}],
 }
 OBJECTIVE = {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 3.0}
 LAG = {"kind": "low_pass", "order": 1, "f_hz": {"min": 50.0, "max": 4000.0}}
