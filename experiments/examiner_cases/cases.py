@@ -12,6 +12,7 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.requirements import Requirements
+from loopshape.loop.reading import Reader
 from loopshape.loop.verdict import check
 
 RATE_HZ, DRAWS = 20_000.0, 100
@@ -162,7 +163,7 @@ def exact_margins(plant: Plant, controller: Controller, dense_hz: Array) -> dict
     """Margins of the formula on a grid so dense that chords do not matter."""
     C = controller.response(dense_hz)
     above = np.array([dense_hz[-1], 1.1 * dense_hz[-1]])
-    found, _ = kernel.read_margins(dense_hz, (plant(dense_hz) * C)[None], C, above, controller.response(above), np.inf)
+    found, _ = Reader().read(dense_hz, (plant(dense_hz) * C)[None], C, above, controller.response(above))
     columns = found[0]
     return {
         "gain_margin_db": float(columns[kernel.GAIN_DB]),
