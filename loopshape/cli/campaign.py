@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -37,8 +39,6 @@ def campaign(
     quiet: Quiet = False,
 ) -> None:
     """Do a study to many simulated machines: draws of the manufacturing tolerance, amplitudes, effects."""
-    import time
-
     from loopshape.io.campaigns import write_index
     from loopshape.io.files import make_folder
     from loopshape.io.run_folder import alone
@@ -50,7 +50,7 @@ def campaign(
     of = _part(part, merge)
     folder = out / of.name if of else out
     make_folder(folder)
-    started = time.monotonic()
+    started = monotonic()
     with alone(folder), interrupts():
         write_index(folder, planned.machines)
         try:
@@ -58,7 +58,7 @@ def campaign(
         except KeyboardInterrupt:
             output.warn(["interrupted; what the runs list is kept, the same command goes on"])
             raise typer.Exit(130) from None
-    wall_s = time.monotonic() - started
+    wall_s = monotonic() - started
     done = "merged" if merge else "made"
     output.say(f"{len(planned.machines)} machines, {made} recordings {done} in {wall_s:.1f} s, in {folder}")
     output.json({"machines": len(planned.machines), "recordings": made, "wall_s": wall_s})
@@ -120,42 +120,58 @@ def _read(file: Path) -> tuple[Campaign, Path]:
 
 def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], output: Output) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
-    import time
-
-    from loopshape.io.run_folder import adopt, sweep
+    from loopshape.io.run_folder import sweep
     from loopshape.rig.many import carried_out
 
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
-    begun, written, made = set[str](), dict[str, list[dict[str, Any]]](), 0
-    studies: dict[str, Study] = {}
-
-    def name_written() -> None:
-        for machine, entries in written.items():
-            run = _run(studies[machine], machine, planned.plant, planned.origin)
-            adopt(out / machine, run, entries, planned.names)
-        written.clear()
-        studies.clear()
-
+    begun, made = set[str](), 0
     try:
         with (
+            closing(_Naming(out, planned)) as naming,
             output.progress("campaign", len(wanted)) as step,
             closing(carried_out(work, _todo(out, planned, wanted, step, begun), *by)) as results,
         ):
-            last = time.monotonic()
             for job, entry in results:
-                written.setdefault(job.machine, []).append(entry)
-                studies[job.machine] = job.study
+                naming.add(job, entry)
                 made += 1
-                if time.monotonic() - last > NAMED_S:
-                    name_written()
-                    last = time.monotonic()
                 step(f"{job.machine} {job.planned.name}")
     finally:
-        name_written()
         for machine in begun:
             sweep(out / machine)
     return made
+
+
+class _Naming:
+    """Names tables that are whole in `run.toml`, those of a second together, while workers make the next ones."""
+
+    def __init__(self, out: Path, planned: _Planned) -> None:
+        self._out, self._planned = out, planned
+        self._waiting: dict[str, tuple[Study, list[dict[str, Any]]]] = {}
+        self._thread = ThreadPoolExecutor(1)
+        self._last = self._thread.submit(self._name, {})
+        self._next_s = monotonic() + NAMED_S
+
+    def add(self, job: Job, entry: dict[str, Any]) -> None:
+        """A table to be named soon; raises what kept an earlier one from being named."""
+        self._waiting.setdefault(job.machine, (job.study, []))[1].append(entry)
+        if self._last.done() and monotonic() > self._next_s:
+            self._last.result()
+            self._last = self._thread.submit(self._name, self._waiting)
+            self._waiting, self._next_s = {}, monotonic() + NAMED_S
+
+    def close(self) -> None:
+        """Name all that are left."""
+        with self._thread:
+            self._last.result()
+            self._name(self._waiting)
+
+    def _name(self, waiting: Mapping[str, tuple[Study, list[dict[str, Any]]]]) -> None:
+        from loopshape.io.run_folder import adopt
+
+        for machine, (study, entries) in waiting.items():
+            run = _run(study, machine, self._planned.plant, self._planned.origin)
+            adopt(self._out / machine, run, entries, self._planned.names)
 
 
 def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str]) -> Iterator[Job]:
@@ -183,11 +199,11 @@ def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str
                 yield Job(machine.name, machine.study, one, machine.hidden)
 
 
-def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> dict[str, Any]:
-    """What a worker does with a job: leave the table in its run's folder, whole, and say what it is."""
+def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> Callable[[], dict[str, Any]]:
+    """What a worker does with a job: fill its table; what this gives puts that in the run's folder and tells of it."""
     from loopshape.core.errors import RigError
     from loopshape.io.campaigns import INDEX
-    from loopshape.io.run_folder import read_unlisted, write_unlisted
+    from loopshape.io.run_folder import fill_unlisted, read_unlisted
     from loopshape.rig.many import done
 
     if not (out / INDEX).is_file():
@@ -198,7 +214,7 @@ def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> dict[st
         )
     run = _run(job.study, job.machine, plant, origin)
     there = read_unlisted(out / job.machine, run, job.planned.name)
-    return there or write_unlisted(out / job.machine, run, done(plant, job))
+    return (lambda: there) if there else fill_unlisted(out / job.machine, run, done(plant, job))
 
 
 def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> Run:

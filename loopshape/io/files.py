@@ -73,19 +73,40 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     is refused with `UnreadableInputError`, a path without a name with `WrongUseError`; whatever `write` raises
     leaves no temporary file behind. Nothing is put in place where a file that was read has changed since.
     """
+    fill(path, write)()
+
+
+def fill(path: Path, write: Callable[[Path], None]) -> Callable[[], None]:
+    """The first half of `write_whole`, which leaves nothing but the temporary file; gives the second half.
+
+    That half waits for the disk, so another thread may do it meanwhile.
+    """
     if not path.name:
         raise WrongUseError("an output file needs a name", f"an empty one or the folder {path}", "name a file")
     part = part_of(path)
+    with _or_nothing(part, path):
+        clear(path.parent)
+        write(part)
+
+    def put_in_place() -> None:
+        with _or_nothing(part, path):
+            put(part, path)
+
+    return put_in_place
+
+
+@contextmanager
+def _or_nothing(part: Path, path: Path) -> Iterator[None]:
+    """What fails or is interrupted leaves no temporary file; says why a path cannot be written."""
     try:
         with writing(path):
-            clear(path.parent)
-            write(part)
-            put(part, path)
-    except UnicodeEncodeError:
-        raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
-    finally:
+            yield
+    except BaseException as error:
         with suppress(OSError):
             part.unlink()
+        if isinstance(error, UnicodeEncodeError):
+            raise WrongUseError("a file's name or its folder's is no text", ascii(str(path)), "rename it") from None
+        raise
 
 
 def put(part: Path, path: Path) -> None:
@@ -158,6 +179,16 @@ def write_all(handle: int, data: bytes) -> None:
     """Write it to its end: a full disk takes a part and says so at the next one only."""
     while data:
         data = data[os.write(handle, data) :]
+
+
+def leave_memory(path: Path) -> None:
+    """Tell the system that a file on the disk is not read soon: the memory that it takes serves the next one."""
+    if hasattr(os, "posix_fadvise"):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+        finally:
+            os.close(handle)
 
 
 def _sync(path: Path) -> None:

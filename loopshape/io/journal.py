@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,15 +24,22 @@ _LONGEST = 64 * 1024 * 1024  # bytes read
 
 def note(folder: Path, event: str, **words: object) -> None:
     """Add a line, on the disk when this returns. Refuses a folder or disk that cannot be written."""
-    line = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event} | json_ready(words)
+    note_all(folder, event, [words])
+
+
+def note_all(folder: Path, event: str, several: Sequence[Mapping[str, object]]) -> None:
+    """As `note`, of several events of a kind, which wait for the disk once."""
+    if not several:
+        return
+    said = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
+    text = "".join(json.dumps(said | json_ready(words), ensure_ascii=False) + "\n" for words in several)
     path = folder / FILE
     own(path)
     with writing(path):
         handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | _NO_LINK, 0o644)
         try:
             torn = _torn(handle)
-            first, text = "\n" * torn, json.dumps(line, ensure_ascii=False)
-            write_all(handle, f"{first}{text}\n".encode("utf-8", "replace"))
+            write_all(handle, ("\n" * torn + text).encode("utf-8", "replace"))
             os.fsync(handle)
         finally:
             os.close(handle)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,15 +21,15 @@ from loopshape.core.stretches import LongSignal, Signal, equal
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.io.arriving import ARRIVING, EARLIER, next_earlier
-from loopshape.io.files import PART, inside, make_folder, reading, remove_part, short, write_toml
+from loopshape.io.files import PART, inside, leave_memory, make_folder, reading, remove_part, short, write_toml
 from loopshape.io.held import alone as alone
 from loopshape.io.held import held
 from loopshape.io.journal import FILE as JOURNAL
-from loopshape.io.journal import note, read_journal
+from loopshape.io.journal import note, note_all, read_journal
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run_signals import check_recordings as check_recordings
 from loopshape.io.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
-from loopshape.io.tables import TIME, TableColumns, check_rate, read_about, write_table
+from loopshape.io.tables import TIME, TableColumns, check_rate, fill_table, read_about
 from loopshape.io.toml_text import toml_text
 from loopshape.io.words import Words, read_words, refuse_doubles
 
@@ -274,17 +274,25 @@ def _put_in_place_of(old: Mapping[str, Any], folder: Path, words: Words, recordi
     note(folder, "kept", recording=name, file=f"{EARLIER}/{kept.name}", ended_early=old["ended_early"])
 
 
-def write_unlisted(folder: Path, run: Run, recording: Recording) -> dict[str, Any]:
-    """Write a recording's table into the folder of a run, whole, and give its words; `adopt` names it in `run.toml`.
+def fill_unlisted(folder: Path, run: Run, recording: Recording) -> Callable[[], dict[str, Any]]:
+    """Write a recording's table into the folder of a run; what this gives puts it in place, whole, and tells its words.
 
-    Needs no hold on the folder, and no `run.toml`. Refuses what `add_recording` refuses of a recording.
+    Those are for `adopt`, which names it in `run.toml`. Needs no hold on the folder, and no `run.toml`. Refuses what
+    `add_recording` refuses of a recording.
     """
     make_folder(folder)
-    return _written(folder, Words(_header(run), "the run"), recording)
+    entry, put_in_place = _filled(folder, Words(_header(run), "the run"), recording)
+
+    def told() -> dict[str, Any]:
+        put_in_place()
+        leave_memory(folder / entry["file"])
+        return entry
+
+    return told
 
 
 def read_unlisted(folder: Path, run: Run, name: str) -> dict[str, Any] | None:
-    """The words of a table that `write_unlisted` left whole, made by these versions for this run; None without one."""
+    """The words of a table that `fill_unlisted` left whole, made by these versions for this run; None without one."""
     path = folder / f"{name}.parquet"
     if not path.is_file():
         return None
@@ -297,13 +305,14 @@ def read_unlisted(folder: Path, run: Run, name: str) -> dict[str, Any] | None:
 
 
 def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: Sequence[str]) -> None:
-    """Name tables of `write_unlisted` in a run's `run.toml`, in the `order` of names, and begin it where it is missing.
+    """Name tables of `fill_unlisted` in a run's `run.toml`, in the `order` of names, and begin it where it is missing.
 
     Refuses a run that another process is writing, and one whose header differs. What is named is not named again.
     """
     with held(folder):
-        words = read_run_words(folder) if has_run(folder) else Words(_header(run), "the run")
-        _refuse_other(folder, words, _header(run))
+        header = _header(run)
+        words = read_run_words(folder) if has_run(folder) else Words(header, "the run")
+        _refuse_other(folder, words, header)
         there = _listed(words)
         _list(folder, words.table, [entry for entry in entries if _name(entry) not in there], order)
 
@@ -332,12 +341,22 @@ def _list(
     place = {name: k for k, name in enumerate(order)}
     both = sorted([*table.get("recording", []), *entries], key=lambda entry: place.get(_name(entry), len(place)))
     write_toml(folder / RUN_TOML, dict(table) | {"recording": both})
-    for entry in entries:
-        note(folder, "finished", recording=_name(entry), sha256=entry["sha256"], ended_early=entry.get("ended_early"))
+    note_all(
+        folder,
+        "finished",
+        [{"recording": _name(e), "sha256": e["sha256"], "ended_early": e.get("ended_early")} for e in entries],
+    )
 
 
 def _written(folder: Path, words: Words, recording: Recording) -> dict[str, Any]:
     """Write a table of the run that `words` begin; gives its words for `run.toml`."""
+    entry, put_in_place = _filled(folder, words, recording)
+    put_in_place()
+    return entry
+
+
+def _filled(folder: Path, words: Words, recording: Recording) -> tuple[dict[str, Any], Callable[[], None]]:
+    """The first half of `_written`: the words, and the second half, which puts the table in place."""
     rate_hz = words.positive("rate_hz")
     entry = _entry(recording)
     info = read_recording(Words(entry, f"recording {recording.info.name!r}"), read_loops(words, rate_hz))
@@ -346,7 +365,8 @@ def _written(folder: Path, words: Words, recording: Recording) -> dict[str, Any]
             f"a recording of this run is a .parquet file at {rate_hz:g} Hz", f"{info.file} at {recording.rate_hz:g} Hz"
         )
     path = inside(folder, info.file, "the file of a recording")
-    return entry | {"sha256": write_table(path, _timed(recording), _about(words, entry))}
+    digest, put_in_place = fill_table(path, _timed(recording), _about(words, entry))
+    return entry | {"sha256": digest}, put_in_place
 
 
 def _about(words: Words, entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import NoReturn
 
 from loopshape.core.errors import UnreadableInputError
@@ -21,6 +22,7 @@ _SPECIAL = (
     (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
 )  # fmt: skip
 _noted: dict[str, State] | None = None  # by absolute path; None while no command runs
+_counting = Lock()
 _alone = 0  # holds of run folders: what lies in them cannot change
 
 
@@ -41,13 +43,19 @@ def noting() -> Iterator[None]:
 @contextmanager
 def settled() -> Iterator[None]:
     """While a run is held for this writer: what was read before is still so, and nobody changes it."""
-    global _alone
     refuse_changed()
-    _alone += 1
+    _count_alone(1)
     try:
         yield
     finally:
-        _alone -= 1
+        _count_alone(-1)
+
+
+def _count_alone(more: int) -> None:
+    """One hold more or less, by whichever thread."""
+    global _alone
+    with _counting:
+        _alone += more
 
 
 def look(path: Path) -> None:

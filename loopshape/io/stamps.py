@@ -136,8 +136,10 @@ def check_rate(t_s: Signal, rate_hz: float, what: str = "the recording") -> str:
     if bad.size or not t.size:
         raise BadSignalError(f"{what} has no time stamp in row {bad[0] if bad.size else 0}", "no finite number")
     with np.errstate(over="ignore", invalid="ignore"):  # stamps of 1e308 are off the grid, and that is all
-        off = t - t[0] - np.arange(t.size) / rate_hz
-        if np.all(np.abs(off) <= ON_GRID / rate_hz + 4.0 * np.finfo(float).eps * np.abs(t).max()):
+        off = t - t[0]
+        off -= np.arange(t.size) / rate_hz
+        largest = max(t.max(), -t.min())
+        if max(off.max(), -off.min()) <= ON_GRID / rate_hz + 4.0 * np.finfo(float).eps * largest:
             return ""
         if not np.isfinite((t[-1] - t[0]) * rate_hz) or not np.isfinite(off).all():
             raise BadSignalError(f"the time stamps of {what} leave the rate of {rate_hz:g} Hz", f"up to {t.max():g} s")

@@ -19,7 +19,7 @@ from loopshape.core.json_ready import json_ready
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
-from loopshape.io.files import reading, short, write_whole
+from loopshape.io.files import fill, reading, short
 from loopshape.io.growth import check_growth
 from loopshape.io.provenance import file_hash
 from loopshape.io.seen import State, refuse, state_of
@@ -28,6 +28,7 @@ from loopshape.io.stamps import check_rate
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 TIME = "t_s"
 _ABOUT = "loopshape"  # key of a file's metadata
+_BATCH = 1 << 17  # rows of a column that are packed at once
 _LOOKED_AT = 1000  # values of a column, evenly spread, that its packing is chosen by
 #: bytes of columns that all tables together keep in memory; those used longest ago are read again when asked for
 KEPT_BYTES = 192_000_000
@@ -259,6 +260,15 @@ def write_table(path: Path, columns: Mapping[str, Signal], about: Mapping[str, o
     Gives the SHA-256 of the file. Groups of rows are written as they are read. Refuses no columns, and columns that
     are not one-dimensional or differ in length.
     """
+    digest, put_in_place = fill_table(path, columns, about)
+    put_in_place()
+    return digest
+
+
+def fill_table(
+    path: Path, columns: Mapping[str, Signal], about: Mapping[str, object] | None = None
+) -> tuple[str, Callable[[], None]]:
+    """The first half of `write_table` with the file's SHA-256; the second puts the file in place."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -273,41 +283,41 @@ def write_table(path: Path, columns: Mapping[str, Signal], about: Mapping[str, o
             ", ".join(f"{name} ({values.size},)" for name, values in signals.items()) or "no columns",
         )
     said = None if about is None else {_ABOUT: json.dumps(json_ready(about))}
-    schema = pa.schema([(name, pa.float64()) for name in signals], metadata=said)
+    schema = pa.schema([pa.field(name, pa.float64(), nullable=False) for name in signals], metadata=said)
     digest = sha256()
 
     def write(part: Path) -> None:
         with (
-            part.open("wb", buffering=1 << 22) as plain,
+            part.open("wb", buffering=1 << 16) as plain,
             pq.ParquetWriter(_Hashed(plain, digest.update), schema, **_packing(signals)) as file,
         ):
             for rows in stretches(*signals.values()):
                 table = pa.table([pa.array(np.ascontiguousarray(x)) for x in rows], schema=schema)
                 file.write_table(table, row_group_size=AT_ONCE)
 
-    write_whole(path, write)
-    return digest.hexdigest()
+    put_in_place = fill(path, write)
+    return digest.hexdigest(), put_in_place
 
 
 def _packing(signals: Mapping[str, Signal]) -> dict[str, Any]:
-    """How columns are packed, by their first rows: a third of the time of Parquet's usual way, and a quarter smaller.
+    """How columns are packed, by their first rows: a quarter of the time of Parquet's usual way, and a quarter smaller.
 
-    A dictionary packs best what takes few values, as converters and setpoints do; bytes of one place together pack the
-    rest.
+    A dictionary packs best what takes a few values, as behind a converter; bytes of one place together pack the rest,
+    setpoints too. A batch fills some pages, so that the writer seldom stops.
     """
     first = next(stretches(*signals.values()), ())
     few = [name for name, values in zip(signals, first, strict=False) if _few_valued(values)]
     return {
-        "compression": "zstd",
-        "compression_level": -3,
+        "compression": "lz4",
         "use_dictionary": few,
         "use_byte_stream_split": [name for name in signals if name not in few],
         "write_statistics": False,
+        "write_batch_size": _BATCH,
     }
 
 
 def _few_valued(values: Array) -> bool:
-    return len(set(values[:: max(1, values.size // _LOOKED_AT)].tolist())) <= _LOOKED_AT // 10
+    return 1 < np.unique(values[:: max(1, values.size // _LOOKED_AT)]).size <= _LOOKED_AT // 10
 
 
 class _Hashed:

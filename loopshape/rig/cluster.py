@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
 from loopshape.core.errors import RigError, WrongUseError
+from loopshape.rig.processes import Work
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -18,8 +20,8 @@ _AHEAD = 2  # tasks a thread of the cluster: one at work, one waiting
 _PATIENCE_S = 30  # for the first worker
 
 
-def by_cluster(work: Callable[[J], R], jobs: Iterable[J], address: str) -> Generator[tuple[J, R]]:
-    """Jobs and what `work` gave, as it comes; raises what it raises.
+def by_cluster(work: Work[J, R], jobs: Iterable[J], address: str) -> Generator[tuple[J, R]]:
+    """Jobs and what came of `work`, as it comes; raises what it raises.
 
     A task is as many jobs as take some two seconds by what was measured so far. The scheduler does the tasks of a lost
     worker again. Refuses an installation without distributed, and a cluster that does not answer or has no worker.
@@ -47,10 +49,12 @@ def by_cluster(work: Callable[[J], R], jobs: Iterable[J], address: str) -> Gener
             yield from zip(tasks.pop(future.key), answers, strict=True)
 
 
-def _batch(work: Callable[[J], R], jobs: Sequence[J]) -> tuple[list[R], float]:
-    """What the work on each gave, and the seconds that all took."""
+def _batch(work: Work[J, R], jobs: Sequence[J]) -> tuple[list[R], float]:
+    """What came of the work on each, and the seconds that all took."""
     begun = time.perf_counter()
-    return [work(job) for job in jobs], time.perf_counter() - begun
+    with ThreadPoolExecutor(1) as disk:
+        answers = [disk.submit(work(job)) for job in jobs]
+    return [answer.result() for answer in answers], time.perf_counter() - begun
 
 
 def _next_count(jobs: int, seconds: float) -> int:

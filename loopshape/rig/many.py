@@ -6,7 +6,7 @@ Whoever makes a job makes the same to the last bit, so workers that die cost tim
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -15,7 +15,7 @@ from loopshape.data.recording import Recording
 from loopshape.data.study import Study
 from loopshape.rig.cluster import by_cluster
 from loopshape.rig.effects import moves
-from loopshape.rig.processes import by_processes
+from loopshape.rig.processes import Work, by_processes
 from loopshape.rig.simulated import Planned, Rig, experiment
 
 R = TypeVar("R")
@@ -40,9 +40,9 @@ def done(plant: Rig, job: Job) -> Recording:
 
 
 def carried_out(
-    work: Callable[[Job], R], jobs: Iterable[Job], workers: int = 0, cluster: str | None = None
+    work: Work[Job, R], jobs: Iterable[Job], workers: int = 0, cluster: str | None = None
 ) -> Generator[tuple[Job, R]]:
-    """Jobs and what the work on each gave, as it comes; the work leaves what is large on a disk.
+    """Jobs and what came of the work on each, as it comes; the work leaves what is large on a disk.
 
     `workers` processes here (0: one a core), or those of the Dask scheduler at `cluster`. Refuses a number of workers
     that `check_workers` refuses, a cluster without its extra, and one that does not answer. A job that ends two

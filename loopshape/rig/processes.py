@@ -9,7 +9,9 @@ import os
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import islice
 from multiprocessing import get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -20,12 +22,14 @@ from loopshape.core.errors import RigError
 
 J = TypeVar("J")
 R = TypeVar("R")
-_AHEAD = 2  # jobs that a process has: it goes on while its answer is read
+#: does a job's work, and gives what waits for the disk and tells what came of it: the next job is at work meanwhile
+Work = Callable[[J], Callable[[], R]]
+_AHEAD = 3  # jobs that a process has: one waits for the disk, one is at work, one is there when its answer is read
 _DEATHS = 2  # of processes over one job, from which on it is the job's fault
 
 
-def by_processes(work: Callable[[J], R], jobs: Iterable[J], processes: int) -> Generator[tuple[J, R]]:
-    """Jobs and what `work` gave, as it comes; raises what it raises.
+def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generator[tuple[J, R]]:
+    """Jobs and what came of `work`, as it comes; raises what it raises.
 
     The job of a process that dies is done again by another; a job that ends two of them raises `RigError`.
     """
@@ -86,7 +90,7 @@ class _Left(Generic[J]):
 class _Process(Generic[J]):
     """A process at work, with the jobs that it has not answered."""
 
-    def __init__(self, work: Callable[[J], Any], first: list[J]) -> None:
+    def __init__(self, work: Work[J, Any], first: list[J]) -> None:
         self.pipe, theirs = get_context("spawn").Pipe()
         self._process = get_context("spawn").Process(target=_serve, args=(work, theirs), daemon=True)
         with _without_interrupts():
@@ -132,17 +136,26 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(work: Callable[[Any], Any], pipe: Connection) -> None:
+def _serve(work: Work[Any, Any], pipe: Connection) -> None:
     """Answer jobs until there are no more, or the parent is gone, however it went."""
     Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, OSError):  # its end closed: in order, or with answers unread
+    with suppress(EOFError, OSError), ThreadPoolExecutor(1) as disk:  # its end closed: in order, or with answers unread
         while True:
-            job = pipe.recv()
-            try:
-                answer = (False, work(job))
-            except Exception as error:  # of any kind: the parent raises it where the answer is read
-                answer = (True, error)
-            pipe.send(answer)
+            failed, done = _tried(partial(work, pipe.recv()))
+            disk.submit(_answer, pipe, failed, done)
+
+
+def _answer(pipe: Connection, failed: bool, done: Any) -> None:
+    """Tell what came of a job, in the order of jobs."""
+    pipe.send((True, done) if failed else _tried(done))
+
+
+def _tried(work: Callable[[], Any]) -> tuple[bool, Any]:
+    """Whether it raised, and what it gave or raised: the parent raises it where the answer is read."""
+    try:
+        return False, work()
+    except Exception as error:  # of any kind
+        return True, error
 
 
 def _end_with_parent() -> None:

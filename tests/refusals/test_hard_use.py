@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -285,11 +286,40 @@ import signal
 from loopshape.rig.processes import by_processes
 
 def deaf(job):
-    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    return lambda: blocked
 
 if __name__ == "__main__":
     print(*[told for _, told in by_processes(deaf, range(6), 2)])
 """
+
+
+OVERLAP = """
+import sys, time
+from functools import partial
+from pathlib import Path
+from loopshape.rig.processes import by_processes
+
+def told_when_the_next_is_at_work(folder, job):
+    (folder / str(job)).touch()
+    return partial(wait_for, folder, job)
+
+def wait_for(folder, job):
+    while job < 5 and not (folder / str(job + 1)).exists():
+        time.sleep(0.01)
+    return job
+
+if __name__ == "__main__":
+    print(*[told for _, told in by_processes(partial(told_when_the_next_is_at_work, Path(sys.argv[1])), range(6), 1)])
+"""
+
+
+@pytest.mark.timeout(60)
+def test_the_next_recording_is_made_while_one_waits_for_the_disk(tmp_path):
+    (tmp_path / "overlap.py").write_text(OVERLAP)
+    words = [sys.executable, str(tmp_path / "overlap.py"), str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0", "1", "2", "3", "4", "5"]
 
 
 def test_no_worker_hears_ctrl_c_not_even_the_first_of_an_interpreter(tmp_path):
@@ -300,7 +330,9 @@ def test_no_worker_hears_ctrl_c_not_even_the_first_of_an_interpreter(tmp_path):
 
 def test_a_worker_whose_parent_goes_with_an_answer_unread_ends_without_a_word():
     ours, its = multiprocessing.get_context("spawn").Pipe()  # closed with data unread, its end is reset, not ended
-    worker = multiprocessing.get_context("spawn").Process(target=processes._serve, args=(abs, its), daemon=True)
+    worker = multiprocessing.get_context("spawn").Process(
+        target=processes._serve, args=(partial(partial, abs), its), daemon=True
+    )
     worker.start()
     its.close()
     ours.send(-1)
