@@ -114,7 +114,7 @@ def draw(pairs: Sequence[Pair]) -> None:
     figure = new_figure(1, len(pairs), (7.4, 3.0))
     for ax, one in zip(figure.axes, pairs, strict=True):
         panel(ax, one)
-    figure.axes[0].set_ylabel("excitation to optical lever [dB re 1/count]")
+    figure.axes[0].set_ylabel("lever over excitation [dB]")
     figure.axes[0].legend(loc="lower left")
     head(figure, "A repeat 92 min later lies within the intervals of five averages", SOURCE)
     write_bytes_whole(FIGURES / "repeat.png", png(figure))
@@ -124,7 +124,7 @@ def panel(ax: Axes, one: Pair) -> None:
     """First measurement, its interval and the repeat over frequency."""
     half = np.sqrt(f_distribution.ppf(0.95, 2.0, one.freedom) * one.first_variance)
     size = np.abs(one.first)
-    low = db(np.maximum(size - half, 0.05 * size))
+    low = db(np.maximum(size - half, 0.3 * size))
     ax.fill_between(one.frequency_hz, low, db(size + half), color=COLOURS[0], alpha=0.25, linewidth=0.0)
     ax.plot(one.frequency_hz, db(size), color=COLOURS[0], label="first, 95 %")
     ax.plot(one.frequency_hz, db(np.abs(one.again)), ".", color=COLOURS[1], markersize=2.5, label="repeat")

@@ -14,6 +14,7 @@ from loopshape.core.units import Array
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.io.import_map import ColumnRule, ImportMap, read_map
+from loopshape.io.made_columns import make_columns
 from loopshape.io.sources import Source, open_source
 from loopshape.io.stamps import ON_GRID, Stamps, check_rate, read_stamps
 from loopshape.io.tables import TIME
@@ -58,7 +59,8 @@ def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accep
         notes.append(f"{rules.info.name}: {note}")
     elif stamps is not None and (note := check_rate(stamps, rules.rate_hz, file.name)):
         notes.append(f"{rules.info.name}: {note}")
-    return _run(rules, columns, notes)
+    columns, made = make_columns(columns, rules.made, rules.loops)
+    return _run(rules, columns, [*notes, *(f"{rules.info.name}: {note}" for note in made)])
 
 
 def _run(rules: ImportMap, columns: Mapping[str, Signal], notes: list[str]) -> Run:

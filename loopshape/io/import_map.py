@@ -18,6 +18,7 @@
     theta_m_rad = { from = "theta_mx", unit = "deg", sign = -1 }
     force_n = { from = "data", column = 3, unit = "V", gain = 50.0, offset = -0.1 }
     gyro_rad_s = { from = "gyro.x", unit = "rad/s", time = "time of gyro" }   # stamps in s of its own, another rate
+    z_v = { sum = "r_rad - theta_m_rad", controller = "axis" }                # made of columns above: `made_columns`
 
     [[loop]]                                   # as in run.toml
     [recording]                                # as in run.toml without file, and with
@@ -51,6 +52,7 @@ from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import RecordingInfo
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import plain_name
+from loopshape.io.made_columns import MadeRule, check_made, made_of_loops, read_made
 from loopshape.io.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
 from loopshape.io.sources import Place
 from loopshape.io.tables import TIME
@@ -90,6 +92,7 @@ class ImportMap:
     resample: bool
     csv: CsvShape
     columns: tuple[ColumnRule, ...]
+    made: tuple[MadeRule, ...]
     loops: tuple[LoopSetup, ...]
     info: RecordingInfo
     from_row: int
@@ -116,10 +119,15 @@ def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -
     guesses = _draft(words, accept_draft)
     words.need("rate_hz", "columns", "loop", "recording")
     rate_hz = words.positive("rate_hz")
+    words, of_loops = made_of_loops(words)
+    _refuse_no_control(words)
     loops = read_loops(words, rate_hz)
-    columns = _read_columns(words.inner("columns"))
+    columns, made = _read_columns(words.inner("columns"))
+    made = (*made, *of_loops)
+    stored = {rule.stored for rule in columns}
+    check_made(made, stored, loops, words.where)
     outputs = read_outputs(words)
-    _refuse_unfed(loops, outputs, {rule.stored for rule in columns}, words.where)
+    _refuse_unfed(loops, outputs, stored | {rule.stored for rule in made}, words.where)
     _refuse_twice(loops, {rule.stored: rule.place for rule in columns}, words.where)
     recording = words.inner("recording")
     from_row, to_row = _rows(recording)
@@ -129,6 +137,7 @@ def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -
         resample=_resample(words),
         csv=_read_csv(words.inner("csv")),
         columns=columns,
+        made=made,
         loops=loops,
         info=_read_info(recording, default_name, loops),
         from_row=from_row,
@@ -189,13 +198,27 @@ def _read_csv(words: Words) -> CsvShape:
     return CsvShape(separator, header, words.whole("skip_rows", 0), decimal, words.whole("unit_rows", 0), encoding)
 
 
-def _read_columns(words: Words) -> tuple[ColumnRule, ...]:
+def _read_columns(words: Words) -> tuple[tuple[ColumnRule, ...], tuple[MadeRule, ...]]:
+    """Columns that come from the file, and those that are made of others."""
     if TIME in words.table:
         raise WrongUseError(f"{words.where}: t_s is made from rate_hz", "a rule for it", "write time = { ... } instead")
-    rules = tuple(_read_rule(stored, words.inner(stored)) for stored in words.table)
+    tables = {stored: words.inner(stored) for stored in words.table}
+    rules = tuple(_read_rule(stored, table) for stored, table in tables.items() if "sum" not in table.table)
     if not rules:
         raise WrongUseError(f"{words.where}: no column is imported", "an empty table", "name at least one")
-    return rules
+    return rules, tuple(read_made(stored, table) for stored, table in tables.items() if "sum" in table.table)
+
+
+def _refuse_no_control(words: Words) -> None:
+    """A loop whose control was not logged: with its controller the control can be computed."""
+    for loop in words.tables("loop"):
+        if "control" in loop.table:
+            continue
+        raise WrongUseError(
+            f"{loop.where}: a loop without its control", "no control",
+            'log it; or, with controller = [...] under [[loop]], let it be computed: under [columns] z_v = { sum ='
+            ' "r_rad - y_rad", controller = "' + str(loop.table.get("name", "loop")) + '" }, and control = "z_v"',
+        )  # fmt: skip
 
 
 def _read_rule(stored: str, words: Words) -> ColumnRule:
@@ -270,7 +293,7 @@ def _refuse_twice(loops: tuple[LoopSetup, ...], places: Mapping[str, Place], whe
     for loop in loops:
         others = [str(name) for name in (loop.control, loop.injected, loop.reference) if name is not None]
         for output, other in product(sum_terms(loop.output), others):
-            if places[output] == places[other]:
+            if output in places and places[output] == places.get(other):
                 raise WrongUseError(
                     f"{where}: {output} and {other} of loop {loop.name!r} come from one place in the file",
                     ", ".join(str(x) for x in (places[other].name, places[other].column) if x is not None),
