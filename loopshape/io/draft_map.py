@@ -20,6 +20,7 @@ from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUse
 from loopshape.core.units import UNITS, Array, to_stored
 from loopshape.io.column_words import Role, column_name, is_time, split_unit, unit_of_word
 from loopshape.io.csv_text import CsvShape
+from loopshape.io.dataflash import rate_message
 from loopshape.io.draft_roles import Roles, find_roles
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.import_map import FORMAT
@@ -31,6 +32,11 @@ from loopshape.io.toml_text import toml_text
 from loopshape.io.ulog import rate_loop
 
 _MOST_COLUMNS = 64
+#: logs of flight controllers: where an axis's rate loop stands, its unit, and what to log where it is missing
+_FLIGHT = {
+    ".ulg": (rate_loop, "rad/s", "vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE)"),
+    ".bin": (rate_message, "deg/s", "RATE (LOG_BITMASK with attitude, fast)"),
+}
 _RATE_WORDS = re.compile(
     r"\b(fs|rate|rate_hz|sample[ _]?rate|sampling[ _]?rate|sampling[ _]?frequency|abtastrate|f_?s)\b[^0-9\n]{0,12}"
     r"([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(k?hz)?",
@@ -87,14 +93,17 @@ def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     """
     layout = read_layout(file) if is_text(file) else None
     source = open_source(file, CsvShape() if layout is None else layout.shape)
-    columns, scalars = _rate_loop(source) if file.suffix.lower() == ".ulg" else _columns(source, layout)
+    parts = _flight_parts(source) if file.suffix.lower() in _FLIGHT else {}
+    columns, scalars = (_rate_loop(source, parts), {}) if parts else _columns(source, layout)
     found = _time(columns, layout, scalars)
     if rate_hz is not None:
         found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
     signals = [c for c in columns if c.name != found.column and not c.name.startswith(TIME_OF)]
     still = [c.name for c in signals if np.ptp(c.values) == 0.0]
     moving = tuple(c for c in signals if c.name not in still)
-    roles = find_roles([c.name for c in moving], np.stack([c.values for c in moving], axis=1)) if moving else Roles()
+    known = {Role(part): name for part, name in parts.items()}
+    table = np.stack([c.values for c in moving], axis=1) if moving else np.empty((0, 0))
+    roles = find_roles([c.name for c in moving], table, known) if moving else Roles()
     return _drafted(file, layout, found, moving, still, roles)
 
 
@@ -145,25 +154,32 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
     return tuple(_trimmed(c) for c in found if c.values.size == rows), scalars
 
 
-def _rate_loop(source: Source) -> tuple[tuple[Column, ...], dict[str, float]]:
-    """The roll axis of a PX4 log's rate loop at the stamps of its gyro, each topic's own stamps beside it."""
-    parts = rate_loop(source.names, 0)
+def _flight_parts(source: Source) -> dict[str, str]:
+    """The signals of the roll axis's rate loop in a flight log; refuses a log without control or output."""
+    find, _, cure = _FLIGHT[source.path.suffix.lower()]
+    parts = find(source.names, 0)
     if not {"control", "output"} <= set(parts):
         raise UnreadableInputError(
             f"{source.path.name} holds no rate loop", f"of roll only {', '.join(parts.values()) or 'nothing'}",
-            "log vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE with system identification)",
+            f"log {cure}",
         )  # fmt: skip
+    return parts
+
+
+def _rate_loop(source: Source, parts: Mapping[str, str]) -> tuple[Column, ...]:
+    """A flight log's rate loop at the stamps of its gyro, each topic's own stamps beside it."""
+    _, rate_unit, _ = _FLIGHT[source.path.suffix.lower()]
     main = _stamps_of(parts["output"])
     t = np.asarray(source.load(main))
     columns = [Column(main, Place(main), "s", t)]
     for part, name in parts.items():
         own, values = _stamps_of(name), np.asarray(source.load(name), dtype=float)
-        unit = "1" if part == "control" else "rad/s"
+        unit = "1" if part == "control" else rate_unit
         if own == main:
             columns.append(Column(name, Place(name), unit, values))
         else:
             columns.append(Column(name, Place(name), unit, np.interp(t, np.asarray(source.load(own)), values), own))
-    return tuple(columns), {}
+    return tuple(columns)
 
 
 def _stamps_of(signal: str) -> str:

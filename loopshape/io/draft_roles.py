@@ -46,10 +46,16 @@ class _Seen:
         return np.asarray(self.values[:, self.names.index(name)])
 
 
-def find_roles(names: Sequence[str], values: Array) -> Roles:
-    """Parts of the columns (n, m) of one recording that move; what could not be told stands in `open`."""
+def find_roles(names: Sequence[str], values: Array, known: Mapping[Role, str] | None = None) -> Roles:
+    """Parts of the columns (n, m) of one recording that move; what could not be told stands in `open`.
+
+    `known` are parts that the format itself gives to columns.
+    """
     seen = _Seen(names, values, dict(zip(names, answers(values).tolist(), strict=True)))
     roles = Roles()
+    for role, name in (known or {}).items():
+        if name in names:
+            roles.give(role, name, "the log's format says so")
     _by_name(seen, roles)
     _by_differences(seen, roles)
     _by_answers(seen, roles)
@@ -64,7 +70,8 @@ def _by_name(seen: _Seen, roles: Roles) -> None:
         for k, name in enumerate(seen.names)
         for role, weight in role_weights(name).items()
     ]  # fmt: skip
-    best = {name: max((b for b in bids if b[3] == name), default=None) for name in seen.names}
+    free = [name for name in seen.names if name not in roles.by_role.values()]
+    best = {name: max((b for b in bids if b[3] == name), default=None) for name in free}
     for bid in sorted((b for b in best.values() if b is not None), key=lambda b: (-b[0], -b[1])):
         _, _, role, name = bid
         if role in roles.by_role:

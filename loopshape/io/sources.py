@@ -1,4 +1,4 @@
-"""Other people's files: the arrays that a CSV, MAT, Parquet, NPZ, MDF, ULog, TDMS, JSON or WAV file holds, by name."""
+"""Other people's files: the arrays that a text, MAT, Parquet, NPZ, JSON or measurement system's file holds, by name."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal
 from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
+from loopshape.io.dataflash import read_dataflash
 from loopshape.io.files import reading, short
 from loopshape.io.growth import check_growth, check_zip
 from loopshape.io.mat5 import read_mat5
 from loopshape.io.mdf4 import mdf_array, mdf_names
+from loopshape.io.messages import read_bag, read_mcap
 from loopshape.io.plain_arrays import read_json_arrays, read_wav
 from loopshape.io.spool import Spool
 from loopshape.io.tables import TableColumns
@@ -34,7 +36,8 @@ _OTHERS = {
 _MDF = (".mf4", ".mdf")
 #: readers of formats whose arrays are read all at once
 _WHOLE: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
-    ".ulg": read_ulog, ".tdms": read_tdms, ".json": read_json_arrays, ".wav": read_wav,
+    ".ulg": read_ulog, ".tdms": read_tdms, ".json": read_json_arrays, ".wav": read_wav, ".bin": read_dataflash,
+    ".mcap": read_mcap, ".bag": read_bag, ".db3": read_bag,
 }  # fmt: skip
 #: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
 LONG_TEXT = 200_000_000

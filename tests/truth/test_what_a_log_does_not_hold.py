@@ -1,4 +1,4 @@
-"""A log with reference and error alone, and a known controller: output and control are made, and the FRF is the plant's."""
+"""A log of reference and error alone, with a known controller: output and control are made, the FRF is the plant's."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,215 @@
+"""Logs of messages read as the numbers that the format's own library wrote; damaged ones end in a sentence."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from loopshape.core.errors import LoopshapeError, UnreadableInputError
+from loopshape.io.csv_text import CsvShape
+from loopshape.io.draft_map import draft_map
+from loopshape.io.import_file import import_file
+from loopshape.io.sources import Place, open_source
+
+N = 200
+X = np.sin(0.1 * np.arange(N))
+NS = 1_700_000_000_000_000_000 + 5_000_000 * np.arange(N)  # 200 Hz
+STATE = "std_msgs/Header header\nfloat64[2] angle\nfloat32 effort\nstring note\nfloat64[] many"
+HEADER_2 = "builtin_interfaces/Time stamp\nstring frame_id"
+
+
+def signal(file, name):
+    return np.asarray(open_source(file, CsvShape()).signal(Place(name)))
+
+
+def write_json_mcap(path):
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        out = Writer(file)
+        out.start()
+        schema = out.register_schema("state", "jsonschema", b'{"type": "object"}')
+        axis = out.register_channel("/axis", "json", schema)
+        other = out.register_channel("/blob", "protobuf", schema)
+        for k, t in enumerate(NS.tolist()):
+            told = {"x": X[k], "inner": {"ok": True, "pair": [k, 2 * k]}, "name": "a"}
+            out.add_message(axis, t, json.dumps(told).encode(), t)
+            out.add_message(other, t, b"\x01", t)
+        out.finish()
+
+
+def typed(store, k):
+    stamp = store.types["builtin_interfaces/msg/Time"](int(NS[k] // 10**9), int(NS[k] % 10**9))
+    kind = store.types["std_msgs/msg/Header"]
+    header = kind(k, stamp, "a") if len(store.fielddefs["std_msgs/msg/Header"][1]) == 3 else kind(stamp, "a")
+    return store.types["rig/msg/State"](
+        header, np.array([X[k], -X[k]]), float(np.float32(0.5 * X[k])), "note", np.zeros(k % 3)
+    )  # fmt: skip
+
+
+def write_ros(path):
+    """The same messages as a bag of ROS 1 (.bag), of ROS 2 (folder with .db3) or of ROS 2 in MCAP."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    first = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(STATE, "rig/msg/State"))
+    if first:
+        writer, pack = rosbag1.Writer(path), store.serialize_ros1
+    else:
+        kind = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer, pack = rosbag2.Writer(path.parent / path.stem, version=9, storage_plugin=kind), store.serialize_cdr
+    with writer:
+        axis = writer.add_connection("/axis", "rig/msg/State", typestore=store)
+        for k, t in enumerate(NS.tolist()):
+            writer.write(axis, t + 300_000 * (k % 7), pack(typed(store, k), "rig/msg/State"))
+    return path if first else next((path.parent / path.stem).glob(f"*{path.suffix}"))
+
+
+def test_mcap_with_json_messages(tmp_path):
+    pytest.importorskip("mcap")
+    write_json_mcap(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(signal(tmp_path / "a.mcap", "/axis.x"), X)
+    np.testing.assert_array_equal(signal(tmp_path / "a.mcap", "/axis.inner.pair[1]"), 2.0 * np.arange(N))
+    np.testing.assert_allclose(signal(tmp_path / "a.mcap", "time of /axis"), np.arange(N) / 200.0, atol=1e-12)
+    names = open_source(tmp_path / "a.mcap", CsvShape()).names
+    assert not [name for name in names if "blob" in name or "name" in name]
+    assert draft_map(tmp_path / "a.mcap").rate_hz == 200.0
+
+
+@pytest.mark.parametrize("ending", [".bag", ".db3", ".mcap"])
+def test_bags_of_ros_by_the_sensor_s_own_stamps(tmp_path, ending):
+    pytest.importorskip("rosbags")
+    pytest.importorskip("mcap")
+    file = write_ros(tmp_path / f"log{ending}")
+    np.testing.assert_array_equal(signal(file, "/axis.angle[1]"), -X)
+    np.testing.assert_array_equal(signal(file, "/axis.effort"), (0.5 * X).astype(np.float32))
+    np.testing.assert_allclose(signal(file, "time of /axis"), np.arange(N) / 200.0, atol=1e-12)  # not those of logging
+    assert "/axis.many[0]" not in open_source(file, CsvShape()).names
+
+
+FORMATS = {
+    128: ("FMT", "BBnNZ", "Type,Length,Name,Format,Columns"), 129: ("RATE", "Qfff", "TimeUS,RDes,R,ROut"),
+    130: ("IMU", "QBfc", "TimeUS,I,GyrX,T"), 131: ("MSG", "QZ", "TimeUS,Message"),
+    132: ("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
+}  # fmt: skip
+
+
+def dataflash(damping=0.0):
+    """A log by pymavlink's own table of field types."""
+    from pymavlink.DFReader import FORMAT_TO_STRUCT
+
+    packs = {k: "<" + "".join(FORMAT_TO_STRUCT[c][0] for c in f[1]) for k, f in FORMATS.items()}
+
+    def message(kind, *values):
+        return b"\xa3\x95" + bytes([kind]) + struct.pack(packs[kind], *values)
+
+    parts = [
+        message(128, k, 3 + struct.calcsize(packs[k]), name.encode(), form.encode(), columns.encode())
+        for k, (name, form, columns) in FORMATS.items()
+    ]
+    parts.append(message(132, 0, 130, b"s#Ed", b"F--0"))
+    for k in range(N):
+        t = 1_000_000 + 2500 * k
+        parts.append(message(129, t, 10.0, X[k], 0.1 * X[k]))
+        parts += [message(130, t + 10, i, X[k] + i, 2500 + k) for i in (0, 1)]
+    parts.append(message(131, 5, b"ArduCopter"))
+    return b"".join(parts)
+
+
+def test_dataflash_is_what_pymavlink_reads(tmp_path):
+    reader = pytest.importorskip("pymavlink.DFReader")
+    (tmp_path / "a.bin").write_bytes(dataflash())
+    log = reader.DFReader_binary(str(tmp_path / "a.bin"))
+    rows = [message for message in iter(log.recv_msg, None) if message.get_type() == "IMU" and message.I == 1]
+    log.filehandle.close()
+    for field in ("GyrX", "T"):
+        theirs = np.array([getattr(row, field) for row in rows])
+        np.testing.assert_array_equal(signal(tmp_path / "a.bin", f"IMU#1.{field}"), theirs)
+
+
+def test_dataflash_with_instances_and_multipliers(tmp_path):
+    pytest.importorskip("pymavlink")
+    (tmp_path / "a.bin").write_bytes(dataflash())
+    np.testing.assert_array_equal(signal(tmp_path / "a.bin", "RATE.R"), X.astype(np.float32))
+    np.testing.assert_array_equal(signal(tmp_path / "a.bin", "IMU#1.GyrX"), (X + 1).astype(np.float32))
+    np.testing.assert_allclose(signal(tmp_path / "a.bin", "IMU.T"), 25.0 + 0.01 * np.arange(N))
+    np.testing.assert_allclose(np.diff(signal(tmp_path / "a.bin", "time of RATE")), 0.0025, atol=1e-12)
+
+
+def test_a_draft_of_a_dataflash_log_takes_the_roll_axis(tmp_path):
+    pytest.importorskip("pymavlink")
+    (tmp_path / "a.bin").write_bytes(dataflash())
+    draft = draft_map(tmp_path / "a.bin")
+    assert (draft.rate_hz, draft.roles["RATE.R"], draft.roles["RATE.ROut"]) == (400.0, "output", "control")
+    (rule,) = [rule for rule in draft.table["columns"].values() if rule["from"] == "RATE.R"]
+    assert rule["unit"] == "deg/s"
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".bag", ".db3", ".bin"])
+def test_damaged_logs_of_messages_end_in_a_sentence(tmp_path, ending):
+    for module in ("mcap", "rosbags", "pymavlink"):
+        pytest.importorskip(module)
+    path = tmp_path / f"a{ending}"
+    if ending == ".bin":
+        path.write_bytes(dataflash())
+    else:
+        path = write_ros(path)
+    whole, rng, refused = path.read_bytes(), np.random.default_rng(5), 0
+    for k in range(40):
+        content = bytearray(whole[: rng.integers(len(whole))] if k % 4 == 0 else whole)
+        for place in rng.integers(0, max(len(content), 1), 1 + 3 * (k % 3)):
+            if content:
+                content[place % min(len(content), 4096) if k % 2 else place] = rng.integers(256)
+        path.write_bytes(bytes(content))
+        try:
+            source = open_source(path, CsvShape())
+            for name in source.names:
+                source.signal(Place(name))
+        except LoopshapeError:
+            refused += 1
+    assert refused > 8
+    path.write_bytes(b"")
+    with pytest.raises(UnreadableInputError):
+        open_source(path, CsvShape())
+
+
+BLACKBOX = (
+    '"H Product:Blackbox flight data recorder"\nloopIteration, time (us), setpoint[0], gyroADC[0] (deg/s), axisSum[0]\n'
+)
+SCOPE = """Name;MotorAxis
+File;C:\\TwinCAT\\Scope\\axis.svdx
+StartTime of export;133500000000000000;Tuesday, 16 January 2024;12:00:00.000
+
+Name;Axis.ActPos;Name;Axis.Torque
+SymbolName;MAIN.Axis.ActPos;SymbolName;MAIN.Axis.Torque
+Net id;5.1.2.3.1.1;Net id;5.1.2.3.1.1
+SampleTime[ms];1;SampleTime[ms];1
+Unit;mm;Unit;1
+
+"""
+
+
+def test_twincat_scope_csv_with_a_time_beside_each_channel(tmp_path):
+    rows = [f"{k},0;{X[k]:.9f};{k},0;{0.5 * X[k]:.9f}".replace(".", ",") for k in range(N)]
+    (tmp_path / "a.csv").write_text(SCOPE + "\n".join(rows) + "\n")
+    (tmp_path / "m.toml").write_text(
+        'format = "loopshape-map/1"\nrate_hz = 1000.0\ntime = { column = 1, unit = "ms" }\n'
+        '[csv]\nseparator = ";"\ndecimal = ","\nheader = false\nskip_rows = 10\n[columns]\n'
+        'y_m = { column = 2, unit = "mm" }\nu_1 = { column = 4, unit = "1" }\n'
+        '[[loop]]\nname = "x"\ncontrol = "u_1"\noutput = "y_m"\n[recording]\nkind = "noise"\ninjection = "control"\n'
+    )
+    run = import_file(tmp_path / "a.csv", tmp_path / "m.toml")
+    np.testing.assert_allclose(run.recordings[0].column("y_m"), 1e-3 * X, atol=1e-12)
+    draft = draft_map(tmp_path / "a.csv")
+    assert draft.rate_hz == 1000.0
+
+
+def test_a_decoded_blackbox_of_betaflight(tmp_path):
+    rows = [f"{k}, {k * 250}, {10 * X[k]:.3f}, {9 * X[k]:.3f}, {X[k]:.4f}" for k in range(N)]
+    (tmp_path / "a.csv").write_text(BLACKBOX.split("\n", 1)[1] + "\n".join(rows) + "\n")
+    draft = draft_map(tmp_path / "a.csv")
+    assert draft.rate_hz == 4000.0
+    assert {draft.roles.get(n) for n in ("setpoint[0]", "gyroADC[0] (deg/s)", "axisSum[0]")} >= {"reference"}
