@@ -13,7 +13,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 def export(
     run: RunFolder,
-    to: Annotated[str, typer.Option(help="mat (MATLAB), csv, or uff (universal file 58; needs the extra uff).")],
+    to: Annotated[str, typer.Option(help="mat (MATLAB), hdf5, csv, or uff (universal file 58; needs the extra uff).")],
     out: Annotated[Path | None, typer.Option(help="Folder to write into; default: export in the run.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -41,7 +41,7 @@ def export(
 
 def export_controller(
     controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
-    to: Annotated[str, typer.Option(help="json, matlab, or c (a C99 header with a step function).")],
+    to: Annotated[str, typer.Option(help="json, matlab, c (C99), st (PLC), twincat, foton (LIGO), or sos (scipy).")],
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
     as_json: AsJson = False,
     quiet: Quiet = False,

@@ -1,8 +1,12 @@
-"""Controllers out to the target: one file a loop, as JSON, MATLAB or C99, all of the sections that `check` judges.
+"""Controllers out to the target: one file a loop, all of the sections that `check` judges.
 
     controller_<loop>.json        JSON, format loopshape-biquads/1
     controller_<loop>.m       MATLAB: sections, gain, and a tf on request
     controller_<loop>.h       C99 and C++: coefficients, a state, a reset and a step function
+    controller_<loop>.st      structured text of a PLC (IEC 61131-3): a function block
+    controller_<loop>.TcPOU   the same for TwinCAT 3
+    controller_<loop>.txt     a filter file of the LIGO control system (foton)
+    controller_<loop>.npz     `sos` (sections, 6) for scipy.signal.sosfilt
 
 Every file carries the controller's digest, rate, precision, prewarping and delay.
 """
@@ -10,23 +14,28 @@ Every file carries the controller's digest, rate, precision, prewarping and dela
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.cascade import error_feedback
 from loopshape.data.controller import Block, Controller
 from loopshape.io.controller_c import c_text
+from loopshape.io.controller_foton import foton_text
 from loopshape.io.controller_matlab import matlab_text
+from loopshape.io.controller_st import st_text, twincat_text
 from loopshape.io.controller_words import FORM, identifier
-from loopshape.io.files import make_folder, write_json, write_text_whole
+from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
 
 FORMAT = "loopshape-biquads/1"
 
 
 def export_controllers(folder: Path, controllers: Sequence[Controller], to: str) -> tuple[Path, ...]:
-    """Write each controller to `folder` as "json", "matlab" or "c"; returns the files, in order.
+    """Write each controller to `folder` in a format of `WRITERS`; returns the files, in order.
 
     Nothing is written before all are made. Refuses an unknown format, no controller, two loops whose names become one
     (upper and lower case count as one, as on some disks), and sections that are unstable as they will run.
@@ -47,6 +56,8 @@ def export_controllers(folder: Path, controllers: Sequence[Controller], to: str)
     for name, content in zip(names, made, strict=True):
         if isinstance(content, str):
             write_text_whole(folder / name, content)
+        elif isinstance(content, bytes):
+            write_bytes_whole(folder / name, content)
         else:
             write_json(folder / name, content)
     return tuple(folder / name for name in names)
@@ -92,9 +103,25 @@ def _section(block: Block, row: list[float], integers: list[int] | None) -> dict
     return table | {"block": block.to_table()}
 
 
-#: format -> ending of the file, and its content: a text, or an object for JSON
-WRITERS: dict[str, tuple[str, Callable[[Controller], str | dict[str, Any]]]] = {
+def sos_bytes(controller: Controller) -> bytes:
+    """NPZ with `sos` (sections, 6) as scipy takes it: b0 b1 b2 1 a1 a2; beside it rate, delay and digest."""
+    sections = controller.biquads()
+    file = BytesIO()
+    np.savez(
+        file, sos=np.insert(sections, 3, 1.0, axis=1), rate_hz=float(controller.rate_hz),
+        computation_delay_s=controller.computation_delay_s, loop=controller.loop, digest=controller.digest,
+        precision=controller.precision,
+    )  # fmt: skip
+    return file.getvalue()
+
+
+#: format -> ending of the file, and its content: a text, bytes, or an object for JSON
+WRITERS: dict[str, tuple[str, Callable[[Controller], str | bytes | dict[str, Any]]]] = {
     "json": (".json", biquads_table),
     "matlab": (".m", matlab_text),
     "c": (".h", c_text),
+    "st": (".st", st_text),
+    "twincat": (".TcPOU", twincat_text),
+    "foton": (".txt", foton_text),
+    "sos": (".npz", sos_bytes),
 }

@@ -14,6 +14,7 @@ from loopshape.data.frf import FRF
 from loopshape.io.files import PART, inside, make_folder, put, staged, writing
 from loopshape.io.frf_csv import frf_csv, read_frf_csv
 from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
+from loopshape.io.frf_hdf5 import read_frf_hdf5, write_frf_hdf5
 from loopshape.io.frf_ligo import read_ligo_xml
 from loopshape.io.frf_mat import read_frf_mat, write_frf_mat
 from loopshape.io.frf_table import read_frf_table
@@ -53,6 +54,7 @@ FORMATS: dict[str, Format] = {
     "mat": Format(".mat", _write_mat, lambda path, _: read_frf_mat(path)),
     "csv": Format(".csv", _write_csv, read_frf_csv),
     "uff": Format(".uff", write_frf_uff, lambda path, _: read_frf_uff(path)),
+    "hdf5": Format(".h5", write_frf_hdf5, lambda path, _: read_frf_hdf5(path)),
 }
 #: readers of what is not written
 _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
@@ -62,7 +64,7 @@ _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
     "ligo": lambda path, _: read_ligo_xml(path),
 }
 _READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone", ".xml": "ligo"}
-_ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
+_ENDINGS = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
 
 
 def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
