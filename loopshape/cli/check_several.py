@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Details, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
 
@@ -37,6 +37,7 @@ def check_several(
     loops: Annotated[
         str | None, typer.Option(help="Loops that are closed, as a,b; default: all of the matrix.")
     ] = None,
+    profile: ProfileName = None,
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
     figures: Annotated[bool, typer.Option(help="Draw loci, singular values and margins.")] = True,
     details: Details = False,
@@ -45,17 +46,19 @@ def check_several(
 ) -> None:
     """Check several loops of one plant at once, from its matrix FRFs; needs `frf RUN --matrix` before.
 
-    Each loop is compared with its limits with all others closed, then all together: stability by det(I + L), and what
-    the table [several] of the requirements asks. Exit code 1 where anything is missed or not decided by these data.
+    Each loop is compared with its limits with all others closed (a profile's too), then all together: stability by
+    det(I + L), and what the table [several] of the requirements asks. Exit code 1 where anything is missed or not
+    decided by these data.
     """
     from loopshape.cli.verdicts import report_headline, report_verdicts, warn_of
     from loopshape.io.controllers import read_controllers
     from loopshape.io.junit import write_junit
+    from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_requirements, read_several
     from loopshape.loop.several import check_several as check
 
     output = Output(as_json, quiet)
-    wished, several = read_requirements(require), read_several(require)
+    (wished, standard), several = joined(profile, read_requirements(require)), read_several(require)
     chosen = tuple(name.strip() for name in loops.split(",")) if loops else None
     frfs, own = _matrices(run), read_controllers(controllers)
     verdict = check(frfs, own, wished, several, loops=chosen, held=_held(run))
@@ -68,6 +71,8 @@ def check_several(
         output.table("All loops at once", _COLUMNS, [_row(name, m) for name, m in verdict.margins.items()])
     else:
         warn_of([*verdict.each, verdict.together], output)
+    for sentence in () if standard is None else standard.sentences():
+        output.paragraph(sentence)
     drawn = _draw(run, verdict, frfs, own, several) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
     output.json(

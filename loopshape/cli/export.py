@@ -41,7 +41,7 @@ def export(
 
 def export_controller(
     controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
-    to: Annotated[str, typer.Option(help="json, matlab, c (C99), st (PLC), twincat, foton (LIGO), or sos (scipy).")],
+    to: Annotated[str, typer.Option(help="json, matlab, c, st, twincat, foton, sos, px4, ardupilot or betaflight.")],
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -84,3 +84,24 @@ def export_excitation(
     rows = [(path.name, e.injection, e.samples, e.rate_hz) for path, e in zip(paths, made, strict=True)]
     output.table(f"Signals in {out}", ("file", "injection", "samples", "Hz"), rows)
     output.json({"study": str(study), "format": to, "exported": [str(path) for path in paths]})
+
+
+def firmware(
+    parameters: Annotated[Path, typer.Argument(help="Parameters, as a ground station or `dump` writes them.")],
+    of: Annotated[str, typer.Option(help="px4, ardupilot or betaflight.")],
+    rate_hz: Annotated[float, typer.Option(help="Rate of the loop.")],
+    out: Annotated[Path, typer.Option(help="The controller file to write.")],
+    axis: Annotated[str, typer.Option(help="roll, pitch or yaw.")] = "roll",
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a controller file of a flight firmware's rate loop; export-controller writes its parameters back."""
+    from loopshape.io.controllers import write_controllers
+    from loopshape.io.firmware import controller_of, read_parameters
+
+    output = Output(as_json, quiet)
+    made = controller_of(read_parameters(parameters), of, axis, rate_hz)
+    write_controllers(out, [made], {"firmware": of, "parameters": parameters.name})
+    rows = [[block.kind, ", ".join(f"{k} {v:.6g}" for k, v in block.parameters.items())] for block in made.blocks]
+    output.table(f"Rate loop {axis} of {of} in {out}", ["block", "parameters"], rows)
+    output.json({"controller": str(out), "firmware": of, "axis": axis, "blocks": [b.to_table() for b in made.blocks]})

@@ -19,7 +19,7 @@ from loopshape.cli.effects import effects
 from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.examples import examples
-from loopshape.cli.export import export, export_controller, export_excitation
+from loopshape.cli.export import export, export_controller, export_excitation, firmware
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
@@ -98,6 +98,11 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     "Exchange": (
         ("export", export, "loopshape export runs/axis --to mat --out frfs"),
         ("export-controller", export_controller, "loopshape export-controller controller.toml --to c --out firmware"),
+        (
+            "firmware",
+            firmware,
+            "loopshape firmware px4.params --of px4 --rate-hz 1000 --out controller.toml",
+        ),
         ("export-excitation", export_excitation, "loopshape export-excitation study.toml --to csv --out signals"),
     ),
 }

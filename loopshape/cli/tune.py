@@ -48,14 +48,12 @@ def tune(
     """
     output = Output(as_json, quiet)
     if matrix:
-        if profile is not None:
-            from loopshape.core.errors import WrongUseError
-
-            raise WrongUseError("a profile limits single loops", "--profile and --matrix", "leave one of them out")
         from loopshape.cli.tune_several import tune_several_run
 
         refuse_growth(grow)
-        feasible = tune_several_run(run, require, out, output, start=start, seed=seed, starts=starts)
+        feasible = tune_several_run(
+            run, require, out, output, start=start, profile=profile, seed=seed, starts=starts
+        )  # fmt: skip
     else:
         feasible = tune_run(
             run, require, out, output, start=start, profile=profile, seed=seed, starts=starts, grow=grow,
@@ -79,12 +77,11 @@ def tune_run(
     from loopshape.design.tune import tune as tune_loop
     from loopshape.io.controllers import write_controllers
     from loopshape.io.frfs import read_frfs
-    from loopshape.io.profiles import profile_of
+    from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_requirements
 
-    requirements, frfs, fits = read_requirements(require), read_frfs(run), fits_of(run)
-    chosen = None if profile is None else profile_of(profile)
-    requirements = requirements if chosen is None else tuple(map(chosen.joined, requirements))
+    frfs, fits = read_frfs(run), fits_of(run)
+    requirements, chosen = joined(profile, read_requirements(require))
     began = controllers_to_start(start, [wished.loop for wished in requirements])
     found = []
     for wished in requirements:

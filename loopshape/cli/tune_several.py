@@ -14,21 +14,35 @@ if TYPE_CHECKING:
 
 
 def tune_several_run(
-    run: Path, require: Path, out: Path, output: Output, *, start: Path | None = None, seed: int = 0, starts: int = 16
+    run: Path,
+    require: Path,
+    out: Path,
+    output: Output,
+    *,
+    start: Path | None = None,
+    profile: str | None = None,
+    seed: int = 0,
+    starts: int = 16,
 ) -> bool:
-    """Tune the loops of a requirements file in turn, report, and write the controllers if all requirements are met."""
+    """Tune the loops of a requirements file in turn, report, and write the controllers if all requirements are met.
+
+    A profile limits each loop with the others closed.
+    """
     from loopshape.cli.check_several import _held, _matrices
     from loopshape.design.several import tune_several
     from loopshape.io.controllers import write_controllers
+    from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_requirements, read_several
 
-    wishes, several = read_requirements(require), read_several(require)
+    (wishes, chosen), several = joined(profile, read_requirements(require)), read_several(require)
     began, frfs = controllers_to_start(start, [one.loop for one in wishes]), _matrices(run)
     with output.progress("tune", 2 * len(wishes)) as step:
         found = tune_several(
             frfs, wishes, list(began.values()), several, held=_held(run), seed=seed, starts=starts, step=step
         )
     _report(found, output, len(frfs))
+    for sentence in () if chosen is None else chosen.sentences():
+        output.paragraph(sentence)
     if found.feasible:
         write_controllers(out, found.controllers, None)
         output.say(f"controllers written to {out}")

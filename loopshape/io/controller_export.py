@@ -7,6 +7,7 @@
     controller_<loop>.TcPOU   the same for TwinCAT 3
     controller_<loop>.txt     a filter file of the LIGO control system (foton)
     controller_<loop>.npz     `sos` (sections, 6) for scipy.signal.sosfilt
+    controller_<loop>.params, .param, .cli     parameters of px4, ardupilot, betaflight (`loopshape.io.firmware`)
 
 Every file carries the controller's digest, rate, precision, prewarping and delay.
 """
@@ -14,6 +15,7 @@ Every file carries the controller's digest, rate, precision, prewarping and dela
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,7 @@ from loopshape.io.controller_matlab import matlab_text
 from loopshape.io.controller_st import st_text, twincat_text
 from loopshape.io.controller_words import FORM, identifier
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
+from loopshape.io.firmware import parameters_text
 
 FORMAT = "loopshape-biquads/1"
 
@@ -124,4 +127,7 @@ WRITERS: dict[str, tuple[str, Callable[[Controller], str | bytes | dict[str, Any
     "twincat": (".TcPOU", twincat_text),
     "foton": (".txt", foton_text),
     "sos": (".npz", sos_bytes),
+    "px4": (".params", partial(parameters_text, firmware="px4")),
+    "ardupilot": (".param", partial(parameters_text, firmware="ardupilot")),
+    "betaflight": (".cli", partial(parameters_text, firmware="betaflight")),
 }

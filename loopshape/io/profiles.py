@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.profile import Profile, Zone
+from loopshape.data.requirements import Requirements
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-profiles/1"
@@ -55,3 +57,9 @@ def _zone(words: Words) -> Zone:
     words.only("name", "up_to_db", "means")
     up_to = words.maybe_number("up_to_db")
     return Zone(words.text("name"), inf if up_to is None else up_to, words.text("means"))
+
+
+def joined(name: str | None, requirements: Sequence[Requirements]) -> tuple[tuple[Requirements, ...], Profile | None]:
+    """Requirements with a profile's limits beside them, and the profile; as they are where none is named."""
+    chosen = None if name is None else profile_of(name)
+    return tuple(requirements if chosen is None else map(chosen.joined, requirements)), chosen

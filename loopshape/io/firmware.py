@@ -1,0 +1,316 @@
+"""Rate controllers of flight firmware: parameters in the firmware's own names, as blocks that are exact to rounding.
+
+Laws on the error e, z for a sample, T for 1/rate, A the first-order filter a z/(z - 1 + a) with a = T/(T + 1/(2 pi f)),
+which firmware calls alpha filter, low-pass or PT1:
+
+| firmware | law | gyro behind | source |
+|---|---|---|---|
+| `px4` | K (P + I T/(z-1) + D (1 - 1/z)/T A) | notches, two-pole low-pass | RateControl.cpp |
+| `ardupilot` | A_E (P + I T z/(z-1) + D (1 - 1/z)/T A_D) | two-pole low-pass | AC_PID.cpp |
+| `betaflight` | (P' + I' T z/(z-1) + D' (1 - 1/z)/T A_1 A_2)/1000, e in deg/s | PT1s | pid.c, filter.c |
+
+Feed-forward, limits, anti-windup, thrust-dependent scaling and dynamic notches are outside. A law whose zeros no block
+holds is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.units import TWO_PI, Array, deg, hz
+from loopshape.data.block import Block
+from loopshape.data.controller import Controller
+from loopshape.io.controller_words import about
+from loopshape.io.files import reading, short
+
+AXES = ("roll", "pitch", "yaw")
+_TWO_POLE_DAMPING = float(np.sqrt(0.5))
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """Names of one firmware's parameters; `{axis}` stands for the axis as the firmware writes it.
+
+    `factor` is what multiplies P, I and D for an error in rad/s; `forward` says that the integral of before this sample
+    counts. Filters: `common` on the whole error, `derivative` on D alone (both first order), `two_pole` on the gyro,
+    `notches` (frequency, width) too.
+    """
+
+    axes: Mapping[str, str]
+    terms: tuple[str, str, str]
+    factor: tuple[float, float, float]
+    forward: bool
+    scale: str | None = None
+    common: tuple[str, ...] = ()
+    derivative: tuple[str, ...] = ()
+    two_pole: tuple[str, ...] = ()
+    notches: tuple[tuple[str, str], ...] = ()
+
+    def named(self, name: str, axis: str) -> str:
+        """A parameter's name for an axis."""
+        return name.replace("{axis}", self.axes[axis])
+
+
+_PER_DEG = float(deg(1.0)) / 1000.0  # Betaflight's sum is a thousandth, its error in deg/s
+FIRMWARE: dict[str, Firmware] = {
+    "px4": Firmware(
+        dict(zip(AXES, ("ROLL", "PITCH", "YAW"), strict=True)),
+        ("MC_{axis}RATE_P", "MC_{axis}RATE_I", "MC_{axis}RATE_D"), (1.0, 1.0, 1.0), True, "MC_{axis}RATE_K",
+        derivative=("IMU_DGYRO_CUTOFF",), two_pole=("IMU_GYRO_CUTOFF",),
+        notches=(("IMU_GYRO_NF0_FRQ", "IMU_GYRO_NF0_BW"), ("IMU_GYRO_NF1_FRQ", "IMU_GYRO_NF1_BW")),
+    ),
+    "ardupilot": Firmware(
+        dict(zip(AXES, ("RLL", "PIT", "YAW"), strict=True)),
+        ("ATC_RAT_{axis}_P", "ATC_RAT_{axis}_I", "ATC_RAT_{axis}_D"), (1.0, 1.0, 1.0), False,
+        common=("ATC_RAT_{axis}_FLTE",), derivative=("ATC_RAT_{axis}_FLTD",), two_pole=("INS_GYRO_FILTER",),
+    ),
+    "betaflight": Firmware(
+        dict(zip(AXES, AXES, strict=True)), ("p_{axis}", "i_{axis}", "d_{axis}"),
+        (0.032029 * _PER_DEG, 0.244381 * _PER_DEG, 0.000529 * _PER_DEG), False,
+        common=("gyro_lpf1_static_hz", "gyro_lpf2_static_hz"),
+        derivative=("dterm_lpf1_static_hz", "dterm_lpf2_static_hz"),
+    ),
+}  # fmt: skip
+#: switches of Betaflight's filters; of their kinds PT1 is read
+_KINDS = ("gyro_lpf1_type", "gyro_lpf2_type", "dterm_lpf1_type", "dterm_lpf2_type")
+
+
+def read_parameters(path: Path) -> dict[str, float | str]:
+    """Parameters by name of a ground station's file (QGroundControl, Mission Planner) or of `dump` of Betaflight."""
+    found: dict[str, float | str] = {}
+    with reading(path, "parameters"):
+        text = path.read_text(encoding="utf-8")
+    for line in text.splitlines():
+        words = [word for word in re.split(r"[\s,=]+", line.split("#")[0].strip()) if word and word != "set"]
+        at = next((k for k, word in enumerate(words) if re.fullmatch(r"[A-Za-z_]\w*", word)), len(words))
+        if at + 1 < len(words):
+            found[words[at]] = _value(words[at + 1])
+    if not found:
+        raise UnreadableInputError(f"{path.name} holds no parameters", short(text, 60), "write NAME VALUE, one a line")
+    return found
+
+
+def _value(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def controller_of(parameters: Mapping[str, float | str], firmware: str, axis: str, rate_hz: float) -> Controller:
+    """The loop's controller from the gyro's error in rad/s to the torque, of Betaflight to the sum of its terms.
+
+    A cutoff of 0, or one that is not named, switches its filter off, as in the firmware. The loop is called after its
+    axis. Refuses an unknown firmware or axis, missing terms, and a law that no blocks hold.
+    """
+    kind = _kind(firmware, axis)
+    _refuse_kinds(parameters)
+    p, i, d = (factor * value for factor, value in zip(kind.factor, _terms(kind, parameters, axis), strict=True))
+    common, inner = (
+        [f for name in names if (f := _number(parameters, kind.named(name, axis), 0.0)) > 0.0]
+        for names in (kind.common, kind.derivative)
+    )
+    blocks = _law(p, i, d, inner, rate_hz, forward=kind.forward)
+    blocks += [_alpha(f, rate_hz) for f in common]
+    for name in kind.two_pole:
+        if (f := _number(parameters, name, 0.0)) > 0.0:
+            blocks.append(Block("low_pass_2", {"f_hz": _warped(f, rate_hz), "damping": _TWO_POLE_DAMPING}))
+    for frequency, width in kind.notches:
+        if (f := _number(parameters, frequency, 0.0)) > 0.0:
+            blocks.append(_notch(f, _number(parameters, width, 20.0), rate_hz))
+    return Controller(axis, tuple(blocks), rate_hz)
+
+
+def _kind(firmware: str, axis: str) -> Firmware:
+    if firmware not in FIRMWARE or axis not in AXES:
+        raise WrongUseError(
+            "a firmware's rate controller is not known", f"{axis!r} of {firmware!r}",
+            f"use {', '.join(FIRMWARE)}; the axes, and the loops, are {', '.join(AXES)}",
+        )  # fmt: skip
+    return FIRMWARE[firmware]
+
+
+def _terms(kind: Firmware, parameters: Mapping[str, float | str], axis: str) -> list[float]:
+    scale = 1.0 if kind.scale is None else _number(parameters, kind.named(kind.scale, axis), 1.0)
+    return [scale * _number(parameters, kind.named(name, axis)) for name in kind.terms]
+
+
+def _number(parameters: Mapping[str, float | str], name: str, default: float | None = None) -> float:
+    value = parameters.get(name, default)
+    if not isinstance(value, float | int):
+        raise WrongUseError(
+            f"the parameter {name} is a number", repr(value) if value is not None else "none", "write it"
+        )
+    return float(value)
+
+
+def _refuse_kinds(parameters: Mapping[str, float | str]) -> None:
+    for name in _KINDS:
+        if str(parameters.get(name, "PT1")) != "PT1":
+            raise WrongUseError(
+                "of Betaflight's filters PT1 is read", f"{name} = {parameters[name]}", "add that filter as a block"
+            )
+
+
+def _warped(f_hz: float, rate_hz: float) -> float:
+    """The corner at which Tustin's rule gives the filter that firmware makes exact at `f_hz`."""
+    if not 0.0 < f_hz < 0.5 * rate_hz:
+        raise WrongUseError(
+            "a filter's frequency lies below half the rate", f"{f_hz:g} Hz at {rate_hz:g} Hz", "lower it"
+        )
+    return rate_hz / np.pi * float(np.tan(np.pi * f_hz / rate_hz))
+
+
+def _notch(f_hz: float, width_hz: float, rate_hz: float) -> Block:
+    """PX4's notch: (1 + 2 b/z + 1/z²)/(1 + a + 2 b/z + (1 - a)/z²), a = tan(pi width/rate), b = -cos(2 pi f/rate)."""
+    warped, k = _warped(f_hz, rate_hz), float(np.tan(np.pi * f_hz / rate_hz))
+    damping = float(np.tan(np.pi * width_hz / rate_hz)) * (1.0 + k**2) / (2.0 * k)
+    return Block("notch", {"f1_hz": warped, "f2_hz": warped, "damping1": 0.0, "damping2": damping})
+
+
+def _share(f_hz: float, rate_hz: float) -> float:
+    """a of the first-order filter a z/(z - 1 + a)."""
+    return 1.0 / (1.0 + rate_hz / (TWO_PI * f_hz))
+
+
+def _alpha(f_hz: float, rate_hz: float) -> Block:
+    """The first-order filter of firmware, whose zero lies at z = 0, as a lag with s = 2 rate (z-1)/(z+1)."""
+    a = _share(f_hz, rate_hz)
+    return Block("lead_lag", {"f1_hz": rate_hz / np.pi, "f2_hz": rate_hz / np.pi * a / (2.0 - a)})
+
+
+def _law(p: float, i: float, d: float, cutoffs: list[float], rate_hz: float, *, forward: bool) -> list[Block]:
+    """P, I and D with first-order filters on D as blocks: the sum is multiplied out in z and taken apart by roots."""
+    num, den = _proportional_integral(p, i / rate_hz, forward=forward)
+    if d:
+        top, bottom = _derivative(cutoffs, rate_hz)
+        num, den = np.polyadd(np.polymul(num, bottom), d * np.polymul(den, top)), np.polymul(den, bottom)
+    return _blocks(num, den, rate_hz)
+
+
+def _proportional_integral(p: float, step: float, *, forward: bool) -> tuple[Array, Array]:
+    """Polynomials of P + `step`/(z-1), or of P + `step` z/(z-1); of P alone without an integral."""
+    if not step:
+        return np.array([p]), np.array([1.0])
+    return np.array([p, step - p] if forward else [p + step, -p]), np.array([1.0, -1.0])
+
+
+def _derivative(cutoffs: list[float], rate_hz: float) -> tuple[Array, Array]:
+    """Polynomials of rate (z-1)/z times a z/(z - 1 + a) for each cutoff."""
+    num, den = rate_hz * np.array([1.0, -1.0]), np.array([1.0])
+    for a in (_share(f, rate_hz) for f in cutoffs):
+        num, den = num * a, np.polymul(den, [1.0, a - 1.0])
+    powers = len(cutoffs) - 1  # of z: one above for each filter, one below for the difference
+    return np.append(num, np.zeros(max(powers, 0))), np.append(den, np.zeros(max(-powers, 0)))
+
+
+def _blocks(num: Array, den: Array, rate_hz: float) -> list[Block]:
+    """Blocks in series whose sections are num/den (in z, falling powers), a gain first."""
+    zeros, poles = (_in_s(np.roots(np.trim_zeros(x, "f")), rate_hz) for x in (num, den))
+    made = _paired(list(zeros), list(poles))
+    z = np.exp(1j * np.pi / 4.0)
+    rest = Controller("", tuple(made), rate_hz).response(np.array([rate_hz / 8.0]))[0] if made else 1.0
+    gain = complex(np.polyval(num, z) / np.polyval(den, z) / rest)
+    return [Block("gain", {"gain": gain.real}), *made]
+
+
+def _in_s(roots: Array, rate_hz: float) -> Array:
+    """Roots in s = 2 rate (z-1)/(z+1); that at z = 1 is exactly 0."""
+    s = 2.0 * rate_hz * (roots - 1.0) / (roots + 1.0)
+    return np.asarray(np.where(np.abs(s) < 1e-7 * rate_hz, 0.0, s))
+
+
+def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
+    """Zeros with poles in the kinds of blocks that there are; refuses what none of them holds."""
+    real = sorted((z.real for z in zeros if not z.imag), reverse=True)
+    pairs = [z for z in zeros if z.imag > 0.0]
+    lags = sorted((p.real for p in poles if not p.imag and p != 0.0), reverse=True)
+    integrators = sum(p == 0.0 for p in poles)
+    swings = any(p.imag for p in poles)
+    if (
+        swings
+        or any(z.real >= 0.0 for z in zeros)
+        or integrators > 1
+        or (integrators and not real)
+        or len(lags) < 2 * len(pairs)
+    ):
+        raise WrongUseError(
+            "the law of a firmware's controller does not come apart into blocks",
+            f"zeros at {', '.join(f'{z / TWO_PI:.3g}' for z in zeros)} Hz",
+            "less I or D makes its zeros real",
+        )  # fmt: skip
+    made = [Block("pi", {"f_hz": float(hz(-real.pop(0)))})] if integrators else []
+    for z in pairs:
+        p, q = lags.pop(0), lags.pop(0)
+        size = float(np.sqrt(p * q))
+        words = {
+            "f1_hz": hz(abs(z)),
+            "damping1": -z.real / abs(z),
+            "f2_hz": hz(size),
+            "damping2": -(p + q) / (2.0 * size),
+        }
+        made.append(Block("notch", {name: float(value) for name, value in words.items()}))
+    for zero in real:
+        made.append(Block("lead_lag", {"f1_hz": float(hz(-zero)), "f2_hz": float(hz(-lags.pop(0)))}))
+    return [*made, *(Block("low_pass_1", {"f_hz": float(hz(-p))}) for p in lags)]
+
+
+def parameters_of(controller: Controller, firmware: str) -> dict[str, float]:
+    """Parameters of a controller of a gain, an integrator and a lead, whose loop is called after its axis.
+
+    The lead's upper corner becomes the derivative's filter. Refuses other blocks: filters are set by their own names.
+    """
+    kind, rate = _kind(firmware, controller.loop), controller.rate_hz
+    blocks = [block for block in controller.blocks if block.kind != "gain"]
+    if sorted(block.kind for block in blocks) not in (["lead_lag", "pi"], ["pi"], ["lead_lag"], []):
+        raise WrongUseError(
+            f"a rate controller of {firmware} is a gain, pi and one lead_lag",
+            ", ".join(block.kind for block in controller.blocks), "leave filters out and set them by their own names",
+        )  # fmt: skip
+    lead = next((block.parameters for block in blocks if block.kind == "lead_lag"), None)
+    pole = 0.0 if lead is None else (1.0 - np.pi * lead["f2_hz"] / rate) / (1.0 + np.pi * lead["f2_hz"] / rate)
+    a = 1.0 - float(pole)
+    z = np.exp(1j * np.array([0.01, 0.3, 1.1]))
+    integral = 1.0 / (rate * (z - 1.0)) * (1.0 if kind.forward else z)
+    columns = np.stack([np.ones(3), integral, a * rate * (z - 1.0) / (z - 1.0 + a)], axis=1)
+    C = controller.response(rate * np.angle(z) / TWO_PI)
+    rows, wanted = np.concatenate([columns.real, columns.imag]), np.concatenate([C.real, C.imag])
+    terms = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    if (
+        not 0.0 < a <= 1.0
+        or np.abs(columns @ terms - C).max() > 1e-6 * np.abs(C).max()
+        or (terms < -1e-9 * np.abs(terms).max()).any()
+    ):
+        raise WrongUseError(
+            f"the controller is no rate controller of {firmware}", f"P, I, D {', '.join(f'{t:.3g}' for t in terms)}",
+            "let the corner of pi lie below the lead, and the lead's upper corner below the rate over pi",
+        )  # fmt: skip
+    found = {
+        kind.named(n, controller.loop): float(t / f) for n, t, f in zip(kind.terms, terms, kind.factor, strict=True)
+    }
+    cutoff = (
+        {}
+        if lead is None or a == 1.0
+        else {kind.named(kind.derivative[0], controller.loop): a * rate / (TWO_PI * (1.0 - a))}
+    )
+    return found | {name: float(value) for name, value in cutoff.items()}
+
+
+#: how a ground station, or Betaflight's command line, writes a parameter
+_LINES = {"px4": "1\t1\t{}\t{!r}\t9", "ardupilot": "{},{!r}", "betaflight": "set {} = {}"}
+
+
+def parameters_text(controller: Controller, firmware: str) -> str:
+    """A file of a controller's parameters as the firmware's ground station loads it; Betaflight takes whole numbers."""
+    found: dict[str, float | int] = dict(parameters_of(controller, firmware))
+    exact = [f"# {name} {value!r}, rounded" for name, value in found.items() if firmware == "betaflight"]
+    if firmware == "betaflight":
+        found = {name: round(value) for name, value in found.items()}
+    rows = [_LINES[firmware].format(name, value) for name, value in found.items()]
+    return "\n".join([*(f"# {line}" for line in about(controller)), *exact, *rows]) + "\n"

@@ -1,0 +1,191 @@
+"""Rate controllers of flight firmware as blocks: against the firmware's own difference equations, sample by sample."""
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from loopshape.cli.export import export_controller, firmware
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.data.controller import step
+from loopshape.io.firmware import controller_of, parameters_of, read_parameters
+
+RATE_HZ = 1000.0
+T = 1.0 / RATE_HZ
+PX4 = {
+    "MC_ROLLRATE_K": 1.2, "MC_ROLLRATE_P": 0.15, "MC_ROLLRATE_I": 0.2, "MC_ROLLRATE_D": 0.003, "IMU_DGYRO_CUTOFF": 30.0,
+    "IMU_GYRO_CUTOFF": 80.0, "IMU_GYRO_NF0_FRQ": 140.0, "IMU_GYRO_NF0_BW": 25.0,
+}  # fmt: skip
+ARDUPILOT = {
+    "ATC_RAT_PIT_P": 0.135, "ATC_RAT_PIT_I": 0.135, "ATC_RAT_PIT_D": 0.0036, "ATC_RAT_PIT_FLTE": 60.0,
+    "ATC_RAT_PIT_FLTD": 20.0, "INS_GYRO_FILTER": 40.0,
+}  # fmt: skip
+BETAFLIGHT = {
+    "p_yaw": 45.0, "i_yaw": 80.0, "d_yaw": 30.0, "gyro_lpf1_static_hz": 250.0, "dterm_lpf1_static_hz": 75.0,
+    "dterm_lpf2_static_hz": 150.0, "dterm_lpf1_type": "PT1",
+}  # fmt: skip
+E = np.random.default_rng(7).standard_normal(400)
+
+
+class Alpha:
+    """y += a (x - y), a = T/(T + 1/(2 pi f)): AlphaFilter of PX4, LowPassFilter of ArduPilot, PT1 of Betaflight."""
+
+    def __init__(self, f_hz):
+        self.a, self.y = T / (T + 1.0 / (2.0 * np.pi * f_hz)), 0.0
+
+    def __call__(self, x):
+        self.y += self.a * (x - self.y)
+        return self.y
+
+
+class Biquad:
+    """Direct form I."""
+
+    def __init__(self, b, a):
+        self.b, self.a, self.x, self.y = b, a, [0.0, 0.0], [0.0, 0.0]
+
+    def __call__(self, x):
+        y = (
+            self.b[0] * x
+            + self.b[1] * self.x[0]
+            + self.b[2] * self.x[1]
+            - self.a[0] * self.y[0]
+            - self.a[1] * self.y[1]
+        )
+        self.x, self.y = [x, self.x[0]], [y, self.y[0]]
+        return y
+
+
+def two_pole(f_hz):
+    """LowPassFilter2p of PX4 and ArduPilot."""
+    ohm = np.tan(np.pi * f_hz * T)
+    c = 1.0 + 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2
+    b0 = ohm**2 / c
+    return Biquad([b0, 2.0 * b0, b0], [2.0 * (ohm**2 - 1.0) / c, (1.0 - 2.0 * np.cos(np.pi / 4.0) * ohm + ohm**2) / c])
+
+
+def notch(f_hz, width_hz):
+    """NotchFilter of PX4."""
+    alpha, beta = np.tan(np.pi * width_hz * T), -np.cos(2.0 * np.pi * f_hz * T)
+    a0 = 1.0 / (1.0 + alpha)
+    return Biquad([a0, 2.0 * beta * a0, a0], [2.0 * beta * a0, (1.0 - alpha) * a0])
+
+
+def px4(e):
+    """RateControl::update: the integral of before this sample; D on the slope of the filtered gyro."""
+    gyro, low, slope = notch(140.0, 25.0), two_pole(80.0), Alpha(30.0)
+    integral, before, out = 0.0, 0.0, []
+    for value in e:
+        x = low(gyro(value))
+        d = slope((x - before) / T)
+        before = x
+        out.append(1.2 * (0.15 * x + 0.003 * d) + integral)
+        integral += 1.2 * 0.2 * x * T
+    return np.array(out)
+
+
+def ardupilot(e):
+    """AC_PID::update_all: filtered error, its slope filtered, the integral with this sample."""
+    gyro, error, slope = two_pole(40.0), Alpha(60.0), Alpha(20.0)
+    integral, before, out = 0.0, 0.0, []
+    for value in e:
+        x = error(gyro(value))
+        d = slope((x - before) / T)
+        before = x
+        integral += 0.135 * x * T
+        out.append(0.135 * x + integral + 0.0036 * d)
+    return np.array(out)
+
+
+def betaflight(e):
+    """pid.c: D on the slope of the gyro behind two PT1; terms in their scales, error in deg/s, the sum over 1000."""
+    gyro, first, second = Alpha(250.0), Alpha(75.0), Alpha(150.0)
+    integral, before, out = 0.0, 0.0, []
+    for value in np.degrees(e):
+        x = gyro(value)
+        filtered = second(first(x))
+        d, before = (filtered - before) / T, filtered
+        integral += 0.244381 * 80.0 * x * T
+        out.append((0.032029 * 45.0 * x + integral + 0.000529 * 30.0 * d) / 1000.0)
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "parameters", "law"),
+    [
+        ("px4", "roll", PX4, px4),
+        ("ardupilot", "pitch", ARDUPILOT, ardupilot),
+        ("betaflight", "yaw", BETAFLIGHT, betaflight),
+    ],
+)
+def test_blocks_answer_as_the_firmware_s_own_equations(name, axis, parameters, law):
+    C = controller_of(parameters, name, axis, RATE_HZ)
+    want = law(E)
+    np.testing.assert_allclose(step(C, E), want, rtol=0.0, atol=1e-9 * np.abs(want).max())
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "parameters"),
+    [
+        ("px4", "roll", {k: v for k, v in PX4.items() if "IMU_GYRO" not in k and k != "MC_ROLLRATE_K"}),
+        ("ardupilot", "pitch", {k: v for k, v in ARDUPILOT.items() if "FLTE" not in k and "INS" not in k}),
+        (
+            "betaflight",
+            "yaw",
+            {k: v for k, v in BETAFLIGHT.items() if k[0] in "pi" or k in ("d_yaw", "dterm_lpf1_static_hz")},
+        ),
+    ],
+)
+def test_parameters_come_back_as_they_went_in(name, axis, parameters):
+    back = parameters_of(controller_of(parameters, name, axis, RATE_HZ), name)
+    assert back == pytest.approx(parameters, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1\t1\tMC_ROLLRATE_P\t0.15\t9\n",
+        "MC_ROLLRATE_P,0.15\n",
+        "# x\nMC_ROLLRATE_P 0.15\n",
+        "set MC_ROLLRATE_P = 0.15\n",
+    ],
+)
+def test_parameter_files_of_ground_stations(text, tmp_path):
+    (tmp_path / "a.params").write_text(text)
+    assert read_parameters(tmp_path / "a.params") == {"MC_ROLLRATE_P": 0.15}
+
+
+def test_the_command_makes_a_controller_file_and_export_writes_its_parameters_back(tmp_path):
+    mine = {name: value for name, value in PX4.items() if name != "MC_ROLLRATE_K" and "_GYRO_" not in name}
+    rows = [f"1\t1\t{name}\t{value}\t9" for name, value in mine.items()]
+    (tmp_path / "a.params").write_text("\n".join(rows) + "\n")
+    app = typer.Typer()
+    app.command("firmware")(firmware)
+    app.command("export-controller")(export_controller)
+    words = ["--of", "px4", "--rate-hz", "1000", "--out", str(tmp_path / "c.toml")]
+    done = CliRunner().invoke(app, ["firmware", str(tmp_path / "a.params"), *words])
+    assert done.exit_code == 0, done.output
+    for to, ending in (("px4", "params"), ("ardupilot", "param"), ("betaflight", "cli")):
+        words = ["export-controller", str(tmp_path / "c.toml"), "--to", to, "--out", str(tmp_path / "out")]
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, repr(done.exception)
+        found = read_parameters(tmp_path / "out" / f"controller_roll.{ending}")
+        assert len(found) == 4
+    back = read_parameters(tmp_path / "out" / "controller_roll.params")
+    assert back == pytest.approx({name: PX4[name] for name in back}, rel=1e-6)
+
+
+def test_what_is_no_rate_controller_is_refused(tmp_path):
+    with pytest.raises(WrongUseError, match="MC_ROLLRATE_I is a number"):
+        controller_of({"MC_ROLLRATE_P": 0.1}, "px4", "roll", RATE_HZ)
+    with pytest.raises(WrongUseError, match="zeros real"):
+        controller_of(PX4 | {"MC_ROLLRATE_I": 5.0}, "px4", "roll", RATE_HZ)
+    with pytest.raises(WrongUseError, match="PT1"):
+        controller_of(BETAFLIGHT | {"dterm_lpf1_type": "BIQUAD"}, "betaflight", "yaw", RATE_HZ)
+    with pytest.raises(WrongUseError, match="roll, pitch, yaw"):
+        controller_of(PX4, "px4", "x", RATE_HZ)
+    with pytest.raises(WrongUseError, match="a gain, pi and one lead_lag"):
+        parameters_of(controller_of(PX4, "px4", "roll", RATE_HZ), "px4")
+    (tmp_path / "a.param").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LoopshapeError):
+        read_parameters(tmp_path / "a.param")
