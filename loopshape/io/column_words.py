@@ -40,7 +40,8 @@ _TIME = {"t", "time", "zeit", "timestamp", "timestamps", "stamp", "temps", "tiem
 _WEIGHTS: dict[Role, dict[str, float]] = {
     Role.REFERENCE: {
         **dict.fromkeys(("r", "w", "ref", "reference", "setpoint", "sp", "soll", "sollwert", "target", "targets",
-                         "desired", "des", "demand", "goal", "trajectory", "traj", "setp", "consigne"), 6.0),
+                         "desired", "des", "demand", "goal", "trajectory", "traj", "setp", "consigne", "riferimento",
+                         "referencia", "referentie"), 6.0),
         **dict.fromkeys(("cmd", "command", "commanded", "set", "profile", "input"), 2.5),
     },
     Role.INJECTED: {
@@ -50,21 +51,24 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
     },
     Role.CONTROL: {
         **dict.fromkeys(("u", "control", "ctrl", "controller", "effort", "duty", "pwm", "dac", "stell", "stellgroesse",
-                         "stellgröße", "actuator", "plantinput", "mv", "co"), 4.0),
+                         "stellgröße", "actuator", "plantinput", "mv", "co", "comando", "commande"), 4.0),
         **dict.fromkeys(("voltage", "volt", "volts", "current", "iq", "torque", "force", "drive", "motor", "strom",
-                         "spannung", "moment", "thrust", "z", "valve", "amp", "i"), 2.0),
+                         "spannung", "moment", "thrust", "z", "valve", "amp", "i", "trq"), 2.0),
     },
     Role.OUTPUT: {
         **dict.fromkeys(("y", "actual", "act", "ist", "istwert", "meas", "measured", "measurement", "feedback", "fb",
-                         "fbk", "pv", "response", "sensor"), 4.0),
+                         "fbk", "pv", "response", "sensor", "mesure", "misura", "medida", "sortie", "uscita",
+                         "salida"), 4.0),
         **dict.fromkeys(("pos", "position", "angle", "theta", "phi", "enc", "encoder", "velocity", "vel", "speed", "x",
                          "displacement", "gap", "height", "temperature", "pressure", "winkel", "weg", "drehzahl",
-                         "acceleration", "accel", "acc", "gyro", "rate", "level", "output", "out", "q"), 2.0),
+                         "acceleration", "accel", "acc", "gyro", "rate", "level", "output", "out", "q", "posizione",
+                         "posicion", "hoek"), 2.0),
     },
     Role.ERROR: dict.fromkeys(("e", "err", "error", "regelabweichung", "following", "deviation", "schleppfehler"), 9.0),
 }  # fmt: skip
 
 
+_LETTERS = "uyre"  # that stand before a word in names as yref, ymeas, ucmd
 _DRIVING = {"V", "mV", "A", "mA", "N", "kN", "Nm", "N m"}
 _ORDERS = {"cmd", "command", "commanded", "input"}
 _CONTAINERS = {"values", "value", "data", "signals", "time"}
@@ -96,7 +100,16 @@ def split_unit(name: str) -> tuple[str, str]:
 def words_of(name: str) -> tuple[str, ...]:
     """The words of a name in lower case: parts between signs, figures and humps."""
     humps = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", split_unit(name)[0])
-    return tuple(word for word in re.split(r"[^A-Za-zÄÖÜäöüß]+", humps.lower()) if word)
+    words = [word for word in re.split(r"[^A-Za-zÄÖÜäöüß]+", humps.lower()) if word]
+    return tuple(part for word in words for part in _parted(word))
+
+
+def _parted(word: str) -> tuple[str, ...]:
+    """A signal's letter and the word behind it, of a name such as yref; any other word itself."""
+    letter, rest = word[:1], word[1:]
+    known = any(rest in weights for weights in _WEIGHTS.values())
+    whole = any(word in weights for weights in _WEIGHTS.values())
+    return (letter, rest) if letter in _LETTERS and len(rest) > 2 and known and not whole else (word,)
 
 
 def is_time(name: str) -> bool:

@@ -321,6 +321,9 @@ def _drafted(
         guesses.append(f"left out, since they never move: {', '.join(still)}.")
     stored, rules, said = _rules(signals)
     named = {role: stored[name] for role, name in roles.by_role.items()}
+    if Role.OUTPUT not in named and {Role.REFERENCE, Role.ERROR} <= set(named):
+        named[Role.OUTPUT] = f"{named[Role.REFERENCE]} - {named[Role.ERROR]}"
+        guesses.append(f"no output was logged: it is taken for {named[Role.OUTPUT]!r}, reference less error.")
     loop = {"name": "loop"} | {key: named[role] for key, role in _LOOP_KEYS.items() if role in named}
     for key, role in (("output", Role.OUTPUT), ("control", Role.CONTROL)):
         if role not in named:
@@ -333,6 +336,8 @@ def _drafted(
         recording |= {"period_s": roles.period_rows / time.rate_hz, "periodic_from_s": roles.first_row / time.rate_hz}
     if Role.OUTPUT in named and Role.CONTROL in named:
         recording["excites"] = "loop"
+        if Role.OUTPUT not in roles.by_role:  # what moved was not looked for: the output is no column
+            recording |= {"injection": "reference", "closed_loop": True}
     guesses += [*said, *roles.guesses]
     table: dict[str, Any] = {"format": FORMAT, "rate_hz": time.rate_hz or None, "time": time.rule}
     table |= {"resample": True if time.resample else None, "csv": _csv_table(layout)}

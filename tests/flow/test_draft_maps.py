@@ -197,3 +197,29 @@ def test_a_draft_that_was_read_and_corrected_is_the_one_that_is_accepted(tmp_pat
     (tmp_path / draft).write_text(text.replace('name = "a"', 'name = "first"'))
     command(file, None, tmp_path / "run", True, tmp_path / draft, None, False, False, True)
     assert [r.info.name for r in ls.read(tmp_path / "run").recordings] == ["first"]
+
+
+def test_reference_and_error_without_an_output_make_one(tmp_path):
+    """A servo pack logs command, following error and torque: the output is the difference."""
+    n, _, y = loop_signals()
+    file = written(
+        tmp_path / "pack.csv", ["time_ms", "PosCmd", "PosErr", "TrqCmd"], [2.0 * np.arange(N), n, n - y, 5 * (n - y)]
+    )
+    draft, run = accepted(file, tmp_path)
+    np.testing.assert_allclose(run.recordings[0].column(run.loops[0].output), y, atol=1e-7)
+    assert (run.loops[0].control, run.recordings[0].info.injection) == ("trqcmd_1", "reference")
+    assert any("reference less error" in guess for guess in draft.guesses)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("yref", "ymeas", "ucmd"),
+        ("riferimento", "posizione", "comando"),
+        ("consigne (mm)", "mesure (mm)", "commande (V)"),
+    ],
+)
+def test_names_of_other_languages_and_with_a_signal_s_letter(tmp_path, names):
+    n, z, y = loop_signals()
+    draft = draft_map(written(tmp_path / "a.csv", ["t_s", *names], [np.arange(N) / RATE, n, y, z]))
+    assert [draft.roles.get(name) for name in names] == ["reference", "output", "control"]
