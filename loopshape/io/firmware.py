@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.core.units import TWO_PI, Array, deg, hz
+from loopshape.core.units import TWO_PI, Array, ComplexArray, deg, hz
 from loopshape.data.block import Block
 from loopshape.data.controller import Controller
 from loopshape.io.controller_words import about
@@ -190,7 +190,8 @@ def _law(p: float, i: float, d: float, cutoffs: list[float], rate_hz: float, *, 
     num, den = _proportional_integral(p, i / rate_hz, forward=forward)
     if d:
         top, bottom = _derivative(cutoffs, rate_hz)
-        num, den = np.polyadd(np.polymul(num, bottom), d * np.polymul(den, top)), np.polymul(den, bottom)
+        whole = np.polyadd(np.polymul(num, bottom), d * np.polymul(den, top))
+        return _blocks(np.asarray(whole), np.asarray(np.polymul(den, bottom)), rate_hz)
     return _blocks(num, den, rate_hz)
 
 
@@ -212,7 +213,7 @@ def _derivative(cutoffs: list[float], rate_hz: float) -> tuple[Array, Array]:
 
 def _blocks(num: Array, den: Array, rate_hz: float) -> list[Block]:
     """Blocks in series whose sections are num/den (in z, falling powers), a gain first."""
-    zeros, poles = (_in_s(np.roots(np.trim_zeros(x, "f")), rate_hz) for x in (num, den))
+    zeros, poles = (_in_s(np.roots(np.trim_zeros(x, "f")).astype(complex), rate_hz) for x in (num, den))
     made = _paired(list(zeros), list(poles))
     z = np.exp(1j * np.pi / 4.0)
     rest = Controller("", tuple(made), rate_hz).response(np.array([rate_hz / 8.0]))[0] if made else 1.0
@@ -220,10 +221,10 @@ def _blocks(num: Array, den: Array, rate_hz: float) -> list[Block]:
     return [Block("gain", {"gain": gain.real}), *made]
 
 
-def _in_s(roots: Array, rate_hz: float) -> Array:
+def _in_s(roots: ComplexArray, rate_hz: float) -> ComplexArray:
     """Roots in s = 2 rate (z-1)/(z+1); that at z = 1 is exactly 0."""
     s = 2.0 * rate_hz * (roots - 1.0) / (roots + 1.0)
-    return np.asarray(np.where(np.abs(s) < 1e-7 * rate_hz, 0.0, s))
+    return np.asarray(np.where(np.abs(s) < 1e-7 * rate_hz, 0.0, s), dtype=complex)
 
 
 def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
