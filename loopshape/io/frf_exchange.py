@@ -64,7 +64,7 @@ _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
     "ligo": lambda path, _: read_ligo_xml(path),
 }
 _READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone", ".xml": "ligo"}
-_ENDINGS = {".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".csv": "csv", ".uff": "uff", ".unv": "uff"}
+_ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff", ".h5": "hdf5", ".hdf5": "hdf5"}
 
 
 def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
