@@ -51,7 +51,9 @@ def check_several(
     decided by these data.
     """
     from loopshape.cli.verdicts import report_headline, report_verdicts, warn_of
+    from loopshape.io.check_files import recorded_under
     from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_several_loops
     from loopshape.io.junit import write_junit
     from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_requirements, read_several
@@ -60,8 +62,8 @@ def check_several(
     output = Output(as_json, quiet)
     (wished, standard), several = joined(profile, read_requirements(require)), read_several(require)
     chosen = tuple(name.strip() for name in loops.split(",")) if loops else None
-    frfs, own = _matrices(run), read_controllers(controllers)
-    verdict = check(frfs, own, wished, several, loops=chosen, held=_held(run))
+    frfs, own = read_several_loops(run), read_controllers(controllers)
+    verdict = check(frfs, own, wished, several, loops=chosen, held=recorded_under(run))
     if junit is not None:
         write_junit(junit, [*verdict.each, verdict.together])
     report_headline([*verdict.each, verdict.together], output)
@@ -87,30 +89,6 @@ def check_several(
     )
     if not verdict.passed:
         raise typer.Exit(1)
-
-
-def _matrices(run: Path) -> list[FRF]:
-    """A run's matrices: those that `frf --matrix` left, else imported FRFs of several inputs; refuses a run without."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.frfs import MATRICES, read_frfs, read_matrices
-
-    found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
-    found = found or [one for one in read_frfs(run) if len(one.inputs) > 1]
-    if not found:
-        raise WrongUseError(
-            "several loops are checked on the plant's matrix, and the run has FRFs of single loops only",
-            str(run), "estimate it first: loopshape frf RUN --matrix",
-        )  # fmt: skip
-    return found
-
-
-def _held(run: Path) -> Sequence[Controller]:
-    """Controllers under which the run was recorded, as far as it knows them."""
-    from loopshape.io.run_folder import RUN_TOML, read_run
-
-    if not (run / RUN_TOML).exists():
-        return ()
-    return [loop.controller for loop in read_run(run).loops if loop.controller is not None]
 
 
 def _row(recording: str, m: SeveralMargins) -> list[Any]:

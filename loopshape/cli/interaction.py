@@ -14,7 +14,6 @@ from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
-    from loopshape.data.frf import FRF
     from loopshape.data.interaction import BandVerdict, Interaction
 
 _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", "95 % from", "to", "at [Hz]", "verdict"]
@@ -36,12 +35,13 @@ def interaction(
 ) -> None:
     """Judge the interaction of loops, with bounds, from the matrix FRFs of a run; needs `frf RUN --matrix` before."""
     from loopshape.identify.interaction import interaction as analyse
+    from loopshape.io.frfs import read_several_loops
 
     output = Output(as_json, quiet)
     chosen, rows = _names(loops), _names(outputs)
     known = _controllers(run, controller)
     found = []
-    for one in _matrices(run):
+    for one in read_several_loops(run):
         mine = {name: c for name, c in known.items() if name in (chosen or one.loop.split("+"))}
         found.append(analyse(one, chosen, mine, outputs=rows, limit_db=limit_db, bands=_bands(bands)))
     drawn = _draw(run, found, output) if figures else []
@@ -66,22 +66,6 @@ def _bands(text: str | None) -> tuple[tuple[float, float], ...] | None:
         except ValueError:
             raise WrongUseError("a band is two frequencies in Hz", repr(part), "write bands as 0.5-1,1-4") from None
     return tuple(made) or None
-
-
-def _matrices(run: Path) -> list[FRF]:
-    """A run's matrices: those that `frf --matrix` left, and imported FRFs of several inputs; refuses a run without."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.frfs import MATRICES, read_frfs, read_matrices
-
-    found = list(read_matrices(run)) if any((run / MATRICES).glob("*.npz")) else []
-    if not found:
-        found = [one for one in read_frfs(run) if len(one.inputs) > 1]
-    if not found:
-        raise WrongUseError(
-            "interaction needs the plant's matrix, and the run has FRFs of single loops only",
-            str(run), "estimate it first: loopshape frf RUN --matrix",
-        )  # fmt: skip
-    return found
 
 
 def _controllers(run: Path, file: Path | None) -> Mapping[str, Controller]:

@@ -10,6 +10,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 if TYPE_CHECKING:
+    from loopshape.verbs.shaping import SeveralLoops
     from loopshape.view.page.payload import Shaped
 
 
@@ -19,6 +20,9 @@ def shape(
     controller: Annotated[
         Path | None, typer.Option(help="A controller file (TOML) to start from; default: a gain of 1.")
     ] = None,
+    matrix: Annotated[
+        bool, typer.Option("--matrix", help="One loop at a time with the others closed, on the run's matrices.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
     serve: Annotated[
         bool,
@@ -36,12 +40,15 @@ def shape(
     back, which check signs.
     """
     from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.shaping import page_of, shape_run
+    from loopshape.verbs.shaping import page_of, several_run, shape_run
 
-    output, path = Output(as_json, quiet), out or run / "shape.html"
-    loops = shape_run(run, require, controller)
+    output, path, several = Output(as_json, quiet), out or run / "shape.html", None
+    if matrix:
+        several, loops = several_run(run, require, _closing(controller))
+    else:
+        loops = shape_run(run, require, controller)
     if serve:
-        _serve(loops, run.resolve().name, save or run / "controller.toml")
+        _serve(loops, run.resolve().name, save or run / "controller.toml", several)
         return
     data = page_of(loops, run.resolve().name)
     write_bytes_whole(path, data)
@@ -51,13 +58,21 @@ def shape(
     output.json({"page": str(path), "bytes": len(data), "loops": [one.controller.loop for one in loops]})
 
 
-def _serve(loops: list[Shaped], title: str, save: Path) -> None:
+def _closing(controller: Path | None) -> Path:
+    from loopshape.core.errors import WrongUseError
+
+    if controller is None:
+        raise WrongUseError("loops are closed by their controllers", "--matrix alone", "give them by --controller FILE")
+    return controller
+
+
+def _serve(loops: list[Shaped], title: str, save: Path, several: SeveralLoops | None) -> None:
     """The page until Ctrl+C."""
     from contextlib import suppress
 
     from loopshape.verbs.shape_server import ShapeServer
 
-    server = ShapeServer(loops, title, save)
+    server = ShapeServer(loops, title, save, several)
     print(f"open {server.url} in a browser; Ctrl+C ends it", flush=True)
     with suppress(KeyboardInterrupt):
         server.serve()

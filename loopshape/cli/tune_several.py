@@ -28,17 +28,18 @@ def tune_several_run(
 
     A profile limits each loop with the others closed.
     """
-    from loopshape.cli.check_several import _held, _matrices
     from loopshape.design.several import tune_several
+    from loopshape.io.check_files import recorded_under
     from loopshape.io.controllers import write_controllers
+    from loopshape.io.frfs import read_several_loops
     from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_requirements, read_several
 
     (wishes, chosen), several = joined(profile, read_requirements(require)), read_several(require)
-    began, frfs = controllers_to_start(start, [one.loop for one in wishes]), _matrices(run)
+    began, frfs = controllers_to_start(start, [one.loop for one in wishes]), read_several_loops(run)
     with output.progress("tune", 2 * len(wishes)) as step:
         found = tune_several(
-            frfs, wishes, list(began.values()), several, held=_held(run), seed=seed, starts=starts, step=step
+            frfs, wishes, list(began.values()), several, held=recorded_under(run), seed=seed, starts=starts, step=step
         )
     _report(found, output, len(frfs))
     for sentence in () if chosen is None else chosen.sentences():

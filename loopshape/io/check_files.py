@@ -17,6 +17,7 @@ from loopshape.io.controllers import read_controllers
 from loopshape.io.fits import read_fits
 from loopshape.io.frfs import read_frfs
 from loopshape.io.requirements import read_requirements
+from loopshape.io.run_folder import RUN_TOML, read_run
 from loopshape.io.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
 from loopshape.loop.verdict import check
@@ -135,6 +136,13 @@ def _of(loops: Sequence[LoopCheck], names: set[str]) -> list[LoopCheck]:
 def fits_of(run: Path) -> tuple[Fit, ...]:
     """The run's fits, none where nothing was fitted yet."""
     return read_fits(run) if (run / "fits.json").exists() else ()
+
+
+def recorded_under(run: Path) -> tuple[Controller, ...]:
+    """Controllers under which a run was recorded, as far as it knows them."""
+    if not (run / RUN_TOML).exists():
+        return ()
+    return tuple(loop.controller for loop in read_run(run).loops if loop.controller is not None)
 
 
 def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:

@@ -99,6 +99,18 @@ def read_matrices(run_folder: Path) -> tuple[FRF, ...]:
     )
 
 
+def read_several_loops(run_folder: Path) -> tuple[FRF, ...]:
+    """A run's matrices, else its imported FRFs of several inputs; refuses a run that has neither."""
+    found = read_matrices(run_folder) if has_any(run_folder, MATRICES) else ()
+    found = found or tuple(one for one in read_frfs(run_folder) if len(one.inputs) > 1)
+    if not found:
+        raise WrongUseError(
+            "several loops need the plant's matrix, and the run has FRFs of single loops only",
+            str(run_folder), "estimate it first: loopshape frf RUN --matrix",
+        )  # fmt: skip
+    return found
+
+
 def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FRF, ...]:
     if not run_folder.exists():
         raise UnreadableInputError("a run's folder does not exist", str(run_folder), "check its name")

@@ -15,10 +15,11 @@ from loopshape.data.requirements import Limit, Line, Requirements, Verdict
 from loopshape.data.several import SEVERAL_LIMITS, SeveralMargins, SeveralRequirements, SeveralVerdict
 from loopshape.identify.equivalent_plant import equivalent_plant
 from loopshape.identify.interaction import square_part
-from loopshape.loop.determinant import count_from_held, encirclement_count
+from loopshape.loop.determinant import closed_loops_stability, count_from_held, encirclement_count
 from loopshape.loop.several_low_end import read_integrators
 from loopshape.loop.several_margins import several_margins
-from loopshape.loop.verdict import check
+from loopshape.loop.stability import unstable_count
+from loopshape.loop.verdict import check, loops_of
 
 #: lines above the judged band count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
@@ -171,11 +172,7 @@ def _one(
     """A loop's verdict with all others closed; whether it is stable is what the count of all loops says."""
     wished = replace(wished or Requirements(name), integrators=None, unstable_poles=None)
     controllers = {own.loop: own for m in matrices.values() for own in m.controllers}
-    met = [
-        replace(equivalent_plant(m.plant, m.names, name, controllers).closed, recording=recording, held_by=None)
-        for recording, m in matrices.items()
-    ]
-    found = check(met, controllers[name], wished, detuned=False, counted=False)
+    found = check(plants_met(name, matrices), controllers[name], wished, detuned=False, counted=False)
     together = {
         recording: replace(
             found.margins[recording],
@@ -186,6 +183,37 @@ def _one(
         for recording, m in margins.items()
     }
     return replace(found, margins=together)
+
+
+def plants_met(name: str, matrices: Mapping[str, LoopMatrix]) -> tuple[FRF, ...]:
+    """The plant that a loop meets with all others closed, at each operating point."""
+    return tuple(
+        replace(
+            equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}).closed,
+            recording=recording,
+            held_by=None,
+        )
+        for recording, m in matrices.items()
+    )
+
+
+def unstable_poles_met(name: str, matrices: Mapping[str, LoopMatrix], wished: Requirements) -> int | None:
+    """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
+
+    Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where
+    operating points differ.
+    """
+    asked, counts = replace(wished, integrators=None, unstable_poles=0), set()
+    for plant, m in zip(plants_met(name, matrices), matrices.values(), strict=True):
+        (own,) = (one for one in m.controllers if one.loop == name)
+        (loop,), _ = loops_of([plant], own, asked, counted=False)
+        together = closed_loops_stability(m).unstable_poles
+        alone = None if loop.integrators is None else unstable_count(loop)
+        if together is None or not isinstance(alone, int):
+            return None
+        counts.add(together - alone)
+    found = counts.pop()
+    return found if not counts and found >= 0 else None
 
 
 def _line(limit: Limit, wished: float, margins: Mapping[str, SeveralMargins]) -> Line:

@@ -160,8 +160,8 @@ def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, f
 
 def shape(
     P: Plants | Mapping[str, FRF],
-    C: Controller | Tuning | None = None,
-    R: Requirements | None = None,
+    C: Controller | Tuning | Sequence[Controller] | None = None,
+    R: Requirements | Sequence[Requirements] | None = None,
     out: str | Path = "shape.html",
     *,
     fits: Sequence[Fit] = (),
@@ -170,7 +170,8 @@ def shape(
 
     `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
-    `fits` it draws the step of each fit's loop. Raises WrongUseError as `check` does.
+    `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
+    FRF: each is shaped on the plant that it meets with the others closed. Raises WrongUseError as `check` does.
 
     Examples
     --------
@@ -182,11 +183,16 @@ def shape(
     'shape.html'
     """
     from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.shaping import page_of, shaped
+    from loopshape.verbs.shaping import SeveralLoops, page_of, shaped
 
-    named = [replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P
-    one = shaped(_plants(named), C.controller if isinstance(C, Tuning) else C, R, tuple(fits))
-    write_bytes_whole(Path(out), page_of([one], "Shape"))
+    plants = _plants([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
+    wished = (R,) if isinstance(R, Requirements) else tuple(R or ())
+    if isinstance(C, Sequence):
+        loops = SeveralLoops(plants, wished).shaped(C)
+    else:
+        own = C.controller if isinstance(C, Tuning) else C
+        loops = [shaped(plants, own, wished[0] if wished else None, tuple(fits))]
+    write_bytes_whole(Path(out), page_of(loops, "Shape"))
     return Path(out)
 
 

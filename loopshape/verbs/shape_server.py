@@ -20,7 +20,7 @@ from loopshape.data.block import BLOCK_KINDS, Block
 from loopshape.data.controller import Controller
 from loopshape.data.requirements import BlockTemplate, Free, Requirements
 from loopshape.loop.verdict import check
-from loopshape.verbs.shaping import served_page
+from loopshape.verbs.shaping import SeveralLoops, served_page
 from loopshape.view.page.payload import Shaped, certificate_words, controller_words
 
 #: a request of the page is far smaller
@@ -32,12 +32,16 @@ REACH = 10.0
 class ShapeServer:
     """Answers of one page; `serve` runs until it is interrupted, `url` has the token."""
 
-    def __init__(self, loops: Sequence[Shaped], title: str, save: Path) -> None:
-        self.loops = {one.controller.loop: one for one in loops}
+    def __init__(self, loops: Sequence[Shaped], title: str, save: Path, several: SeveralLoops | None = None) -> None:
+        self.title, self.several = title, several
         self.save_to, self.token, self.lock = save, token_urlsafe(24), Lock()
-        self.page = served_page(loops, title)
+        self._show(loops)
         self.http = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
         self.http.daemon_threads = True
+
+    def _show(self, loops: Sequence[Shaped]) -> None:
+        self.loops = {one.controller.loop: one for one in loops}
+        self.page = served_page(loops, self.title)
 
     @property
     def origin(self) -> str:
@@ -57,9 +61,9 @@ class ShapeServer:
             self.http.server_close()
 
     def answer(self, name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """What a button asks: "check", "tune" or "save"; one at a time."""
+        """What a button asks: "check", "tune", "save" or "close" (the other loops, as they are now); one at a time."""
         does: dict[str, Callable[[Shaped, Mapping[str, Any]], dict[str, Any]]]
-        does = {"check": self._check, "tune": self._tune, "save": self._save}
+        does = {"check": self._check, "tune": self._tune, "save": self._save, "close": self._close}
         if name not in does:
             raise WrongUseError("the page asks for what is not known", name, f"one of {', '.join(does)}")
         controller = asked.get("controller")
@@ -70,7 +74,7 @@ class ShapeServer:
             return does[name](self.loops[loop], asked)
 
     def _check(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
-        verdict = check(one.frfs, _controller(asked["controller"]), _requirements(asked), one.fits)
+        verdict = check(one.frfs, _controller(asked["controller"]), one.judged(_requirements(asked)), one.fits)
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
 
     def _tune(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,9 +82,16 @@ class ShapeServer:
 
         start = _controller(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
-        found = tune(one.frfs, replace(_requirements(asked), structure=structure), one.fits, start=start, starts=1)
+        wished = replace(one.judged(_requirements(asked)), structure=structure)
+        found = tune(one.frfs, wished, one.fits, start=start, starts=1)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
+
+    def _close(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+        if self.several is None:
+            raise WrongUseError("the page has single loops", "close", "serve it with --matrix")
+        self._show(self.several.shaped([_controller(words) for words in asked["controllers"]]))
+        return {"words": "each loop has the others closed as they are now"}
 
     def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.controllers import write_controllers

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from loopshape import __version__
@@ -10,11 +11,14 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.block import Block
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
+from loopshape.data.loop_matrix import LoopMatrix
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements
+from loopshape.data.several import SeveralRequirements
+from loopshape.loop.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
-from loopshape.view.page.payload import Shaped
+from loopshape.view.page.payload import Others, Shaped
 
 
 def shaped(
@@ -36,6 +40,30 @@ def _gain_of_one(frf: FRF) -> Controller:
     return Controller(frf.loop, (Block("gain", {"gain": 1.0}),), frf.rate_hz)
 
 
+@dataclass(frozen=True, eq=False)
+class SeveralLoops:
+    """Matrix FRFs of one plant, and what is required of each loop and of all; `held`: recorded under these."""
+
+    frfs: tuple[FRF, ...]
+    requirements: tuple[Requirements, ...] = ()
+    together: SeveralRequirements | None = None
+    held: tuple[Controller, ...] = ()
+
+    def shaped(self, controllers: Sequence[Controller]) -> list[Shaped]:
+        """Each loop on the plant that it meets while the others are closed by these controllers."""
+        names = [one.loop for one in controllers]
+        together = self.together or SeveralRequirements()
+        matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.held)
+        return [self._one(own, controllers, matrices) for own in controllers]
+
+    def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, LoopMatrix]) -> Shaped:
+        wished = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
+        met = plants_met(own.loop, matrices)
+        rest = tuple(one for one in controllers if one is not own)
+        others = Others(rest, unstable_poles_met(own.loop, matrices, wished))
+        return Shaped(met, own, wished, (), check(met, own, others.judged(wished)), others)
+
+
 def page_of(loops: Sequence[Shaped], title: str) -> bytes:
     """The page as bytes."""
     return shape_page(loops, title, __version__).encode("utf-8")
@@ -44,6 +72,19 @@ def page_of(loops: Sequence[Shaped], title: str) -> bytes:
 def served_page(loops: Sequence[Shaped], title: str) -> bytes:
     """The page as bytes with the buttons that ask a server."""
     return shape_page(loops, title, __version__, served=True).encode("utf-8")
+
+
+def several_run(run: Path, require: Path | None, controller: Path) -> tuple[SeveralLoops, list[Shaped]]:
+    """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
+    from loopshape.io.check_files import recorded_under
+    from loopshape.io.controllers import read_controllers
+    from loopshape.io.frfs import read_several_loops
+    from loopshape.io.requirements import read_requirements, read_several
+
+    wished = tuple(read_requirements(require)) if require else ()
+    together = read_several(require) if require else None
+    made = SeveralLoops(read_several_loops(run), wished, together, recorded_under(run))
+    return made, made.shaped(read_controllers(controller))
 
 
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[Shaped]:

@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 from threading import Thread
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import page_in_browser
 import pytest
+import several_cases
 import shaped_cases
 
 import loopshape as ls
@@ -19,8 +21,9 @@ from loopshape.core.errors import WrongUseError
 from loopshape.io.controllers import write_controllers
 from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
-from loopshape.verbs.shaping import shaped
+from loopshape.verbs.shaping import SeveralLoops, shaped
 from loopshape.view.page import page as page_module
+from loopshape.view.page.payload import Shaped
 
 SOURCES = Path(page_module.__file__).parent
 
@@ -336,6 +339,16 @@ def test_the_script_is_built_from_its_sources(tmp_path: Path) -> None:
     assert not typed_well.stdout
 
 
+@contextmanager
+def served(loops: list[Shaped], folder: Path, several: SeveralLoops | None = None) -> Iterator[ShapeServer]:
+    made = ShapeServer(loops, "bench", folder / "controller.toml", several)
+    thread = Thread(target=made.serve)
+    thread.start()
+    yield made
+    made.http.shutdown()
+    thread.join()
+
+
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ShapeServer]:
     """The bench's page on loopback, from the controller at the end of the walk in docs/shape.md."""
@@ -344,12 +357,8 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ShapeServer]:
         ls.gain(12.0), ls.lead_lag(1.0, 50.0), ls.notch(77.5, 0.1, 0.6), ls.low_pass(400.0, 1.0),
         rate_hz=2500.0, loop="motor",
     )  # fmt: skip
-    made = ShapeServer([shaped([P], C, R, ())], "bench", tmp_path_factory.mktemp("saved") / "controller.toml")
-    thread = Thread(target=made.serve)
-    thread.start()
-    yield made
-    made.http.shutdown()
-    thread.join()
+    with served([shaped([P], C, R, ())], tmp_path_factory.mktemp("saved")) as made:
+        yield made
 
 
 def status(server: ShapeServer, path: str, body: bytes | None = None, **headers: str) -> int:
@@ -370,6 +379,29 @@ def test_no_other_page_can_ask_the_server(server: ShapeServer) -> None:
     assert status(server, f"/{server.token}/save", b"{}", **{"Content-Type": "text/plain"}) == 400
     assert status(server, f"/{server.token}/save", b"[]", **{"Content-Type": "application/json"}) == 400
     assert not server.save_to.exists()
+
+
+def test_served_each_loop_of_a_matrix_meets_the_others_as_they_are_now(browser: Any, tmp_path: Path) -> None:
+    f = np.arange(0.1, 20.0, 0.1)
+    s = 2j * np.pi * f
+    G = np.array([[1.0, 0.5], [-0.5, 1.0]]) * (4.0 / (s * (0.02 * s + 1.0)))[:, None, None]
+    several = SeveralLoops((several_cases.frf_of(f, G, 0.01, loop="a+b"),))
+    with served(
+        several.shaped([several_cases.gain("a", 6.0), several_cases.gain("b", 4.0)]), tmp_path, several
+    ) as made:
+        page = browser.new_context().new_page()
+        page.goto(made.url)
+        page.locator("#closed", has_text="Loop a, with b closed.").wait_for()
+        before = page.evaluate("loopshape.loop.points[0].P.re[20]")
+        page.get_by_label("Loop", exact=True).select_option("1")
+        page.locator("#closed", has_text="Loop b, with a closed.").wait_for()
+        typed(page, "gain of block 1, gain", 1)
+        page.get_by_label("Loop", exact=True).select_option("0")
+        page.locator("#closed", has_text="Changed since: b").wait_for()
+        page.get_by_role("button", name="close the other loops as they are designed now").click()
+        page.locator("#closed", has_text="Loop a, with b closed.").wait_for()
+        assert page.evaluate("loopshape.loop.points[0].P.re[20]") != before
+        page.context.close()
 
 
 def test_served_the_page_certifies_tunes_and_saves(browser: Any, server: ShapeServer, tmp_path: Path) -> None:

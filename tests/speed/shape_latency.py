@@ -49,7 +49,7 @@ def main() -> None:
             page.mouse.move(box["x"] + x + 60.0 * np.sin(0.1 * k), box["y"] + y + 5.0 * np.cos(0.07 * k))
             page.wait_for_timeout(16)
         page.mouse.up()
-        page_in_browser.settled(page)
+        page_in_browser.until(page, "loopshape.state.detuned")
         print(f"{POINTS} FRFs of {LINES} frequencies, 200 draws; the file has {file.stat().st_size / 1e6:.2f} MB")
         for name, values in page.evaluate("loopshape.timings").items():
             half, most, worst = np.quantile(values, (0.5, 0.95, 1.0))

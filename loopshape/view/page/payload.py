@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -38,14 +38,34 @@ NOT_JUDGED = "masks and limits of single operating points are not judged on this
 
 
 @dataclass(frozen=True, eq=False)
+class Others:
+    """Loops of the same plant that are closed while one is shaped, and the unstable poles that it meets then."""
+
+    controllers: tuple[Controller, ...]
+    unstable_poles: int | None
+
+    def judged(self, wished: Requirements) -> Requirements:
+        """What is required, with the poles of the plant that is met: those of a file are of the whole plant."""
+        return replace(wished, integrators=None, unstable_poles=self.unstable_poles)
+
+
+@dataclass(frozen=True, eq=False)
 class Shaped:
-    """One loop of the page: its FRFs, where shaping starts, what is required, and what a check says of that start."""
+    """One loop of the page: its FRFs, where shaping starts, what is required, and what a check says of that start.
+
+    Where it is one of several, its FRFs are of the plant that it meets with the `others` closed.
+    """
 
     frfs: tuple[FRF, ...]
     controller: Controller
     requirements: Requirements
     fits: tuple[Fit, ...]
     verdict: Verdict
+    others: Others | None = None
+
+    def judged(self, wished: Requirements) -> Requirements:
+        """What is required of the plant that is met."""
+        return wished if self.others is None else self.others.judged(wished)
 
 
 def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]:
@@ -122,7 +142,7 @@ def _state(seed: int) -> dict[str, str]:
 
 
 def _loop(one: Shaped) -> dict[str, Any]:
-    loops, notes = loops_of(one.frfs, one.controller, one.requirements, one.fits)
+    loops, notes = loops_of(one.frfs, one.controller, one.judged(one.requirements), one.fits)
     if one.requirements.masks or one.requirements.at:
         notes = (*notes, NOT_JUDGED)
     return {
@@ -134,6 +154,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
             _point(name, loop) | {"fit": _fit(fit_of(frf, one.fits))}
             for name, loop, frf in zip(one.verdict.margins, loops, one.frfs, strict=True)
         ],
+        "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
         "certificate": certificate_words(one.verdict),
         "notes": list(notes),
     }

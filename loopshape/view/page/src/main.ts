@@ -40,6 +40,7 @@ class Page {
   private readonly said = el("p", { id: "said", role: "status", "aria-live": "polite" });
   private readonly verdict = el("span", { id: "verdict-badge" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
+  private readonly closed = el("p", { id: "closed", "aria-live": "polite" });
   private readonly root: HTMLElement;
   /** Milliseconds from a change to its picture, its intervals, its detuning margins: read by tests and by who measures. */
   readonly timings: Record<"picture" | "intervals" | "detuning", number[]> = { picture: [], intervals: [], detuning: [] };
@@ -111,6 +112,7 @@ class Page {
     });
     this.root.replaceChildren(
       this.header(),
+      this.closed,
       this.said,
       el("main", {},
         el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate),
@@ -147,13 +149,15 @@ class Page {
       button("Tune from here", "let loopshape tune what is not locked, from this design", () => void this.tune(), { id: "tune" }),
       button("Certify", "let loopshape check this design", () => void this.certify(), { id: "certify" }),
       button("Save", "save the controller on this machine", () => void this.serverSays("save"), { id: "save" }),
+      ...(this.loop.closed.length ? [button("Close others", "close the other loops as they are designed now", () => void this.closeOthers(), { id: "close" })] : []),
     ];
   }
 
   /** Asks the server that gave this page; what it answers, or null after an error was said. */
   private async serverSays(what: string): Promise<Record<string, unknown> | null> {
     const on = this.design.blocks.filter((block) => !block.off);
-    const asked = { controller: this.controller, requirements: this.design.requirements, locked: on.length ? on.map((block) => block.locked) : [[]] };
+    const controllers = this.designs.map((design) => this.running(design));
+    const asked = { controller: this.controller, controllers, requirements: this.design.requirements, locked: on.length ? on.map((block) => block.locked) : [[]] };
     this.say("Asking loopshape …");
     try {
       const headers = { "Content-Type": "application/json" };
@@ -165,6 +169,25 @@ class Page {
       this.say("The server does not answer: is loopshape shape --serve still running?");
       return null;
     }
+  }
+
+  /** The page again, each loop on the plant that it meets with the others as they are now; the address keeps designs. */
+  private async closeOthers(): Promise<void> {
+    if (!(await this.serverSays("close"))) return;
+    this.writeAddress();
+    location.reload();
+  }
+
+  /** Other loops of the plant, and which of them were changed since they were closed. */
+  private closedWords(): string {
+    const { closed, name } = this.loop;
+    if (!closed.length) return "";
+    const text = (controller: Controller): string => JSON.stringify(controllerOf(designOf(controller, this.loop.requirements)));
+    const moved = this.designs.filter((design) => closed.some((own) => own.loop === design.loop && text(own) !== JSON.stringify(controllerOf(design))));
+    const names = closed.map((own) => own.loop).join(", ");
+    if (!moved.length) return `Loop ${name}, with ${names} closed.`;
+    const way = this.payload.served ? "Press Close others." : "Save controller.toml and write the page again from it.";
+    return `Loop ${name}, with ${names} closed as this page was made. Changed since: ${moved.map((own) => own.loop).join(", ")}, so ${name} meets another plant now. ${way}`;
   }
 
   private async certify(): Promise<void> {
@@ -367,7 +390,7 @@ class Page {
     this.show();
     this.timings.picture.push(performance.now() - this.changedAt);
     this.intervalsFrom ??= this.changedAt;
-    this.detuningFrom ??= this.changedAt;
+    this.detuningFrom = this.changedAt; // each change begins them anew
     this.changedAt = 0;
     this.writeAddressSoon();
   }
@@ -420,6 +443,8 @@ class Page {
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
     this.table.show(this.design.requirements, found, { settled: this.settled, detuned: this.detuned }, this.otherFound);
     this.blocks.show(this.controller);
+    this.closed.textContent = this.closedWords();
+    this.closed.hidden = !this.loop.closed.length;
     const { certificate } = this.loop;
     const here = "The numbers above are computed here, from the same draws.";
     const word = certificate?.outcome ?? "none";

@@ -167,6 +167,8 @@ interface RawLoop {
   requirements: Requirements;
   controller: Controller;
   points: RawPoint[];
+  /** Controllers of the plant's other loops, closed while this one is shaped. */
+  closed: Controller[];
   certificate: Certificate | null;
   notes: string[];
 }
