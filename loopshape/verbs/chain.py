@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Model
     from loopshape.data.plant import Followable
     from loopshape.data.prediction import Prediction
+    from loopshape.data.several import SeveralRequirements
     from loopshape.design.bound import Bound
     from loopshape.loop.remeasured import Remeasured
 
@@ -165,13 +166,14 @@ def shape(
     out: str | Path = "shape.html",
     *,
     fits: Sequence[Fit] = (),
+    together: SeveralRequirements | None = None,
 ) -> Path:
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
 
     `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
     `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
-    FRF: each is shaped on the plant that it meets with the others closed. Raises WrongUseError as `check` does.
+    FRF: each is shaped on the plant that it meets with the others closed; `together` declares its poles. Raises WrongUseError as `check` does.
 
     Examples
     --------
@@ -188,7 +190,7 @@ def shape(
     plants = _plants([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     wished = (R,) if isinstance(R, Requirements) else tuple(R or ())
     if isinstance(C, Sequence):
-        loops = SeveralLoops(plants, wished).shaped(C)
+        loops = SeveralLoops(plants, wished, together).shaped(C)
     else:
         own = C.controller if isinstance(C, Tuning) else C
         loops = [shaped(plants, own, wished[0] if wished else None, tuple(fits))]
