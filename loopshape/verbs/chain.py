@@ -173,7 +173,8 @@ def shape(
     `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
     `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
-    FRF: each is shaped on the plant that it meets with the others closed; `together` declares its poles. Raises WrongUseError as `check` does.
+    FRF: each is shaped on the plant that it meets with the others closed; `together` declares that plant's poles.
+    Raises WrongUseError as `check` does.
 
     Examples
     --------

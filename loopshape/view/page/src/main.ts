@@ -178,12 +178,17 @@ class Page {
     location.reload();
   }
 
-  /** Other loops of the plant, and which of them were changed since they were closed. */
+  /** Designs of other loops that were changed since they were closed. */
+  private movedOthers(): Design[] {
+    const { closed, requirements } = this.loop;
+    const text = (controller: Controller): string => JSON.stringify(controllerOf(designOf(controller, requirements)));
+    return this.designs.filter((design) => closed.some((own) => own.loop === design.loop && text(own) !== JSON.stringify(controllerOf(design))));
+  }
+
   private closedWords(): string {
     const { closed, name } = this.loop;
     if (!closed.length) return "";
-    const text = (controller: Controller): string => JSON.stringify(controllerOf(designOf(controller, this.loop.requirements)));
-    const moved = this.designs.filter((design) => closed.some((own) => own.loop === design.loop && text(own) !== JSON.stringify(controllerOf(design))));
+    const moved = this.movedOthers();
     const names = closed.map((own) => own.loop).join(", ");
     if (!moved.length) return `Loop ${name}, with ${names} closed.`;
     const way = this.payload.served ? "Press Close others." : "Save controller.toml and write the page again from it.";
@@ -336,13 +341,18 @@ class Page {
     new ResizeObserver(() => this.draw()).observe(this.screen.element);
   }
 
+  /** The command that signs what is designed here. */
+  private get signing(): string {
+    return this.loop.closed.length ? "check-several" : "check";
+  }
+
   private text(name: string): string {
     return name === "controller.toml" ? controllerText(this.designs, this.payload.version) : requirementsText(this.designs);
   }
 
   private save(name: string): void {
     download(name, this.text(name));
-    this.say(`${name} downloaded; verify it: loopshape check RUN controller.toml --require requirements.toml`);
+    this.say(`${name} downloaded; verify it: loopshape ${this.signing} RUN controller.toml --require requirements.toml`);
   }
 
   private copy(): void {
@@ -445,12 +455,13 @@ class Page {
     this.blocks.show(this.controller);
     this.closed.textContent = this.closedWords();
     this.closed.hidden = !this.loop.closed.length;
+    this.closed.classList.toggle("moved", this.movedOthers().length > 0);
     const { certificate } = this.loop;
     const here = "The numbers above are computed here, from the same draws.";
     const word = certificate?.outcome ?? "none";
     this.certificate.textContent = this.isStart()
       ? `Certificate of loopshape check for this design: ${word}. ${here}`
-      : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape check.`;
+      : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape ${this.signing}.`;
     (document.getElementById("undo") as HTMLButtonElement).disabled = !this.histories[this.current].can(-1);
     (document.getElementById("redo") as HTMLButtonElement).disabled = !this.histories[this.current].can(1);
     (document.getElementById("swap") as HTMLButtonElement).disabled = !this.others[this.current];

@@ -140,6 +140,7 @@ export class RequirementTable {
     const where = margins.length > 1 ? ` at ${this.names[least.k]}` : "";
     if (least.beyond) return `Detuning margin: nothing breaks while the plant's frequencies move by ±${shown(least.percent)} %${ends}.`;
     const label = this.limits.find((limit) => limit.name === least.breaks)?.label ?? STABILITY;
+    if (least.percent === 0) return `Detuning margin: 0 %${where}: ${label} is missed at the plant's own frequencies or at the first shift.`;
     return `Detuning margin: ${shown(least.percent)} %${ends}${where}. Farther shifts of the plant's frequencies break first: ${label}.`;
   }
 
