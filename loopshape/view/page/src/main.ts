@@ -115,12 +115,17 @@ class Page {
       this.closed,
       this.said,
       el("main", {},
-        el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate),
+        el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate, this.notes()),
         el("section", { id: "plots", "aria-label": "Plots" }, this.screen.element),
         el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.blocks.element),
       ),
       el("footer", {}, el("p", { class: "quiet" }, KEYS)),
     );
+  }
+
+  /** What had to be assumed of the plant, and what is not judged here. */
+  private notes(): HTMLElement {
+    return el("ul", { class: "quiet", id: "notes" }, ...this.loop.notes.map((note) => el("li", {}, note)));
   }
 
   private header(): HTMLElement {
