@@ -10,7 +10,7 @@ where recordings are few was chosen with EMPS in view (`experiments/emps`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from loopshape.diagnose.attribute import LeftOut, deviation_of_magnitude, left_o
 from loopshape.diagnose.evidence import Evidence
 from loopshape.diagnose.fitting import Fitted
 from loopshape.diagnose.hypothesis import Hypothesis
+from loopshape.diagnose.shrink import SMALLEST
 
 SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
 ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
@@ -115,15 +116,31 @@ def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
     return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
 
 
-def refuted(before: float, after: float) -> bool:
-    """Whether recordings that no fit saw refute an explanation: it leaves more of their gap than `unknown` would."""
-    return after > max(_EXPLAINED, UNKNOWN_LEAVES * before)
+def judged(
+    probabilities: Mapping[str, float], pairs: Collection[str], before: float, after: Mapping[str, float]
+) -> dict[str, float]:
+    """Probabilities once recordings that no fit saw were followed: `before` floors without an effect, `after` by name.
+
+    A form that does not quite fit may leave up to UNKNOWN_LEAVES of the gap. A second effect would take up what the
+    first one's form leaves, so a pair has to leave what noise explains; where it does not, single effects and `unknown`
+    are judged without pairs. Where the leading explanation is refuted, `unknown` has most.
+    """
+    out = dict(probabilities)
+    if (leader := next(iter(out))) in pairs and after[leader] > SMALLEST:
+        out = _reduced(out, [n for n in out if n in pairs])
+    leader = next(iter(out))
+    if leader not in pairs and after.get(leader, 0.0) > max(_EXPLAINED, UNKNOWN_LEAVES * before):
+        out = _reduced(out, [n for n in out if n not in ("none", "unknown")], to="unknown")
+    return out
 
 
-def mostly_unknown(probabilities: Mapping[str, float]) -> dict[str, float]:
-    """The same where the leading explanation is refuted: named ones keep a tenth, `unknown` has the rest."""
-    out = {n: p if n == "none" else _REFUTED_KEEPS * p for n, p in probabilities.items() if n != "unknown"}
-    out["unknown"] = 1.0 - sum(out.values())
+def _reduced(probabilities: Mapping[str, float], refuted: Sequence[str], to: str | None = None) -> dict[str, float]:
+    """Names that are refuted keep a tenth; the rest goes to one name, or to all others in proportion."""
+    lost = (1.0 - _REFUTED_KEEPS) * sum(probabilities[n] for n in refuted)
+    heirs = [n for n in probabilities if n not in refuted and to in (None, n)]
+    share = lost / max(sum(probabilities[n] for n in heirs), 1e-300)
+    factors = {n: _REFUTED_KEEPS if n in refuted else 1.0 + share if n in heirs else 1.0 for n in probabilities}
+    out = {n: p * factors[n] for n, p in probabilities.items()}
     return dict(sorted(out.items(), key=lambda item: -item[1]))
 
 

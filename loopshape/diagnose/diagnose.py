@@ -132,12 +132,12 @@ def diagnose(
     a = attribute_effect(plant, run, names, threads=threads, say=say)
     plant = a.evidence.plant  # with the run's own nominal numbers
     say("held-out recordings")
+    if validation and not plant.calibrated:
+        a = _judged(a, run, validation)
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
     every = shrink.levels(plant, run, usable, many)
     held = [shrink.chosen(level, "validation") for level in every] if validation else []
-    if held and not plant.calibrated and decide.refuted(held[0].size, held[1].size):
-        a = replace(a, probabilities=decide.mostly_unknown(a.probabilities))
     healed = a.verdict not in ("none", "unknown")
     gap = None
     if validation:
@@ -168,6 +168,17 @@ def diagnose(
         notes=notes,
         proposal=proposal,
     )
+
+
+def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
+    """Judged again by recordings that no fit saw: the leading pair and the leading single effect."""
+    pairs = {n for n, c in a.scored.items() if len(c.fitted.hypothesis.forms) > 1}
+    named = [n for n in a.probabilities if n in a.scored and n != "none"]
+    leading = [*[n for n in named if n in pairs][:1], *[n for n in named if n not in pairs][:1]]
+    many = [a.none, *(a.scored[n] for n in leading)]
+    floors = shrink.levels(a.evidence.plant, run, held_out, [c.fitted.hypothesis.moves(c.fitted.phi) for c in many])
+    after = {n: left.size for n, left in zip(leading, floors[1:], strict=True)}
+    return replace(a, probabilities=decide.judged(a.probabilities, pairs, floors[0].size, after))
 
 
 def ranked(plant: Followable, a: Attribution) -> list[Ranked]:

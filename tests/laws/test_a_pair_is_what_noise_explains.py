@@ -1,0 +1,42 @@
+"""What recordings that no fit saw leave decides between one effect, two, and none of the list."""
+
+import pytest
+
+from loopshape.diagnose.decide import judged
+
+PAIRS = {"play@rail+friction@rail", "friction@rail+lag@belt"}
+SEEN = {  # a cart with an effect that is in no list, as it was answered: a pair, though 37 of 397 floors are left
+    "play@rail+friction@rail": 1.0 - 6e-11, "unknown": 5e-11, "friction@rail": 2e-13, "friction@rail+lag@belt": 1e-13,
+    "none": 0.0,
+}  # fmt: skip
+
+
+def test_a_pair_that_leaves_more_than_noise_is_refuted_and_what_is_unlisted_stays_unknown():
+    out = judged(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 37.0, "friction@rail": 178.0})
+    assert next(iter(out)) == "unknown"
+    assert out["unknown"] > 0.8
+    assert sum(out.values()) == pytest.approx(1.0)
+
+
+def test_a_second_effect_that_takes_up_what_a_form_leaves_gives_way_to_the_first():
+    seen = SEEN | {"friction@rail": 4e-11, "unknown": 2e-11}
+    out = judged(seen, PAIRS, 467.0, {"play@rail+friction@rail": 41.0, "friction@rail": 80.0})
+    assert next(iter(out)) == "friction@rail"
+    assert out["unknown"] > 0.2  # what is left is not hidden
+    assert sum(out.values()) == pytest.approx(1.0)
+
+
+def test_a_pair_that_leaves_only_noise_stays():
+    assert judged(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 0.6, "friction@rail": 178.0}) == SEEN
+
+
+def test_a_single_form_may_leave_a_little_and_no_more():
+    seen = {"friction@rail": 0.9, "unknown": 0.1, "none": 0.0}
+    assert judged(seen, PAIRS, 100.0, {"friction@rail": 15.0}) == seen
+    assert next(iter(judged(seen, PAIRS, 100.0, {"friction@rail": 30.0}))) == "unknown"
+
+
+@pytest.mark.parametrize("leader", ["none", "unknown"])
+def test_what_names_no_effect_is_left_as_it_is(leader):
+    seen = {leader: 0.9, "friction@rail": 0.1}
+    assert judged(seen, PAIRS, 2.0, {"friction@rail": 2.0}) == seen
