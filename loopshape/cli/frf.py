@@ -81,6 +81,7 @@ def estimate_and_report(
     give no FRF of one loop.
     """
     from loopshape.core.errors import BadSignalError
+    from loopshape.diagnose.levels import level_dependences
     from loopshape.identify.frequency_response import excited_recordings
     from loopshape.identify.settings import Settings
     from loopshape.io.frfs import frf_csv, write_frfs, write_matrices
@@ -108,7 +109,7 @@ def estimate_and_report(
         for one in [*found, *matrices]:
             frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
     drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices, output) if figures else []
-    told = {"distortion": distortion_words(run, alone)}
+    told = {"distortion": distortion_words(run, alone), "levels": level_dependences(run, found)}
     report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
     if (extra or {}).get("ended_early"):
         raise typer.Exit(2)
@@ -183,6 +184,8 @@ def report(
     matrices: Sequence[FRF] = (),
 ) -> None:
     """Table, warnings and JSON of estimated FRFs and matrices."""
+    from dataclasses import asdict
+
     import numpy as np
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
@@ -202,6 +205,8 @@ def report(
     matrix_rows = matrix_table(matrices, output)
     for words in extra.get("distortion", ()):
         output.say(words)
+    for found in extra.get("levels", ()):
+        output.say(found.sentence)
     for method in dict.fromkeys(one.method for one in [*frfs, *matrices]):
         output.say(f"estimated by the {method}")
     early = list(extra.get("ended_early", ()))
@@ -219,6 +224,7 @@ def report(
             ],
             "matrices": matrix_rows,
             "distortion": list(extra.get("distortion", ())),
+            "levels": [asdict(found) | {"sentence": found.sentence} for found in extra.get("levels", ())],
             "figures": drawn,
             "warnings": [*warnings, *early, *notes],
         }

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from loopshape.data.level_dependence import LevelDependence
+
 #: a row counts as a difference where noise alone gives as much, anywhere in the table, in fewer of cases than this
 CHANCE = 0.05
 #: ... and where it is at least this large, relative to the response
@@ -109,7 +111,11 @@ class TimeRow:
 
 @dataclass(frozen=True, eq=False)
 class GapTable:
-    """All rows of two runs, what could not be compared and why (`unmatched`), and what weakens it (`notes`)."""
+    """All rows of two runs, what could not be compared and why (`unmatched`), and what weakens it (`notes`).
+
+    `levels` says how the response depends on the level of the excitation, where recordings were made at several: of the
+    real run, or of both as of one machine.
+    """
 
     real: str
     sim: str
@@ -118,6 +124,7 @@ class GapTable:
     times: tuple[TimeRow, ...] = ()
     unmatched: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    levels: tuple[LevelDependence, ...] = ()
 
     def significant(self, row: GapRow) -> bool:
         """Whether a row stands out of the noise among all rows (Bonferroni at 5 %), and by 1 % at least."""
@@ -140,7 +147,8 @@ class GapTable:
         if not self.rows and not self.times:
             return "The two runs share no recording that can be compared."
         worst = self.largest
-        return (_quiet(self) if worst is None else _frf_sentence(self, worst)) + _nu_sentence(self.nu_gaps) + "."
+        found = (_quiet(self) if worst is None else _frf_sentence(self, worst)) + _nu_sentence(self.nu_gaps) + "."
+        return " ".join([found, *(f"Over levels, {d.sentence}" for d in self.levels if not d.linear)])
 
 
 def _frf_sentence(table: GapTable, worst: GapRow) -> str:

@@ -166,6 +166,24 @@ class Mechanism:
     without: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """An FMU for model exchange, unpacked into `folder`, with its `description` as FMPy reads it.
+
+    Inputs, parameters, and the states that outputs and ports name are the FMU's variables.
+    """
+
+    name: str
+    folder: str
+    description: Any
+    parameters: tuple[ModelParameter, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    ports: tuple[Port, ...] = ()
+    window_s: float = 1.0
+    without: tuple[str, ...] = ()
+
+
 def _once(names: Iterable[str], what: str) -> None:
     if double := [name for name, count in Counter(names).items() if count > 1]:
         raise WrongUseError(f"{what} have different names", f"{double[0]!r} twice")

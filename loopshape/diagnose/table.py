@@ -9,11 +9,12 @@ import numpy as np
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
-from loopshape.data.channel import Channel
 from loopshape.data.frf import FRF
 from loopshape.data.gap_table import DistortionLevels, GapRow, GapTable, NuGapRow
+from loopshape.data.level_dependence import LevelDependence
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
+from loopshape.diagnose.levels import at_level, dependences, level_of
 from loopshape.diagnose.nu_gap import NuGap, nu_gap, order_of, shaped
 from loopshape.diagnose.table_pairs import Pair, check_runs, pair_recordings
 from loopshape.diagnose.table_paths import (
@@ -29,7 +30,6 @@ from loopshape.diagnose.table_paths import (
 )
 from loopshape.diagnose.table_times import time_rows
 from loopshape.identify.distortion import Distortion, distortion
-from loopshape.identify.signals import instrument
 
 #: lines that a band needs for a row
 FEWEST = 2
@@ -79,7 +79,14 @@ def compare(
         times=tuple(times),
         unmatched=unmatched,
         notes=tuple(dict.fromkeys(notes)),
+        levels=_level_dependences(real, sim, own),
     )
+
+
+def _level_dependences(real: Run, sim: Run, own: Sequence[Frfs]) -> tuple[LevelDependence, ...]:
+    """Those of the real run; where it has one level only, of both runs as of one machine."""
+    ours = [at_level(real, pair.real, one) for pair, one, _ in own]
+    return dependences(ours) or dependences([*ours, *(at_level(sim, pair.sim, two) for pair, _, two in own)])
 
 
 def _early(pair: Pair) -> list[str]:
@@ -110,27 +117,17 @@ def _path_rows(real: Run, sim: Run, pair: Pair, path: Path, frfs: PathFrfs, band
 def _common(real: Run, pair: Pair, path: Path) -> dict[str, object]:
     """What all rows of a path in one pair of recordings share."""
     info, loop = pair.real.info, real.loop(str(pair.real.info.excites))
-    injected = instrument(pair.real, loop)
-    moving = np.flatnonzero(injected != injected[0])
-    part = injected[moving[0] : moving[-1] + 1] if moving.size else injected
+    level, unit = level_of(pair.real, loop)
     return {
         "path": path.name,
         "recording": info.name,
         "simulated": pair.sim.info.name,
         "loop": loop.name,
         "operating_point": dict(info.operating_point),
-        "amplitude": float(np.std(part)),
-        "amplitude_unit": _injected_unit(pair, real),
+        "amplitude": level,
+        "amplitude_unit": unit,
         "parameters": dict(info.parameters),
     }
-
-
-def _injected_unit(pair: Pair, run: Run) -> str:
-    """Suffix of the unit of what only we moved."""
-    info, loop = pair.real.info, run.loop(str(pair.real.info.excites))
-    opened = info.injection == "control" or not info.closed_loop
-    column = loop.control if opened else loop.reference if info.injection == "reference" else loop.injected
-    return Channel.from_column(str(column)).unit
 
 
 def _distortion(recording: Recording, run: Run, path: Path) -> Distortion | None:

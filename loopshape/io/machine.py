@@ -1,35 +1,42 @@
-"""A user's machine: `model.toml`, and beside it the Python file with the right-hand side, or a MuJoCo model.
+"""A user's machine: `model.toml`, and beside it the Python file with the right-hand side, a MuJoCo model, or an FMU.
 
-The Python file is run: it is loaded only when a user names the model (`--model`), never because a run does.
+The Python file is run, and so is the FMU's library: they are loaded only when a user names the model (`--model`), never
+because a run does.
 """
 
 from __future__ import annotations
 
+import atexit
 import runpy
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.machine import Input, Mechanism, Model, ModelParameter, Output, Port
+from loopshape.data.machine import Input, Mechanism, Model, ModelParameter, Output, Port, Unit
 from loopshape.io.files import inside, reading, short
 from loopshape.io.words import Words, read_words, said_in
 
 FORMAT = "loopshape-model/1"
 _KEYS = ("format", "name", "file", "function", "states", "window_s", "without", "parameter", "input", "output", "port")
 _MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators")
+_FMU = ("format", "name", "fmu", "window_s", "without", "parameter", "input", "output", "port")
 _SPREAD = ("mass", "damping", "armature", "motor_constant")
 
 
-def read_model(path: Path) -> Model | Mechanism:
-    """The model that a file describes, its Python file or MuJoCo model loaded from the same folder.
+def read_model(path: Path) -> Model | Mechanism | Unit:
+    """The model that a file describes, its Python file, MuJoCo model or FMU loaded from the same folder.
 
     Refuses unknown and missing keys, names that do not fit together, a file outside the folder, Python that does not
-    run or lacks the function, and a MuJoCo model that does not compile.
+    run or lacks the function, a MuJoCo model that does not compile, and a file that is no FMU.
     """
     words = read_words(path, FORMAT)
     if "mujoco" in words.table:
         return _mechanism(path, words)
+    if "fmu" in words.table:
+        return _unit(path, words)
     words.only(*_KEYS)
     words.need("file", "function", "states", "parameter", "input", "output")
     with said_in(path.name):
@@ -61,6 +68,54 @@ def _mechanism(path: Path, words: Words) -> Mechanism:
             window_s=words.positive("window_s", 1.0),
             without=words.list_of_texts("without"),
         )
+
+
+def _unit(path: Path, words: Words) -> Unit:
+    words.only(*_FMU)
+    words.need("parameter", "input", "output")
+    folder, description = _unpacked(path.parent, words.text("fmu"))
+    starts = {v.name: _number(v.start) for v in description.modelVariables}
+    with said_in(path.name):
+        return Unit(
+            name=words.text("name", path.stem),
+            folder=folder,
+            description=description,
+            parameters=tuple(_parameter(w, starts.get(w.text("name"))) for w in words.tables("parameter")),
+            inputs=tuple(_input(w) for w in words.tables("input")),
+            outputs=tuple(_output(w) for w in words.tables("output")),
+            ports=tuple(_port(w) for w in words.tables("port")),
+            window_s=words.positive("window_s", 1.0),
+            without=words.list_of_texts("without"),
+        )
+
+
+def _number(start: str | None) -> float | None:
+    """A start value as a number; None where the FMU states none."""
+    try:
+        return None if start is None else float(start)
+    except ValueError:
+        return None
+
+
+def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
+    """The FMU unpacked into a folder that is removed at the end, and its description."""
+    path = inside(folder, file, "the FMU")
+    with reading(path, "the FMU"):
+        path.read_bytes()
+    try:
+        import fmpy
+    except ImportError:
+        raise WrongUseError(
+            "an FMU needs the package FMPy", "it is not installed", "pip install loopshape[fmu]"
+        ) from None
+    try:
+        description = fmpy.read_model_description(str(path))
+        target = tempfile.mkdtemp(prefix="loopshape-fmu-")
+        atexit.register(shutil.rmtree, target, ignore_errors=True)
+        fmpy.extract(str(path), target)
+    except Exception as error:  # FMPy raises plain exceptions
+        raise UnreadableInputError(f"{file} is no FMU", short(str(error)), "export it anew") from error
+    return target, description
 
 
 def _columns(w: Words) -> dict[str, tuple[str, float]]:
@@ -108,14 +163,15 @@ def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
     return found
 
 
-def _parameter(w: Words) -> ModelParameter:
+def _parameter(w: Words, start: float | None = None) -> ModelParameter:
+    """A parameter; where the simulator states a start value, that is its nominal one."""
     w.only("name", "value", "unit", "tolerance", "effect", "range", "shaped_by")
     ends = w.list_of_numbers("range") if "range" in w.table else None
     if ends is not None and not (len(ends) == 2 and ends[0] < ends[1]):
         raise WrongUseError(f"{w.where}: a range is two rising numbers", f"{list(ends)}")
     return ModelParameter(
         w.text("name"),
-        w.number("value"),
+        w.number("value", start),
         w.text("unit", "1"),
         w.number("tolerance", 0.0),
         w.maybe_text("effect") or "",

@@ -241,8 +241,8 @@ def gap(
     """Where a simulation leaves the machine, which effect causes it, and how far the gap shrinks with it added.
 
     `model` is a machine of your own, or the path of its `model.toml`, whose Python file is run (or whose MuJoCo model
-    is read). Without it the run names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none" and
-    "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest. Raises
+    or FMU is read). Without it the run names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none"
+    and "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest. Raises
     WrongUseError for a run without a plant, and for a model whose channels are mapped with a wrong sign or unit.
     """
     from loopshape.diagnose.diagnose import diagnose
@@ -254,14 +254,17 @@ def gap(
 
 def _followable(run: Run, model: Model | str | Path | None) -> Followable:
     """The user's machine, or the plant that the run names."""
-    from loopshape.data.machine import Mechanism
+    from loopshape.data.machine import Mechanism, Unit
     from loopshape.io.machine import read_model
     from loopshape.model.own.mechanism import machine
+    from loopshape.model.own.mockup import machine_of
     from loopshape.model.own.plant import OwnMachine
     from loopshape.model.registry import diagnosable
 
     if model is not None:
         own = read_model(Path(model)) if isinstance(model, str | Path) else model
+        if isinstance(own, Unit):
+            return OwnMachine(machine_of(own))
         return OwnMachine(machine(own) if isinstance(own, Mechanism) else own)
     if run.plant is None:
         raise WrongUseError(

@@ -1,0 +1,84 @@
+"""A response that depends on the level of the excitation is told from recordings alone, against simulated truth."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from level_machine import HZ, run_of
+
+import loopshape as ls
+from loopshape.data.level_dependence import Bend
+from loopshape.diagnose.levels import level_dependences
+from loopshape.diagnose.table import compare
+
+LEVELS = (1.0, 4.0)
+
+
+@cache
+def found(levels=LEVELS, **machine):
+    run = run_of(levels, **machine)
+    (one,) = level_dependences(run, ls.frfs(run))
+    return one
+
+
+@pytest.mark.parametrize("cubic", [0.0005, 0.002])
+def test_a_duffing_spring_hardens_by_what_its_equivalent_stiffness_says(cubic):
+    one = found(cubic=cubic)
+    assert one.resonance.bend is Bend.HARDENING
+    # statistical linearisation (Caughey 1963): stiffness 1 + 3 cubic E x², E x² solved for at each level
+    expected = equivalent_hz(LEVELS[1], cubic) / equivalent_hz(LEVELS[0], cubic) - 1.0
+    assert one.resonance.change == pytest.approx(expected, rel=0.25)
+    assert one.resonance.interval[0] < one.resonance.change < one.resonance.interval[1]
+    assert "hardening" in one.sentence
+
+
+def equivalent_hz(level, cubic):
+    """Resonance of the spring 1 + cubic x² under white force of this rms, held over the sampling time."""
+    w, power = 2 * np.pi * HZ, level**2 / 500.0  # two-sided density per Hz of held noise at low frequency
+    stiff = 1.0
+    for _ in range(100):
+        variance = power * w / (4.0 * 0.03 * stiff)  # integral of |w²/(k w² - x² + 2 j zeta w x)|² over frequency
+        stiff = 1.0 + 3.0 * cubic * variance
+    return HZ * np.sqrt(stiff)
+
+
+def test_a_softening_spring_moves_its_resonance_down():
+    assert found(cubic=-2e-4).resonance.bend in (Bend.SOFTENING, Bend.LINEAR)
+    assert found((1.0, 6.0), cubic=-3e-4).resonance.bend is Bend.SOFTENING
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.2])
+def test_dry_friction_lowers_the_peak_at_small_amplitude(friction):
+    one = found(friction=friction)
+    assert one.peak.bend is Bend.DROPS_WHEN_SMALL
+    assert one.peak.interval[1] < 0.0
+    assert "friction" in one.sentence
+
+
+def test_play_shows_as_a_dependence():
+    one = found((0.3, 3.0), play=0.5)
+    assert not one.linear
+    assert "play" in one.sentence
+
+
+def test_a_linear_machine_shows_none_at_the_stated_chance():
+    # 3 quantities at 0.5 % each: more than 1 of 8 runs happens once in 150 sets
+    runs = [found(seed=100 + k) for k in range(8)]
+    assert sum(not one.linear for one in runs) <= 1
+    changes = np.array([[c.change / (c.interval[1] - c.change) for c in (one.resonance, one.peak)] for one in runs])
+    assert np.mean(np.abs(changes) < 1.0) > 0.9  # 95 % intervals
+
+
+def test_one_level_says_nothing():
+    run = run_of((1.0, 1.1))
+    assert level_dependences(run, ls.frfs(run)) == ()
+
+
+def test_two_runs_of_one_machine_say_it_in_the_conclusion():
+    small, large = (run_of((level,), seed=7 + k, cubic=0.002) for k, level in enumerate(LEVELS))
+    table = compare(small, large)
+    assert [d.resonance.bend for d in table.levels] == [Bend.HARDENING]
+    assert "Over levels, loop, injected" in table.conclusion
+    assert not compare(*(run_of((level,), seed=7 + k) for k, level in enumerate(LEVELS))).conclusion.count(
+        "Over levels"
+    )
