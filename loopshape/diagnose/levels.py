@@ -7,12 +7,13 @@ softens moves it down; friction and play lower the gain at small amplitude, satu
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
 from loopshape.data.channel import Channel
 from loopshape.data.experiment import LoopSetup
@@ -43,8 +44,14 @@ class AtLevel:
 
 
 def level_dependences(run: Run, frfs: Iterable[FRF]) -> tuple[LevelDependence, ...]:
-    """One for each loop and operating point that a run excited at several levels."""
-    return dependences([at_level(run, run.recording(f.recording), f) for f in frfs])
+    """One for each loop and operating point that a run excited at several levels, as far as the excitation is known."""
+    known = {r.info.name: r for r in run.recordings}
+    found = []
+    for f in frfs:
+        recording = known.get(f.recordings[0] if f.recordings else f.recording)
+        with suppress(BadSignalError):  # no excitation was recorded: the estimator went without
+            found += [at_level(run, recording, f)] if recording else []
+    return dependences(found)
 
 
 def at_level(run: Run, recording: Recording, frf: FRF) -> AtLevel:
