@@ -25,7 +25,6 @@ sys.path.insert(0, str(HERE))  # the study's own files, however it is started
 from run import described, write  # noqa: E402
 from specimens import PLACES, STEPS, specimen  # noqa: E402
 
-from loopshape.core.units import Array  # noqa: E402
 from loopshape.data.effect import EffectForm, Free  # noqa: E402
 from loopshape.data.recording import Recording  # noqa: E402
 from loopshape.data.run import Run  # noqa: E402
@@ -124,13 +123,8 @@ def simulated(
     """The recording's windows in a row, simulated with an effect from where they began, with noise and steps."""
     f = plant.prepare(r, run, None)
     noise, step = STEPS[plant.model.name]
-    rows = f.first[:, None] + np.arange(f.length)
-    first = np.arange(len(f.first)) * f.length
-    alone = replace(f, u=np.ascontiguousarray(f.u[rows].reshape(-1, f.u.shape[1])), first=first, block=1, lead=0)
-    y: Array = following.simulated(plant.composed, alone, moves, following.extended(plant.composed, alone, f.start))
-    y = y.reshape(-1, y.shape[2])
-    y = step * np.round((y + noise * rng.standard_normal(y.shape)) / step)
-    return replace(alone, y=y, block=f.block, lead=f.lead)
+    made = following.repeated(plant.composed, f, moves, 1.0)
+    return replace(made, y=step * np.round((made.y + noise * rng.standard_normal(made.y.shape)) / step))
 
 
 def floors(plant: OwnMachine, names: list[str], fitted: Fitted) -> float:

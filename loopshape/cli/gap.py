@@ -203,7 +203,7 @@ def propose(found: GapReport, path: Path, output: Output) -> None:
     """Write the study that best separates the two leading hypotheses; say so where there is none to write."""
     from loopshape.io.files import make_folder, write_toml
 
-    if found.proposal is None:
+    if found.proposal is None or found.proposal.study is None:
         output.warn([f"no experiment of this rig separates the leading hypotheses: {path} is not written"])
         return
     make_folder(path.parent)

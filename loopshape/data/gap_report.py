@@ -99,13 +99,14 @@ class Trace:
 class Proposal:
     """The experiment that best separates the two hypotheses of `parts`, the first of a study ready to be measured.
 
+    `study` is None where the controller is not known: then `name` is a recording to repeat.
     `separation` is the predicted rms difference of the outputs over what noise alone makes: 1 separates nothing.
     """
 
     name: str
     parts: tuple[str, str]
     separation: float
-    study: Study
+    study: Study | None
     sentence: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -115,7 +116,7 @@ class Proposal:
             "parts": list(self.parts),
             "separation": self.separation,
             "sentence": self.sentence,
-            "study": self.study.to_table(),
+            "study": None if self.study is None else self.study.to_table(),
         }
 
 

@@ -17,6 +17,7 @@ from loopshape.diagnose.decide import Candidate
 from loopshape.diagnose.evidence import Evidence, Moves
 from loopshape.diagnose.hypothesis import candidates
 from loopshape.diagnose.next_experiment import propose
+from loopshape.diagnose.next_recording import repeat
 from loopshape.diagnose.replay import tables as _tables
 from loopshape.diagnose.software import software_check
 from loopshape.diagnose.suitable import suitable
@@ -147,7 +148,8 @@ def diagnose(
     tables = _tables(plant, run, usable, many, say, notes) if table else (None, None)
     say("next experiment")
     other = (rival.name, many[2]) if rival else (a.none.name, many[0])
-    proposal = propose(plant, run, (a.leading.name, many[1]), other, threads)
+    first = (a.leading.name, many[1])
+    proposal = propose(plant, run, first, other, threads) or repeat(plant, run, usable, first, other)
     ranking = ranked(plant, a)
     place = locate.where(run, a.evidence, a.none, a.probabilities)
     return GapReport(

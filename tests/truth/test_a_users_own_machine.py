@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.data.recording import Recording
+from loopshape.diagnose.next_recording import repeat, separation
 from loopshape.model.own.catalogue import PortScale, Scales, forms
 from loopshape.model.own.composed import Composed
 from loopshape.model.own.following import explained, simulated
@@ -36,6 +37,30 @@ def test_dry_friction_is_named_with_its_place_and_size():
     assert first.interval[0] < 0.03 < first.interval[1]
     assert found.gap.before > 20.0
     assert found.gap.after < 1.0
+    assert found.proposal.parts[0] == first.effect
+    assert found.proposal.study is None
+    assert f"record {found.proposal.name} again" in found.proposal.sentence
+
+
+def test_the_next_recording_is_the_one_that_shows_what_two_hypotheses_differ_in():
+    # two springs that are alike at small angles and part with the cube of the angle: larger motion tells them apart
+    plant, spring = OwnMachine(own_machine.MODEL), {"port.bearing.stiffness": 0.1}
+    bent = spring | {"port.bearing.hardening": 2.0}
+    found = repeat(plant, run(), run().recordings[:2], ("hardening", bent), ("linear", spring))
+    assert "with commands 2 times as large: it separates hardening from linear" in found.sentence
+    f = plant.prepare(run().recording(found.name), run(), None)
+    small, alike, large = (separation(plant, plant.repeated(f, bent, share), spring) for share in (0.4, 1.0, 2.0))
+    assert found.separation == pytest.approx(large)
+    assert 4.0 < large / alike < 16.0  # about eight: a cube, less what initial states take up
+    assert small < 0.3 * alike
+
+
+def test_models_that_are_alike_are_not_separated():
+    plant = OwnMachine(own_machine.MODEL)
+    found = repeat(plant, run(), run().recordings[:1], ("one", {}), ("other", {"port.bearing.offset": 0.0}))
+    assert found.separation < 0.1
+    assert "separates one from other by" in found.sentence
+    assert "only" in found.sentence
 
 
 @pytest.mark.long

@@ -153,6 +153,16 @@ def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array) -> Ar
     return f.blocks(np.stack(read, axis=2))
 
 
+def repeated(c: Composed, f: Followed, m: Mapping[str, float], share: float) -> Followed:
+    """The windows in a row as the model gives them, without noise, inputs and initial states `share` times as large."""
+    rows, first = f.first[:, None] + np.arange(f.length), np.arange(f.first.size) * f.length
+    u = np.ascontiguousarray(share * f.u[rows].reshape(-1, f.u.shape[1]))
+    own = replace(f, u=u, first=first, start=share * f.start, ranges=share * f.ranges)
+    whole = replace(own, block=1, lead=0)
+    y = simulated(c, whole, m, extended(c, whole, own.start))
+    return replace(own, y=y.reshape(-1, y.shape[2]))
+
+
 def extended(c: Composed, f: Followed, start: Array) -> Array:
     """Initial states with those of the ports behind: motors stand where their loads do."""
     out = np.zeros((len(start), start.shape[1] + kernel.PER_PORT * len(c.model.ports)))

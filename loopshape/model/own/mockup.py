@@ -25,24 +25,25 @@ def machine_of(unit: Unit) -> Model:
     """The FMU as a model; refuses one without model exchange, with events, or without the variables that are named."""
     d = unit.description
     _suitable(unit)
-    variables = {v.name: v for v in d.modelVariables}
     states = tuple(u.variable.derivative.name for u in d.derivatives)
-    for what, names in (("parameter", unit.parameters), ("input", unit.inputs)):
-        for one in names:
-            if one.name not in variables:
-                known = [v.name for v in d.modelVariables if v.causality == what]
-                raise WrongUseError(
-                    f"{what}s of {unit.name} are the FMU's", f"{one.name!r}", f"it has {', '.join(known)}"
-                )
-    references = {n: variables[n].valueReference for n in (one.name for one in (*unit.parameters, *unit.inputs))}
-    instances = Instances(
-        unit, [references[p.name] for p in unit.parameters], [references[i.name] for i in unit.inputs]
-    )
+    own = [p.name for p in unit.parameters], [i.name for i in unit.inputs]
+    references = [_references(unit, what, names) for what, names in zip(("parameter", "input"), own, strict=True)]
+    instances = Instances(unit, *references)
     return Model(
         name=unit.name, motion=instances.motion(len(states)), states=states, parameters=unit.parameters,
         inputs=unit.inputs, outputs=unit.outputs, ports=unit.ports, window_s=unit.window_s, without=unit.without,
         derived=instances.at,
     )  # fmt: skip
+
+
+def _references(unit: Unit, what: str, names: list[str]) -> list[int]:
+    """Value references of variables; refuses names that the FMU does not have."""
+    known = {v.name: v for v in unit.description.modelVariables}
+    for name in names:
+        if name not in known:
+            own = ", ".join(n for n, v in known.items() if v.causality == what)
+            raise WrongUseError(f"{what}s of {unit.name} are the FMU's", f"{name!r}", f"it has {own}")
+    return [known[name].valueReference for name in names]
 
 
 def _suitable(unit: Unit) -> None:
@@ -164,4 +165,5 @@ def _function(library: Any, name: str, kinds: tuple[type, ...]) -> Any:
 
 
 def _address(pointer: Any) -> int:
-    return int(pointer.value if isinstance(pointer, ctypes.c_void_p) else pointer)
+    """A C pointer as an integer."""
+    return int(getattr(pointer, "value", pointer))

@@ -112,6 +112,10 @@ class OwnMachine:
         """The recording in windows, each with an initial state that fits the nominal model."""
         return following.followed(self.composed, recording, longest_s)
 
+    def repeated(self, prepared: Followed, moves: Mapping[str, float], share: float) -> Followed:
+        """What the recording would be under moved parameters, with commands and motion `share` times as large."""
+        return following.repeated(self.composed, prepared, moves, share)
+
     def residuals(self, prepared: Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated by output (n,), means over blocks, windows in a row."""
         off = prepared.measured - following.explained(self.composed, prepared, moves)
