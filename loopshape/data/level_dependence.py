@@ -70,7 +70,7 @@ class LevelDependence:
         """What changed from the smallest to the largest level, in one sentence; no cause beyond its kind."""
         unit = "" if self.unit == "1" else f" {SUFFIXES.get(self.unit, self.unit)}"
         between = f"{self.loop}, injected {self.levels[0]:.3g} to {self.levels[1]:.3g}{unit} rms"
-        parts = [_resonance(self.resonance), _gain("the resonance's peak", self.peak), _gain("the gain", self.gain)]
+        parts = [_resonance(self.resonance), _gain("the resonance's peak", self.peak), _below(self.gain)]
         return f"{between}: {'; '.join(p for p in parts if p) or 'no dependence on the level beyond noise'}."
 
 
@@ -84,5 +84,9 @@ def _resonance(c: Change | None) -> str:
 def _gain(what: str, c: Change | None) -> str:
     if c is None or c.bend is Bend.LINEAR:
         return ""
-    where = f"{what} from {c.band_hz[0]:.3g} to {c.band_hz[1]:.3g} Hz"
-    return f"{where} {WORDS[c.bend]}, by {abs(c.change):.2g} dB ({c.interval[0]:+.2g} to {c.interval[1]:+.2g} dB)"
+    return f"{what} {WORDS[c.bend]}, by {abs(c.change):.2g} dB ({c.interval[0]:+.2g} to {c.interval[1]:+.2g} dB)"
+
+
+def _below(c: Change | None) -> str:
+    """The gain with the band that it was taken from."""
+    return "" if c is None else _gain(f"the gain from {c.band_hz[0]:.3g} to {c.band_hz[1]:.3g} Hz", c)
