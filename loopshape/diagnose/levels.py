@@ -132,8 +132,8 @@ def _moved(small: Resonance, large: Resonance, frf: FRF) -> Change:
 def _peak(small: Resonance, large: Resonance, frf: FRF) -> Change:
     """Height of the resonance's peak, small less large; its width and residue err alike."""
     heights = [float(db(r.peak)) for r in (small, large)]
-    shares = [r.frequency_std_hz / abs(r.pole_hz.imag) for r in (small, large)]
-    std, change = _NEPER_DB * float(np.sqrt(2.0) * np.hypot(*shares)), heights[0] - heights[1]
+    shares = np.array([r.frequency_std_hz / abs(r.pole_hz.imag) for r in (small, large)])
+    std, change = _NEPER_DB * float(np.sqrt(2.0 * np.sum(shares**2))), heights[0] - heights[1]
     bend = _bend(change, std, LEAST_GAIN_DB, (Bend.DROPS_WHEN_LARGE, Bend.DROPS_WHEN_SMALL))
     return Change(bend, heights[0], heights[1], change, _interval(change, std), _seen(small, large, frf))
 
