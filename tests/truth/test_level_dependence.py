@@ -42,9 +42,14 @@ def equivalent_hz(level, cubic):
     return HZ * np.sqrt(stiff)
 
 
-def test_a_softening_spring_moves_its_resonance_down():
-    assert found(cubic=-2e-4).resonance.bend in (Bend.SOFTENING, Bend.LINEAR)
-    assert found((1.0, 6.0), cubic=-3e-4).resonance.bend is Bend.SOFTENING
+def test_a_softening_spring_shows_and_the_interval_of_its_shift_covers_the_equivalent_stiffness():
+    one = found((1.0, 6.0), cubic=-3e-4)
+    expected = equivalent_hz(6.0, -3e-4) / equivalent_hz(1.0, -3e-4) - 1.0
+    assert expected < -0.02
+    assert one.resonance.change == pytest.approx(expected, rel=0.25)
+    assert one.resonance.interval[0] < expected < one.resonance.interval[1]
+    assert one.gain.bend is Bend.DROPS_WHEN_SMALL
+    assert "softening" in one.sentence
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.2])
