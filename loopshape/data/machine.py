@@ -88,12 +88,31 @@ class Port:
 
 
 @dataclass(frozen=True, eq=False)
+class Kind:
+    """A user's own kind of effect at a port: `force(q, v, n)` acts against the motion, n in the order of `numbers`.
+
+    The first number is the magnitude, 0 where there is no effect, with the range in which to look for it; the second
+    may change with it, the others stay as they are.
+    """
+
+    name: str
+    port: str
+    force: Callable[..., Any]
+    numbers: tuple[ModelParameter, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "numbers", tuple(self.numbers))
+        if not self.numbers or self.numbers[0].value != 0.0:
+            raise WrongUseError(f"the first number of kind {self.name} is its magnitude, 0 where there is none", "none")
+
+
+@dataclass(frozen=True, eq=False)
 class Model:
     """A simulator, what it is fed with, and what it gives; see `docs/machine.md`.
 
     `window_s` is how long the simulation is left to itself before it is set to the recording again. `without` names
     kinds of effects that this machine cannot have. `derived` makes of the parameters' values, in order, what `motion`
-    gets as p; without it p has the parameters by name.
+    gets as p; without it p has the parameters by name. `kinds` are effects of the user's own.
     """
 
     name: str
@@ -106,6 +125,7 @@ class Model:
     window_s: float = 1.0
     without: tuple[str, ...] = field(default=())
     derived: Callable[[tuple[float, ...]], Any] | None = None
+    kinds: tuple[Kind, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("states", "parameters", "inputs", "outputs", "ports", "without"):
@@ -164,6 +184,7 @@ class Mechanism:
     sensors: Mapping[str, tuple[str, float]]
     window_s: float = 1.0
     without: tuple[str, ...] = ()
+    kinds: tuple[Kind, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +203,7 @@ class Unit:
     ports: tuple[Port, ...] = ()
     window_s: float = 1.0
     without: tuple[str, ...] = ()
+    kinds: tuple[Kind, ...] = ()
 
 
 def _once(names: Iterable[str], what: str) -> None:

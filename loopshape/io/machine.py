@@ -15,14 +15,27 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.machine import Input, Mechanism, Model, ModelParameter, Output, Port, Unit
+from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
 from loopshape.io.files import inside, reading, short
 from loopshape.io.words import Words, read_words, said_in
 
 FORMAT = "loopshape-model/1"
-_KEYS = ("format", "name", "file", "function", "states", "window_s", "without", "parameter", "input", "output", "port")
-_MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators")
-_FMU = ("format", "name", "fmu", "window_s", "without", "parameter", "input", "output", "port")
+_KEYS = (
+    "format",
+    "name",
+    "file",
+    "function",
+    "states",
+    "window_s",
+    "without",
+    "parameter",
+    "input",
+    "output",
+    "port",
+    "kind",
+)
+_MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators", "kind")
+_FMU = ("format", "name", "fmu", "window_s", "without", "parameter", "input", "output", "port", "kind")
 _SPREAD = ("mass", "damping", "armature", "motor_constant")
 
 
@@ -50,6 +63,7 @@ def read_model(path: Path) -> Model | Mechanism | Unit:
             ports=tuple(_port(w) for w in words.tables("port")),
             window_s=words.positive("window_s", 1.0),
             without=words.list_of_texts("without"),
+            kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
 
 
@@ -67,6 +81,7 @@ def _mechanism(path: Path, words: Words) -> Mechanism:
             sensors=_columns(words.inner("sensors")),
             window_s=words.positive("window_s", 1.0),
             without=words.list_of_texts("without"),
+            kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
 
 
@@ -86,6 +101,7 @@ def _unit(path: Path, words: Words) -> Unit:
             ports=tuple(_port(w) for w in words.tables("port")),
             window_s=words.positive("window_s", 1.0),
             without=words.list_of_texts("without"),
+            kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
 
 
@@ -178,6 +194,13 @@ def _parameter(w: Words, start: float | None = None) -> ModelParameter:
         None if ends is None else (ends[0], ends[1]),
         w.maybe_text("shaped_by") or "",
     )
+
+
+def _kind(folder: Path, w: Words) -> Kind:
+    """A kind of effect of the user's own; its Python file is run."""
+    w.only("name", "port", "file", "function", "number")
+    numbers = tuple(_parameter(n, 0.0 if "range" in n.table else None) for n in w.tables("number"))
+    return Kind(w.text("name"), w.text("port"), _function(folder, w.text("file"), w.text("function")), numbers)
 
 
 def _factor(w: Words) -> float:

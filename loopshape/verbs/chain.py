@@ -256,6 +256,7 @@ def _followable(run: Run, model: Model | str | Path | None) -> Followable:
     """The user's machine, or the plant that the run names."""
     from loopshape.data.machine import Mechanism, Unit
     from loopshape.io.machine import read_model
+    from loopshape.model.own.kinds import with_kinds
     from loopshape.model.own.mechanism import machine
     from loopshape.model.own.mockup import machine_of
     from loopshape.model.own.plant import OwnMachine
@@ -263,9 +264,10 @@ def _followable(run: Run, model: Model | str | Path | None) -> Followable:
 
     if model is not None:
         own = read_model(Path(model)) if isinstance(model, str | Path) else model
+        kinds = own.kinds
         if isinstance(own, Unit):
-            return OwnMachine(machine_of(own))
-        return OwnMachine(machine(own) if isinstance(own, Mechanism) else own)
+            own = machine_of(own)
+        return OwnMachine(with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds))
     if run.plant is None:
         raise WrongUseError(
             "the run names no plant, so there is no model to compare with",
