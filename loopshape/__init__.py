@@ -33,9 +33,8 @@ if TYPE_CHECKING:
     from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
     from loopshape.data.requirements import Margins as Margins
-    from loopshape.data.requirements import Outcome as Outcome
     from loopshape.data.requirements import Requirements as Requirements
-    from loopshape.data.requirements import Verdict as Verdict
+    from loopshape.data.requirements import SeveralRequirements as SeveralRequirements
     from loopshape.data.run import Run as Run
     from loopshape.data.shorthand import biquad as biquad
     from loopshape.data.shorthand import complex_lead as complex_lead
@@ -47,6 +46,8 @@ if TYPE_CHECKING:
     from loopshape.data.shorthand import pi as pi
     from loopshape.data.shorthand import resonator as resonator
     from loopshape.data.study import Study as Study
+    from loopshape.data.verdict import Outcome as Outcome
+    from loopshape.data.verdict import Verdict as Verdict
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.verbs.chain import bound as bound
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
+    from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.files import export as export
@@ -68,9 +70,11 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import read_table as read_table
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
+    from loopshape.verbs.machine import connect as connect
     from loopshape.verbs.machine import emulator as emulator
     from loopshape.verbs.machine import measure as measure
-    from loopshape.verbs.several import check_several as check_several
+    from loopshape.verbs.plan import plan as plan
+    from loopshape.verbs.plan import write_plan as write_plan
     from loopshape.verbs.several import frf_matrices as frf_matrices
     from loopshape.verbs.several import interaction as interaction
     from loopshape.verbs.stop import stop as stop
@@ -92,22 +96,23 @@ _HOME = {
     "Margins": "data.requirements",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
-    "Outcome": "data.requirements",
+    "Outcome": "data.verdict",
     "Output": "data.machine",
     "Port": "data.machine",
     "Prediction": "data.prediction",
     "Recording": "data.recording",
     "Requirements": "data.requirements",
     "Run": "data.run",
+    "SeveralRequirements": "data.requirements",
     "Study": "data.study",
     "Tuning": "design.tune",
-    "Verdict": "data.requirements",
+    "Verdict": "data.verdict",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
     "check": "verbs.chain",
-    "check_several": "verbs.several",
     "compare": "verbs.chain",
     "complex_lead": "data.shorthand",
+    "connect": "verbs.machine",
     "controller": "data.shorthand",
     "emulator": "verbs.machine",
     "export": "verbs.files",
@@ -124,6 +129,7 @@ _HOME = {
     "measure": "verbs.machine",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
+    "plan": "verbs.plan",
     "plot": "view",
     "predict": "verbs.chain",
     "profiles": "verbs.files",
@@ -134,11 +140,13 @@ _HOME = {
     "read_table": "verbs.files",
     "report": "verbs.files",
     "resonator": "data.shorthand",
+    "schedule": "verbs.chain",
     "shape": "verbs.chain",
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tune": "verbs.chain",
     "write": "verbs.files",
+    "write_plan": "verbs.plan",
 }
 __all__ = ["__version__", *_HOME]
 

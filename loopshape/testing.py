@@ -21,7 +21,7 @@ from os import PathLike
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.requirements import Verdict
+from loopshape.data.verdict import Verdict
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_text,

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from loopshape.data.baseline import Checked
 from loopshape.data.controller import Block, Controller
-from loopshape.data.requirements import LIMITS, Line, Margins, Verdict
+from loopshape.data.requirements import LIMITS, Margins
+from loopshape.data.verdict import Line, Verdict
 
 CONTROLLER = Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))

@@ -41,8 +41,8 @@ ls.plot.interaction(found)
 # %%
 own = [loop.controller for loop in run.loops]
 asked = [ls.Requirements(c.loop, phase_margin_deg=30.0) for c in own]
-verdict = ls.check_several(P, own, asked, recorded_under=own)
-for one in (*verdict.each, verdict.together):
+verdict = ls.check(P, own, asked, recorded_under=own)
+for one in verdict.parts:
     print(one)
 (margins,) = verdict.margins.values()
 print(f"stable: {margins.stable}; disk margin of all loops at once {margins.disk_margin:.2f}")

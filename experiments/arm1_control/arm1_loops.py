@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 from arm1_sweeps import Arm, Found, found, recorded
+from source_controllers import angle_controller, pressure_controller, third_order_plant
 
 from loopshape.core.units import Array, angular, db, from_db
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Margins, Requirements, Verdict
+from loopshape.data.requirements import Margins, Requirements
 from loopshape.data.study import Study
+from loopshape.data.verdict import Verdict
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.loop.margins import margins
 from loopshape.loop.verdict import check
 from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.published import angle_controller, pressure_controller, third_order_plant
 from loopshape.model.arm.source import value
 
 PLACES = ("figure_4_12", "figure_4_15.measured", "figure_4_14", "figure_4_15.simulated")

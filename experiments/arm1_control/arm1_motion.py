@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from arm1_sweeps import Arm
 from scipy.signal import cont2discrete
+from source_controllers import angle_controller
 
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.controller import Controller
@@ -22,7 +23,6 @@ from loopshape.model.arm.arm1 import Arm1
 from loopshape.model.arm.equilibrium import rest
 from loopshape.model.arm.model import derivatives
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
-from loopshape.model.arm.published import angle_controller
 from loopshape.model.arm.source import value
 from loopshape.rig.effects import moves
 from loopshape.rig.simulated import header, measure, plan

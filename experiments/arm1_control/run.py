@@ -11,7 +11,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 SWEEPS = HERE.parent / "arm1_identification"
-sys.path[:0] = [str(HERE), str(SWEEPS)]  # this study's own files, and the identification's sweeps and scores
+sys.path[:0] = [str(HERE), str(SWEEPS), str(HERE.parent / "lab")]  # its own files, the identification's, and the lab
 
 from arm1_control_figures import draw_loops, draw_pressure, draw_printed, draw_steps, draw_tracking  # noqa: E402
 from arm1_control_scores import Results, all_scores  # noqa: E402
@@ -30,13 +30,13 @@ from arm1_loops import (  # noqa: E402
 from arm1_motion import Crossing, Followed, Moved, cells, moved, printed_step, read_off  # noqa: E402
 from arm1_scores import write_scores  # noqa: E402
 from arm1_sweeps import Found  # noqa: E402
+from source_controllers import angle_controller, pressure_controller, third_order_plant  # noqa: E402
 
 from loopshape.core.units import deg  # noqa: E402
 from loopshape.data.controller import Controller  # noqa: E402
 from loopshape.io.controllers import read_controllers  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.study import read_study  # noqa: E402
-from loopshape.model.arm.published import angle_controller, pressure_controller, third_order_plant  # noqa: E402
 from loopshape.model.arm.source import value  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 

@@ -10,9 +10,9 @@ from arm1_sweeps import Found
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from source_controllers import third_order_plant
 
 from loopshape.core.units import db
-from loopshape.model.arm.published import third_order_plant
 from loopshape.model.arm.source import value
 from loopshape.view.curves import frequency_axis, unwrapped_deg
 from loopshape.view.frequency import spectra

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE), str(HERE.parent / "lab")]  # the study's other files and the lab, however it is started
 
 from arm1_identification_figures import draw_frfs, draw_maps, draw_sensitivity  # noqa: E402
 from arm1_scores import write_scores  # noqa: E402

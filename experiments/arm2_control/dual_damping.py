@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arm2_closed import ClosedLinear2, close2
 
 from loopshape.core.units import hz, rad
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import Experiment
 from loopshape.loop.indicators import indicators, recorded_steps
 from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.closed_linear2 import ClosedLinear2, close2
 from loopshape.model.arm.equilibrium2 import pressures2
 from loopshape.model.arm.linear2 import Linearisation2, linearise2, linearise_pairs2
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from loopshape.data.recording import Recording
-from loopshape.data.requirements import Verdict
+from loopshape.data.verdict import Verdict
 from loopshape.model.arm.source import number, value
 
 MEASURED = Path(__file__).parent.parent / "arm2_interaction"  # answers figures 5.8 and H.7

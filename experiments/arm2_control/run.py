@@ -11,19 +11,21 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the study's other files, however it is started
+sys.path[:0] = [str(HERE), str(HERE.parent / "lab")]  # the study's other files and the lab, however it is started
 
+from arm2_closed import close2  # noqa: E402
 from dual_damping import DAMPING, SIMULATED, linear_rows, read_settings, simulated_rows  # noqa: E402
 from dual_pictures import draw_damping, draw_steps, entitled  # noqa: E402
 from dual_scores import Found, scores  # noqa: E402
 from dual_steps import INTERACTION, STEPS, interaction_rows, step_rows, stepped  # noqa: E402
+from source_controllers import controller  # noqa: E402
 
 from loopshape.core.units import db  # noqa: E402
 from loopshape.data.algebra.propagation import pick  # noqa: E402
 from loopshape.data.controller import Block, Controller  # noqa: E402
 from loopshape.data.frf import FRF  # noqa: E402
-from loopshape.data.requirements import Requirements, Verdict  # noqa: E402
-from loopshape.data.several import SeveralVerdict  # noqa: E402
+from loopshape.data.requirements import Requirements  # noqa: E402
+from loopshape.data.verdict import Verdict  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.identify.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
@@ -32,10 +34,8 @@ from loopshape.io.study import read_study  # noqa: E402
 from loopshape.loop.several import check_several  # noqa: E402
 from loopshape.loop.verdict import check, loops_of  # noqa: E402
 from loopshape.model.arm.arm2 import Arm2  # noqa: E402
-from loopshape.model.arm.closed_linear2 import close2  # noqa: E402
 from loopshape.model.arm.linear2 import linearise2  # noqa: E402
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
-from loopshape.model.arm.published import controller  # noqa: E402
 from loopshape.model.arm.source import value  # noqa: E402
 from loopshape.model.arm.strategies2 import DUAL  # noqa: E402
 from loopshape.rig.simulated import header, measure  # noqa: E402
@@ -213,7 +213,7 @@ def least_damped(controllers: Sequence[Controller], p_c_bar: float) -> tuple[flo
     return min((zeta, f_hz) for f_hz, zeta in close2(lin, controllers, DELAY).modes() if f_hz < HIGHEST_HZ)
 
 
-def together(found: Sequence[Measured], sets: dict[str, list[Controller]]) -> dict[str, SeveralVerdict]:
+def together(found: Sequence[Measured], sets: dict[str, list[Controller]]) -> dict[str, Verdict]:
     """All loops at once: the angles with the pressures closed as they were, and all four."""
     held, out = sets["plant's own"], {}
     for name, controllers in sets.items():
@@ -228,7 +228,7 @@ SEVERAL = (
 )  # fmt: skip
 
 
-def several_rows(name: str, verdict: SeveralVerdict, sets: dict[str, list[Controller]]) -> list[list]:
+def several_rows(name: str, verdict: Verdict, sets: dict[str, list[Controller]]) -> list[list]:
     """A line a point; beside it the least damped oscillation below 15 Hz of the linearisation with all four closed."""
     rows = []
     for (point, m), p_c in zip(verdict.margins.items(), P_C_BAR, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.study import read_study
 from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.expected import command_amplitude, expected_angle_response
 from loopshape.model.arm.linear import linearise
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.rig.simulated import header, measure
@@ -22,6 +22,9 @@ from loopshape.view.curves import frequency_axis
 from loopshape.view.style import COLOURS, head, new_figure, png, styled
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "lab"))
+from arm_sweep import command_amplitude, expected_angle_response  # noqa: E402
+
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 COLUMNS = (
     "recording", "theta2_deg", "p_ab_bar", "amplitude_v", "lines", "rms_bare", "rms_corrected", "median_std",

@@ -13,7 +13,8 @@ import numpy as np
 from loopshape.core.units import TWO_PI
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.tune import tune
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import TWO_PI, ComplexArray
+from loopshape.data.block import BlockTemplate
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
-from loopshape.data.requirements import BlockTemplate, Requirements
+from loopshape.data.requirements import Requirements
 from loopshape.design import bound as bound_module
 from loopshape.design import bound_regions
 from loopshape.design.bound import bound, excluded

@@ -6,14 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from source_controllers import controller
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit, TransferFunction
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.verdict import check
-from loopshape.model.arm.published import controller
 from loopshape.model.arm.source import value
 
 #: lines of a model's FRF, and the relative standard deviation that stands for exactly known

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from loopshape.data.model import Fit
-from loopshape.data.requirements import Margins, Verdict
+from loopshape.data.requirements import Margins
+from loopshape.data.verdict import Verdict
 from loopshape.model.arm.source import number, value
 
 #: "about so many Hz" agrees within this factor; two spans agree where one lies in the other, partly where they meet

@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the study's other file, however it is started
+sys.path[:0] = [str(HERE), str(HERE.parent / "lab")]  # the study's other files and the lab, however it is started
 
+from arm2_closed import close2  # noqa: E402
 from joint1_causes import CAUSES, causes  # noqa: E402
 from joint1_pictures import draw_plant, draw_steps, entitled  # noqa: E402
 from joint1_scores import scores  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
+from source_controllers import controller  # noqa: E402
 
 from loopshape.core.units import TWO_PI  # noqa: E402
 from loopshape.data.controller import Controller  # noqa: E402
@@ -24,7 +26,8 @@ from loopshape.data.frf import FRF  # noqa: E402
 from loopshape.data.loop import Loop  # noqa: E402
 from loopshape.data.model import Fit  # noqa: E402
 from loopshape.data.recording import Recording  # noqa: E402
-from loopshape.data.requirements import Requirements, Verdict  # noqa: E402
+from loopshape.data.requirements import Requirements  # noqa: E402
+from loopshape.data.verdict import Verdict  # noqa: E402
 from loopshape.design.tune import tune  # noqa: E402
 from loopshape.identify.fit.fit import fit, structure_by_name  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
@@ -34,10 +37,8 @@ from loopshape.io.study import read_study  # noqa: E402
 from loopshape.loop.indicators import recorded_steps  # noqa: E402
 from loopshape.loop.verdict import check, loops_of  # noqa: E402
 from loopshape.model.arm.arm2 import Arm2  # noqa: E402
-from loopshape.model.arm.closed_linear2 import close2  # noqa: E402
 from loopshape.model.arm.linear2 import Linearisation2, linearise_pairs2  # noqa: E402
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
-from loopshape.model.arm.published import controller  # noqa: E402
 from loopshape.model.arm.strategies2 import PAIRS  # noqa: E402
 from loopshape.rig.simulated import header, measure  # noqa: E402
 from loopshape.view.loops import loop_page  # noqa: E402

@@ -8,6 +8,7 @@ from typing import Any
 
 import muscle_parameters as six
 import numpy as np
+from h1_h2 import TwoEstimates
 from muscle_arm import ArmReading, arm_readings, third_order
 from muscle_law import (
     LAWS,
@@ -21,7 +22,6 @@ from muscle_points import Measured, Point, columns, coverage, grid, muscles, swe
 from muscle_records import Bench, measure
 
 from loopshape.core.units import Array
-from loopshape.identify.h1_h2 import TwoEstimates
 from loopshape.model.arm.source import value
 
 FIVE_MM = (150, 160, 170, 180, 190)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from h1_h2 import TwoEstimates
 from muscle_law import Muscle, damping, printed, slope_closed
 from muscle_records import Bench, SpringDamper, measure, spring_damper
 
 from loopshape.core.units import Array
-from loopshape.identify.h1_h2 import TwoEstimates
 from loopshape.model.arm.source import value
 
 Point = tuple[float, float]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from h1_h2 import TwoEstimates, h1_h2
 from muscle_law import Muscle, pulls
 
 from loopshape.core.units import Array, angular
@@ -13,7 +14,6 @@ from loopshape.data.excitation import BandNoise
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.identify.h1_h2 import TwoEstimates, h1_h2
 from loopshape.identify.settings import Settings
 from loopshape.model.arm.source import value
 

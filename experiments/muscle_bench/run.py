@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the study's own other files, however it is started
+sys.path[:0] = [str(HERE), str(HERE.parent / "lab")]  # the study's other files and the lab, however it is started
 
 import muscle_parameters as six  # noqa: E402
 from muscle_drawings import draw_bench  # noqa: E402

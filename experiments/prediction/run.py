@@ -24,8 +24,9 @@ from loopshape.core.units import deg
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
 from loopshape.data.prediction import Prediction
-from loopshape.data.requirements import LIMITS, Margins, Requirements, Verdict
+from loopshape.data.requirements import LIMITS, Margins, Requirements
 from loopshape.data.run import Run
+from loopshape.data.verdict import Verdict
 from loopshape.design.tune import tune
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.fit.structures import Structure

@@ -13,15 +13,16 @@ from loopshape.core.units import db
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.tune import tune
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check
-from loopshape.model.arm.published import angle_controller
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "how_far"))
+sys.path[:0] = [str(HERE.parent / "how_far"), str(HERE.parent / "lab")]
 from arm_frfs import EXAMPLES, measured, write  # noqa: E402
+from source_controllers import angle_controller  # noqa: E402
 
 COLUMNS = ("controller", "peak_cs_db", "lowest_bandwidth_hz", "ratio", "passes", "seconds", "blocks")
 

@@ -23,8 +23,8 @@ from loopshape.data.verdict_words import outcome_of
 
 if TYPE_CHECKING:
     from loopshape.data.profile import Profile
-    from loopshape.data.requirements import Verdict
-    from loopshape.io.check_files import Baseline, LoopCheck
+    from loopshape.data.verdict import Verdict
+    from loopshape.io.check_files import Baseline, Checks
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,12 @@ def check(
     allow_worse: Annotated[
         bool, typer.Option("--allow-worse", help="Say what got worse, and exit by the requirements alone.")
     ] = False,
+    matrix: Annotated[
+        bool, typer.Option("--matrix", help="All loops of the plant's matrix at once; needs frf RUN --matrix before.")
+    ] = False,
+    loops: Annotated[
+        str | None, typer.Option(help="Of the matrix the loops that are closed, as a,b; default: all.")
+    ] = None,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
     details: Details = False,
     as_json: AsJson = False,
@@ -61,12 +67,17 @@ def check(
 
     Exit code 1 where a requirement is missed or not decided by these data, or where something is worse than the
     baseline. Without requirements margins and stability are reported, without verdict.
+
+    With --matrix, or a table [several] in the requirements, several loops of one plant are checked together: each with
+    all others closed, then all at once: stability by det(I + L), and what [several] asks.
     """
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
     output = Output(as_json, quiet)
+    closed = None if loops is None else tuple(name.strip() for name in loops.split(","))
     passed, _ = check_run(
-        run, controller, require, output, reports=reports, figures=figures, details=details, profile=profile
-    )
+        run, controller, require, output, reports=reports, figures=figures, details=details, profile=profile,
+        matrix=matrix or closed is not None, closed=closed,
+    )  # fmt: skip
     if not passed:
         raise typer.Exit(1)
 
@@ -81,47 +92,54 @@ def check_run(
     figures: bool = True,
     details: bool = False,
     profile: str | None = None,
+    matrix: bool = False,
+    closed: Sequence[str] | None = None,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
-    from loopshape.io.check_files import against, check_files
+    from loopshape.io.check_files import against, check_all
     from loopshape.io.profiles import profile_of
 
     reports = reports or Reports()
     chosen = None if profile is None else profile_of(profile)
+    _refuse_reports(reports, require is not None or chosen is not None)
+    found = check_all(run, controller, require, chosen, matrix=matrix, closed=closed)
     if require is None and chosen is None:
-        return _margins(run, controller, output, reports, figures, details)
-    if reports.allow_worse and reports.baseline is None:
-        from loopshape.core.errors import WrongUseError
-
-        raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
-    loops = check_files(run, controller, require, chosen)
-    verdicts = [loop.verdict for loop in loops]
-    outcome = outcome_of(verdicts)
-    compared = None if reports.baseline is None else against(reports.baseline, loops)
-    _write(reports, loops, compared)
+        return True, _report_margins(run, found, output, figures, details)
+    compared = None if reports.baseline is None else against(reports.baseline, found.single)
+    _write(reports, found, compared)
+    outcome = outcome_of(found.verdicts)
     worse = compared is not None and compared.worse and not reports.allow_worse
     passed = outcome == "passed" and not worse
-    report_headline(verdicts, output, ", and worse than the baseline" if worse else "")
+    report_headline(found.verdicts, output, ", and worse than the baseline" if worse else "")
     if details:
-        report_verdicts(verdicts, output)
+        report_verdicts(found.verdicts, output)
     else:
-        warn_of(verdicts, output)
-    _say_profile(chosen, verdicts, output)
+        warn_of(found.verdicts, output)
+    _say_profile(chosen, found.verdicts, output)
     if compared is not None:
         report_comparisons(compared.parts, output, details=details)
-    drawn = _draw(figures_of(run), loops) if figures else []
+    drawn = _draw(figures_of(run), found) if figures else []
     _say_figures(drawn, output, details)
     output.json(
         {
             "passed": passed,
             "outcome": outcome,
-            "loops": [v.to_dict() for v in verdicts],
-            "profile": None if chosen is None else _profile_json(chosen, verdicts),
+            "loops": [v.to_dict() for v in found.verdicts],
+            "profile": None if chosen is None else _profile_json(chosen, found.verdicts),
             "baseline": _compared_json(compared),
             "figures": drawn,
         }
     )
     return passed, drawn
+
+
+def _refuse_reports(reports: Reports, required: bool) -> None:
+    from loopshape.core.errors import WrongUseError
+
+    if not required and reports != Reports():
+        raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
+    if reports.allow_worse and reports.baseline is None:
+        raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
 
 
 def _say_profile(profile: Profile | None, verdicts: Sequence[Verdict], output: Output) -> None:
@@ -130,7 +148,7 @@ def _say_profile(profile: Profile | None, verdicts: Sequence[Verdict], output: O
 
     if profile is None:
         return
-    zones = [zone_sentence(verdict, profile) for verdict in verdicts]
+    zones = [zone_sentence(verdict, profile) for verdict in verdicts if not verdict.together]
     for sentence in (*filter(None, zones), *profile.sentences()):
         output.paragraph(sentence)
 
@@ -140,7 +158,7 @@ def _profile_json(profile: Profile, verdicts: Sequence[Verdict]) -> dict[str, An
     from loopshape.data.profile import zone_shares
 
     words = named(profile, "name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks")
-    zones = {verdict.loop: zone_shares(verdict, profile) for verdict in verdicts}
+    zones = {verdict.loop: zone_shares(verdict, profile) for verdict in verdicts if not verdict.together}
     return words | {"limits": dict(profile.limits), "zones": zones}
 
 
@@ -151,45 +169,39 @@ def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:
         output.say(f"figures: {len(drawn)} in {Path(drawn[0]).parent}" if drawn else "no figures drawn")
 
 
-def _margins(
-    run: Path, controller: Path, output: Output, reports: Reports, figures: bool, details: bool
-) -> tuple[bool, list[str]]:
-    """Margins and stability of each loop with nothing required; refuses reports of a verdict."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.check_files import check_files
-
-    if reports != Reports():
-        raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
-    loops = check_files(run, controller, None)
-    verdicts = [loop.verdict for loop in loops]
+def _report_margins(run: Path, found: Checks, output: Output, figures: bool, details: bool) -> list[str]:
+    """Margins and stability of each loop with nothing required; gives the figures' paths."""
     output.say("no requirement given; reported without verdict\n")
-    report_margins(verdicts, output, details=details)
-    drawn = _draw(figures_of(run), loops) if figures else []
+    report_margins(found.verdicts, output, details=details)
+    drawn = _draw(figures_of(run), found) if figures else []
     _say_figures(drawn, output, details)
-    made = [v.to_dict() | {"passed": None, "outcome": None} for v in verdicts]
+    made = [v.to_dict() | {"passed": None, "outcome": None} for v in found.verdicts]
     output.json({"passed": None, "outcome": None, "loops": made, "baseline": None, "figures": drawn})
-    return True, drawn
+    return drawn
 
 
-def _write(reports: Reports, loops: Sequence[LoopCheck], compared: Baseline | None) -> None:
+def _write(reports: Reports, found: Checks, compared: Baseline | None) -> None:
     from loopshape.io.junit import write_junit
     from loopshape.io.markdown import write_markdown
     from loopshape.io.verdicts import write_verdicts
 
-    verdicts = [loop.verdict for loop in loops]
+    if reports.save_verdict is not None:
+        write_verdicts(reports.save_verdict, [loop.checked for loop in found.single])
     if reports.junit is not None:
         whole = None if compared is None else compared.whole
-        write_junit(reports.junit, verdicts, whole, allow_worse=reports.allow_worse)
+        write_junit(reports.junit, found.verdicts, whole, allow_worse=reports.allow_worse)
     if reports.markdown is not None:
-        write_markdown(reports.markdown, verdicts, None if compared is None else compared.parts)
-    if reports.save_verdict is not None:
-        write_verdicts(reports.save_verdict, [loop.checked for loop in loops])
+        write_markdown(reports.markdown, found.verdicts, None if compared is None else compared.parts)
 
 
-def _draw(folder: Path, loops: Sequence[LoopCheck]) -> list[str]:
-    from loopshape.cli.figures import draw_loops
+def _draw(folder: Path, found: Checks) -> list[str]:
+    from loopshape.cli.figures import draw_loops, draw_several
 
-    return [path for x in loops for path in draw_loops(folder, x.frfs, x.controller, x.requirements, x.fits, x.verdict)]
+    if found.matrix is not None:
+        return draw_several(folder, found.matrix)
+    return [
+        path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
+    ]
 
 
 def _compared_json(compared: Baseline | None) -> dict[str, Any] | None:

@@ -12,10 +12,12 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.data.controller import Controller
     from loopshape.data.frf import FRF
+    from loopshape.data.loop import Loop
     from loopshape.data.model import Fit
-    from loopshape.data.requirements import Requirements, Verdict
+    from loopshape.data.requirements import Requirements
+    from loopshape.data.verdict import Verdict
+    from loopshape.io.check_files import MatrixCheck
 
 
 def figures(
@@ -31,7 +33,7 @@ def figures(
     from loopshape.io.controllers import read_controllers
     from loopshape.io.frfs import read_frfs
     from loopshape.io.requirements import read_requirements
-    from loopshape.loop.verdict import check
+    from loopshape.loop.verdict import check_loops
 
     output = Output(as_json, quiet)
     folder = out or figures_of(run)
@@ -42,7 +44,8 @@ def figures(
         mine = [one for one in frfs if one.loop == own.loop]
         if mine:
             wished = _wish(wishes, own.loop)
-            drawn += draw_loops(folder, mine, own, wished, fits, check(mine, own, wished, fits))
+            verdict, loops = check_loops(mine, own, wished, fits)
+            drawn += draw_loops(folder, own.loop, loops, wished, verdict)
     output.say("\n".join(drawn))
     output.json({"figures": drawn})
 
@@ -80,17 +83,11 @@ def draw_estimates(
 
 
 def draw_loops(
-    folder: Path,
-    frfs: Sequence[FRF],
-    controller: Controller,
-    requirements: Requirements,
-    fits: Sequence[Fit],
-    verdict: Verdict | None,
+    folder: Path, name: str, loops: Sequence[Loop], requirements: Requirements, verdict: Verdict | None
 ) -> list[str]:
     """Pictures of one loop at all operating points; with several a Bode page of the worst one too."""
     from loopshape.cli.pictures import save
     from loopshape.loop.points import worst_of
-    from loopshape.loop.verdict import loops_of
     from loopshape.view.atlas import sensitivity_atlas
     from loopshape.view.bode import bode_page
     from loopshape.view.loops import loop_page, sensitivities
@@ -98,9 +95,7 @@ def draw_loops(
     from loopshape.view.style import figure_of
     from loopshape.view.verdicts import margins_map
 
-    loops, _ = loops_of(frfs, controller, requirements, fits)
     page = bode_page(loops[0], requirements, verdict=verdict) if len(loops) == 1 else None
-    name = controller.loop
     made = {
         f"nichols_{name}": figure_of(nichols(loops, requirements, verdict=verdict)),
         f"loop_{name}": page or loop_page(loops, requirements, verdict=verdict),
@@ -113,3 +108,17 @@ def draw_loops(
     if verdict is not None and verdict.lines:
         made[f"margins_{name}"] = margins_map(verdict)
     return [str(save(figure, folder / f"{stem}.png")) for stem, figure in made.items()]
+
+
+def draw_several(folder: Path, found: MatrixCheck) -> list[str]:
+    """A page of all loops at once for each operating point."""
+    from loopshape.cli.pictures import save
+    from loopshape.view.several import several_page
+
+    drawn, verdict = [], found.verdict
+    for k, (recording, matrix) in enumerate(found.matrices.items()):
+        each = {one.loop: one.margins[recording] for one in verdict.each}
+        page = several_page(matrix, verdict.together[recording], each, found.several)
+        tail = f"_{k + 1:02d}" if len(found.matrices) > 1 else ""
+        drawn.append(str(save(page, folder / f"several_{'+'.join(matrix.names)}{tail}.png")))
+    return drawn

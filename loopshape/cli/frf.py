@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.matrices import draw_matrices, matrix_table
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.pictures import figures_of
 
@@ -74,11 +73,12 @@ def estimate_and_report(
     realisations: bool = False,
     matrix: bool = False,
     extra: Mapping[str, Any] | None = None,
+    made: Run | None = None,
 ) -> None:
     """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording ended early.
 
     The plant's matrix is estimated where it is asked for, and where recordings excite several loops at once, which
-    give no FRF of one loop.
+    give no FRF of one loop. `made` is the run in the folder where it was read already.
     """
     from loopshape.core.errors import BadSignalError
     from loopshape.diagnose.levels import level_dependences
@@ -89,7 +89,7 @@ def estimate_and_report(
     from loopshape.io.run_folder import check_recordings, read_run
     from loopshape.verbs.several import matrices_of
 
-    run = read_run(folder)
+    run = made or read_run(folder)
     warnings = check_recordings(run)
     for note in run.extra.get("notes", ()):
         output.say(str(note))
@@ -108,7 +108,7 @@ def estimate_and_report(
     if csv:
         for one in [*found, *matrices]:
             frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
-    drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices, output) if figures else []
+    drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices) if figures else []
     told = {"distortion": distortion_words(run, alone), "levels": level_dependences(run, found)}
     report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
     if (extra or {}).get("ended_early"):
@@ -193,13 +193,10 @@ def report(
     columns += ["of it distortion [%]"] if told else []
     rows = []
     for one in frfs:
-        lines = one.select(one.trusted) if one.trusted.any() else one
-        share = distortion_share(lines)
-        low, high = one.trusted_band_hz
-        count = int(one.trusted.sum())
+        lines = _valid(one)
         spread = float(20.0 * np.log10(1.0 + np.median(lines.modulus_std[:, 0, 0])))
-        where = point(one.operating_point, one.parameters)
-        rows.append([one.recording, one.loop, where, low, high, count, spread] + ([share] if told else []))
+        share = [distortion_share(lines)] if told else []
+        rows.append([one.recording, one.loop, *_where(one), spread, *share])
     if rows:
         output.table("Frequency responses", columns, rows)
     matrix_rows = matrix_table(matrices, output)
@@ -229,6 +226,44 @@ def report(
             "warnings": [*warnings, *early, *notes],
         }
     )
+
+
+def _valid(frf: FRF) -> FRF:
+    """The lines in the valid band; all where there is none."""
+    return frf.select(frf.trusted) if frf.trusted.any() else frf
+
+
+def _where(frf: FRF) -> tuple[Any, ...]:
+    """Operating point, valid band in Hz, and how many lines lie in it."""
+    return point(frf.operating_point, frf.parameters), *frf.trusted_band_hz, int(frf.trusted.sum())
+
+
+_OF_MATRIX = (
+    "recordings", "loops", "outputs", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "std_percent",
+)  # fmt: skip
+
+
+def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
+    """Print the table of a plant's matrices, a row each; gives the rows for JSON."""
+    import numpy as np
+
+    if not frfs:
+        return []
+    stds = [100.0 * float(np.median(_valid(one).modulus_std)) for one in frfs]
+    rows = [[one.recording, one.loop, len(one.outputs), *_where(one), std] for one, std in zip(frfs, stds, strict=True)]
+    columns = ["recordings", "loops", "outputs", "operating point", "valid from [Hz]", "to [Hz]", "lines"]
+    output.table("The plant's matrices", [*columns, "median std of elements [%]"], rows)
+    return [dict(zip(_OF_MATRIX, row, strict=True)) | {"method": f.method} for row, f in zip(rows, frfs, strict=True)]
+
+
+def draw_matrices(folder: Path, frfs: Sequence[FRF]) -> list[str]:
+    """A page for each matrix."""
+    from loopshape.cli.pictures import save
+    from loopshape.view.matrix import matrix_page
+
+    tails = [f"_{k + 1:02d}" if len(frfs) > 1 else "" for k in range(len(frfs))]
+    names = [f"matrix_{one.loop}{tail}.png" for one, tail in zip(frfs, tails, strict=True)]
+    return [str(save(matrix_page(one), figures_of(folder) / name)) for one, name in zip(frfs, names, strict=True)]
 
 
 def distortion_share(frf: FRF) -> float | None:

@@ -12,7 +12,6 @@ from typer.core import TyperGroup
 from loopshape.cli.bound import bound
 from loopshape.cli.campaign import campaign
 from loopshape.cli.check import check
-from loopshape.cli.check_several import check_several
 from loopshape.cli.compare import compare
 from loopshape.cli.demo import demo
 from loopshape.cli.effects import effects
@@ -80,11 +79,6 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
     ),
     "Verify": (
         ("check", check, "loopshape check runs/axis controller.toml --require requirements.toml"),
-        (
-            "check-several",
-            check_several,
-            "loopshape check-several runs/arm2 controllers.toml --require wanted.toml",
-        ),
         ("predict", predict, "loopshape predict runs/axis controller.toml --out prediction.npz"),
         ("compare", compare, "loopshape compare runs/after prediction.npz"),
         ("report", report, "loopshape report runs/axis --controller controller.toml --require requirements.toml"),

@@ -66,7 +66,7 @@ def measure(
     ended = ended_early(made)
     if any(r.info.excites is not None for r in made.recordings):
         try:
-            estimate_and_report(out, output, extra={"ended_early": ended})
+            estimate_and_report(out, output, extra={"ended_early": ended}, made=made)
         except typer.Exit as early:
             raise typer.Exit(1 if _is_target(study) else early.exit_code) from None
         except LoopshapeError as error:

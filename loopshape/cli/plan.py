@@ -12,10 +12,6 @@ from loopshape.cli.pictures import figures_of
 from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
-    from loopshape.data.controller import Controller
-    from loopshape.data.recording import Recording
-    from loopshape.data.run import Run
-    from loopshape.data.study import Study
     from loopshape.identify.plan_nouns import Plan
 
 #: lines of the table that are shown, the crossover's among them
@@ -55,37 +51,36 @@ def plan(
     Where the first recording has that accuracy already nothing is proposed.
     """
     from loopshape.cli.pictures import save
-    from loopshape.identify.plan import plan as planned
-    from loopshape.identify.plan_nouns import Wish
-    from loopshape.identify.plan_record import first_record
+    from loopshape.io.controllers import read_controllers
     from loopshape.io.run_folder import read_run
+    from loopshape.verbs.plan import plan as planned
+    from loopshape.verbs.plan import write_plan
     from loopshape.view.plan import plan_page
 
     output = Output(as_json, quiet)
-    wish = Wish(
-        std=_std(std_db, std_percent, std_deg),
-        at_hz=at,
-        max_amplitude=max_amplitude,
-        max_input=max_input,
-        max_output=max_output,
-        longest_s=longest_s,
-        f_low_hz=from_hz,
-        f_high_hz=to_hz,
-        kind=lines,
-    )
     held = read_run(run)
-    chosen = _first(held, recording)
-    loop = held.loop(str(chosen.info.excites))
-    with output.progress("plan", 2) as step:
-        first = first_record(chosen, loop)
-        step(chosen.info.name)
-        found = planned(first, wish, _controller(controller, loop.name))
+    with output.progress("plan", 1) as step:
+        found = planned(
+            held,
+            recording,
+            std=_std(std_db, std_percent, std_deg),
+            controllers=() if controller is None else read_controllers(controller),
+            at_hz=at,
+            max_amplitude=max_amplitude,
+            max_input=max_input,
+            max_output=max_output,
+            longest_s=longest_s,
+            f_low_hz=from_hz,
+            f_high_hz=to_hz,
+            kind=lines,
+        )
+        step(found.recording)
     if found.met:
         output.say(found.sentence)
         output.json(answer(found) | {"run": str(run), "study": None, "complete": False, "figure": None})
         return
-    study, written, why = _write(held, chosen, found, out or run / f"plan_{loop.name}.toml")
-    figure = save(plan_page(found), figures_of(run) / f"plan_{loop.name}.png")
+    study, written, why = write_plan(held, found, out or run / f"plan_{found.loop}.toml")
+    figure = save(plan_page(found), figures_of(run) / f"plan_{found.loop}.png")
     _show(found, output)
     then = "" if found.realisations == 1 else ", then loopshape frf RUN --realisations"
     output.say(f"study written to {study}: loopshape measure {study} --out RUN{then}" if written else f"{why}: {study}")
@@ -112,107 +107,6 @@ def _std(std_db: float | None, std_percent: float | None, std_deg: float | None)
     if std_db is not None:
         return float(from_db(std_db)) - 1.0
     return float(rad(std_deg)) if std_deg is not None else 0.01 * float(std_percent or 0.0)
-
-
-def _first(run: Run, name: str | None) -> Recording:
-    """The recording to plan from; refuses a run with several where none is named, and one that excites no loop."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.identify.frequency_response import excited_recordings
-
-    if name is None:
-        found = excited_recordings(run)
-        if len(found) > 1:
-            names = ", ".join(r.info.name for r in found[:8]) + (", ..." if len(found) > 8 else "")
-            raise WrongUseError("the run has several recordings to plan from", names, "name one: --recording NAME")
-        return found[0]
-    chosen = run.recording(name)
-    if chosen.info.excites is None:
-        raise WrongUseError(
-            f"recording {name} excites no loop", chosen.info.kind, "plan from one that does, or say so in run.toml"
-        )
-    return chosen
-
-
-def _controller(path: Path | None, loop: str) -> Controller | None:
-    if path is None:
-        return None
-    from loopshape.io.check_files import controller_of
-    from loopshape.io.controllers import read_controllers
-
-    return controller_of(read_controllers(path), loop)
-
-
-def _write(run: Run, recording: Recording, plan: Plan, path: Path) -> tuple[Path, bool, str]:
-    """Write the study, or the signal alone where no rig is known that could do it; the path, which, and why not."""
-    from loopshape.core.errors import LoopshapeError
-    from loopshape.io.files import make_folder, write_text_whole, write_toml
-
-    make_folder(path.parent)
-    try:
-        study = study_of(run, recording, plan)
-    except LoopshapeError as error:
-        csv = path.with_suffix(".csv")
-        write_text_whole(csv, signal_csv(run, plan))
-        return csv, False, f"the signal alone is written, no study can drive this rig ({error.what})"
-    table = study.to_table()
-    table["effects"] = dict(study.effects) or None
-    table["experiment"][0]["realisations"] = plan.realisations if plan.realisations > 1 else None
-    table["experiment"][0]["parameters"] = dict(recording.info.parameters) or None
-    write_toml(path, table)
-    return path, True, ""
-
-
-def study_of(run: Run, recording: Recording, plan: Plan) -> Study:
-    """The study that does the plan on the run's rig, where the first recording stood; refuses a rig that cannot."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.data.channel import Channel
-    from loopshape.data.study import ExperimentTemplate, Study
-    from loopshape.model import registry
-    from loopshape.rig.simulated import plan as doable
-
-    if run.plant is None:
-        raise WrongUseError("run.toml names no plant", "no key plant", "name one, or play the signal")
-    plant = registry.plant(run.plant)
-    template = ExperimentTemplate(
-        f"plan-{plan.loop}".replace("_", "-"),
-        "multisine",
-        plan.injection,
-        plan.loop,
-        plan.excitation,
-        operating_points=(dict(recording.info.operating_point),),
-        parameters=dict(recording.info.parameters),
-    )
-    unit = Channel.from_column(plan.column).unit
-    study = Study(
-        rig="simulated",
-        plant=plant.name,
-        experiments=(template,),
-        operating_points=(dict(recording.info.operating_point),),
-        rate_hz=run.rate_hz,
-        seed=plan.wish.seed,
-        solver=plant.solvers[0],
-        changes=dict(run.extra.get("parameters", {})),
-        effects=dict(run.extra.get("effects", {})),  # the rig keeps them; nothing that is planned reads them
-        pwm={k: float(run.pwm[k]) for k in ("frequency_hz", "dead_zone") if k in run.pwm},
-        controllers={loop.name: loop.controller.blocks for loop in run.loops if loop.controller is not None},
-        extra={"units": {template.name: {"excitation": unit, "references": {}, "control": {}}}},
-    )
-    doable(study, plant)
-    return study
-
-
-def signal_csv(run: Run, plan: Plan) -> str:
-    """The signal as a table: time from its start, and what is added where it is injected, a column a realisation."""
-    from loopshape.data.excitation_sets import realised
-
-    place, count = plan.column, plan.realisations
-    made = [realised({plan.loop: plan.excitation}, k)[plan.loop].signal(run.rate_hz) for k in range(count)]
-    heads = [place] if count == 1 else [f"r{k + 1}_{place}" for k in range(count)]
-    rows = (
-        ",".join([f"{k / run.rate_hz:.9g}", *(f"{value:.9g}" for value in values)])
-        for k, values in enumerate(zip(*(x.tolist() for x in made), strict=True))
-    )
-    return "\n".join([",".join(["t_s", *heads]), *rows]) + "\n"
 
 
 def _show(plan: Plan, output: Output) -> None:

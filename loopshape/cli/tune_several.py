@@ -33,9 +33,10 @@ def tune_several_run(
     from loopshape.io.controllers import write_controllers
     from loopshape.io.frfs import read_several_loops
     from loopshape.io.profiles import joined
-    from loopshape.io.requirements import read_requirements, read_several
+    from loopshape.io.requirements import read_required
 
-    (wishes, chosen), several = joined(profile, read_requirements(require)), read_several(require)
+    given, several = read_required(require)
+    wishes, chosen = joined(profile, given)
     began, frfs = controllers_to_start(start, [one.loop for one in wishes]), read_several_loops(run)
     with output.progress("tune", 2 * len(wishes)) as step:
         found = tune_several(
@@ -61,8 +62,7 @@ def _report(found: SeveralTuning, output: Output, points: int) -> None:
         output.warn(["the loops interact: controllers still changed in the last round"])
     for tuning in found.tunings.values():
         report_tuning(tuning, output, points)
-    report_verdicts(found.verdict.each, output, margins=False)
-    report_verdicts([found.verdict.together], output, margins=False)
+    report_verdicts(found.verdict.parts, output, margins=False)
     output.warn(found.notes)
 
 
@@ -82,6 +82,6 @@ def _json(found: SeveralTuning, out: Path) -> dict[str, Any]:
         ],
         "loops": [tuning_json(t) for t in found.tunings.values()],
         "each": [v.to_dict() for v in found.verdict.each],
-        "together": {k: v for k, v in found.verdict.together.to_dict().items() if k != "margins"},
+        "together": {k: v for k, v in found.verdict.parts[-1].to_dict().items() if k != "margins"},
         "notes": list(found.notes),
     }

@@ -25,7 +25,7 @@ from loopshape.data.verdict_words import (
 if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison
     from loopshape.data.model import Fit
-    from loopshape.data.requirements import Line, Verdict
+    from loopshape.data.verdict import Line, Verdict
 
 
 def fits_of(run: Path) -> tuple[Fit, ...]:
@@ -96,7 +96,7 @@ def _stability(verdict: Verdict) -> tuple[str, str, str]:
 def report_margins(verdicts: Sequence[Verdict], output: Output, *, details: bool = True) -> None:
     """The margins of each operating point where nothing was required; without `details` in 80 columns."""
     for verdict in verdicts:
-        (_margins if details else _first_margins)(verdict, output)
+        (_margins if details or verdict.together else _first_margins)(verdict, output)
     warn_of(verdicts, output)
 
 
@@ -115,7 +115,24 @@ def _first_margins(verdict: Verdict, output: Output) -> None:
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
 
 
+def _several(verdict: Verdict, output: Output) -> None:
+    """Margins of all loops at once at each operating point, and the changes that bring them to their limit."""
+    rows: list[list[object]] = []
+    for recording, m in verdict.together.items():
+        numbers = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
+        peaks = [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
+        lost = (f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items())
+        interval = interval_text(m.intervals.get("disk_margin"))
+        disk = [m.disk_margin, interval, *numbers, *peaks, m.at_hz["disk_margin"]]
+        rows.append([recording, m.stable, *disk, ", ".join(lost)])
+    columns = ["recordings", "closed loops", "disk margin", "95 % interval", "GM [dB]", "PM [deg]", "in and out"]
+    output.table("All loops at once", [*columns, "modulus", "S [dB]", "T [dB]", "at [Hz]", "lost by"], rows)
+
+
 def _margins(verdict: Verdict, output: Output) -> None:
+    if verdict.together:
+        _several(verdict, output)
+        return
     rows = [
         [
             name,

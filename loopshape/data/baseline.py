@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from loopshape.data.controller import Controller
-from loopshape.data.requirements import Line, Verdict
+from loopshape.data.verdict import Line, Verdict
 
 #: outcomes of lines and of stability, best first
 RANK = {"passed": 0, "stable": 0, "undecided": 1, "failed": 2, "unstable": 2}

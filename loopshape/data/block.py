@@ -15,7 +15,7 @@ Transfer functions, w = 2 pi f (source: appendix H.1 of van den Brink, DCT 2007.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -223,3 +223,57 @@ def _finite(kind: str, name: str, value: Any) -> float:
 
 def _polyval(p: Polynomial, s: ComplexArray) -> ComplexArray:
     return p[0] + s * (p[1] + s * p[2])
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter that tuning may move between `low` and `high`, starting at `start` where given."""
+
+    low: float
+    high: float
+    start: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTemplate:
+    """A block whose parameters are fixed numbers or `Free`; `tie` names parameters kept equal to another."""
+
+    kind: str
+    parameters: Mapping[str, float | Free]
+    tie: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> BlockTemplate:
+        """Template from TOML: a number fixes, `{ min, max, start }` frees, `"f1_hz"` ties to another."""
+        kind = block_kind(table)
+        names = BLOCK_KINDS[kind].parameters
+        given = {k: v for k, v in table.items() if k not in ("kind", "order")}
+        if set(given) != set(names):
+            raise WrongUseError(
+                f"a {kind} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
+            )
+        tie = {k: v for k, v in given.items() if isinstance(v, str)}
+        for name, target in tie.items():
+            if target not in names or target == name or target in tie:
+                raise WrongUseError(f"{name} of a {kind} block is tied to nothing", f"{target!r}")
+        return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
+
+    def block(self, values: Mapping[str, float]) -> Block:
+        """Block with the free parameters at `values`."""
+        known = {k: (values[k] if isinstance(v, Free) else v) for k, v in self.parameters.items()}
+        return Block(self.kind, known | {k: known[target] for k, target in self.tie.items()})
+
+
+def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
+    if not isinstance(value, Mapping):
+        return float(value)
+    if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
+        raise WrongUseError(
+            f"{name} of a {kind} block is a number or a table with min, max and perhaps start",
+            f"{dict(value)!r}",
+        )
+    low, high, start = float(value["min"]), float(value["max"]), value.get("start")
+    if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
+        raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
+    refuse_too_large(kind, name, high)
+    return Free(low, high, None if start is None else float(start))

@@ -16,8 +16,6 @@ from loopshape.core.units import Array
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 
-OUTCOMES = ("held", "did not hold", "cannot tell")
-
 
 @dataclass(frozen=True)
 class Indicators:

@@ -9,7 +9,8 @@ from math import erf, inf, sqrt
 from typing import Any
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.requirements import LIMIT_OF, Requirements, Verdict
+from loopshape.data.requirements import LIMIT_OF, LIMITS, Requirements
+from loopshape.data.verdict import Verdict
 
 _WIDTH = 2.0 * 1.959963984540054  # of a 95 % interval, in standard deviations
 
@@ -44,10 +45,10 @@ class Profile:
     zones: tuple[Zone, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        if unknown := sorted(set(self.limits) - set(LIMIT_OF)):
+        if unknown := sorted(set(self.limits) - {limit.name for limit in LIMITS}):
             raise WrongUseError(
                 f"profile {self.name!r} limits quantities that are not known", ", ".join(unknown),
-                f"use {', '.join(LIMIT_OF)}",
+                f"use {', '.join(limit.name for limit in LIMITS)}",
             )  # fmt: skip
         limits: dict[str, Any] = dict(self.limits)
         Requirements(**limits)

@@ -1,4 +1,4 @@
-"""Requirements, margins, verdict: what is wished, what is found, and whether it holds.
+"""What is required of a loop or of several at once, and the margins that are held against it.
 
 `Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
 """
@@ -7,30 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
-from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import json_ready
-from loopshape.data.block import refuse_too_large
-from loopshape.data.controller import BLOCK_KINDS, Block, block_kind
+from loopshape.data.block import BlockTemplate
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
 from loopshape.data.limits_over import MASKED, AtPoints, Mask
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-class Outcome(StrEnum):
-    """What data say of a controller under requirements: each is also its word."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    UNDECIDED = "undecided"
-
 
 NEVER = "no loop whose |L| falls off has more"
 
@@ -59,9 +44,9 @@ class Limit:
     closeness: int = 0
     keeps_off: bool = False
 
-    def refuse(self, value: float | None, loop: str) -> None:
+    def refuse(self, value: float | None, whose: str) -> None:
         """Refuse a value that makes no sense."""
-        of = f"{self.name} of loop {loop!r}"
+        of = f"{self.name} of {whose}"
         if value is None:
             return
         if self.positive:
@@ -117,7 +102,16 @@ LIMITS: tuple[Limit, ...] = (
     Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
     Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
 )  # fmt: skip
-LIMIT_OF = {limit.name: limit for limit in LIMITS}
+#: what all loops of a plant keep at once
+SEVERAL_LIMITS: tuple[Limit, ...] = (
+    Limit("disk_margin", "at_least", "1", "disk margin, all loops at once", positive=True, most=2.0),
+    Limit("input_output_disk_margin", "at_least", "1", "disk margin, inputs and outputs at once",
+          positive=True, most=2.0),
+    Limit("modulus_margin", "at_least", "1", "modulus margin, all loops at once", positive=True, most=1.0),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak singular value of S"),
+    Limit("complementary_peak_db", "at_most", "dB", "peak singular value of T"),
+)  # fmt: skip
+LIMIT_OF = {limit.name: limit for limit in (*SEVERAL_LIMITS, *LIMITS)}
 #: limits that hold for all operating points alike
 OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent")
 
@@ -182,60 +176,6 @@ class Margins:
         """Plain values for JSON; what was not found is None."""
         made: dict[str, Any] = json_ready(self, None)
         return made
-
-
-@dataclass(frozen=True)
-class Free:
-    """A parameter that tuning may move between `low` and `high`, starting at `start` where given."""
-
-    low: float
-    high: float
-    start: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class BlockTemplate:
-    """A block whose parameters are fixed numbers or `Free`; `tie` names parameters kept equal to another."""
-
-    kind: str
-    parameters: Mapping[str, float | Free]
-    tie: Mapping[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> BlockTemplate:
-        """Template from TOML: a number fixes, `{ min, max, start }` frees, `"f1_hz"` ties to another."""
-        kind = block_kind(table)
-        names = BLOCK_KINDS[kind].parameters
-        given = {k: v for k, v in table.items() if k not in ("kind", "order")}
-        if set(given) != set(names):
-            raise WrongUseError(
-                f"a {kind} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
-            )
-        tie = {k: v for k, v in given.items() if isinstance(v, str)}
-        for name, target in tie.items():
-            if target not in names or target == name or target in tie:
-                raise WrongUseError(f"{name} of a {kind} block is tied to nothing", f"{target!r}")
-        return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
-
-    def block(self, values: Mapping[str, float]) -> Block:
-        """Block with the free parameters at `values`."""
-        known = {k: (values[k] if isinstance(v, Free) else v) for k, v in self.parameters.items()}
-        return Block(self.kind, known | {k: known[target] for k, target in self.tie.items()})
-
-
-def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
-    if not isinstance(value, Mapping):
-        return float(value)
-    if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
-        raise WrongUseError(
-            f"{name} of a {kind} block is a number or a table with min, max and perhaps start",
-            f"{dict(value)!r}",
-        )
-    low, high, start = float(value["min"]), float(value["max"]), value.get("start")
-    if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
-        raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
-    refuse_too_large(kind, name, high)
-    return Free(low, high, None if start is None else float(start))
 
 
 @dataclass(frozen=True)
@@ -330,10 +270,16 @@ class Requirements:
     integrators: int | None = None
     unstable_poles: int | None = None
     objective: Objective = Objective()
+    limits: ClassVar[tuple[Limit, ...]] = LIMITS
+    _least_integrators: ClassVar[int] = -2
+
+    @property
+    def _whose(self) -> str:
+        return f"loop {self.loop!r}"
 
     def __repr__(self) -> str:
         """One line: its loop and each limit that is given."""
-        asked = [(limit, getattr(self, limit.name)) for limit in LIMITS if getattr(self, limit.name) is not None]
+        asked = [(limit, getattr(self, limit.name)) for limit in self.limits if getattr(self, limit.name) is not None]
         words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
         words += [f"others at {len(self.at)} ranges of operating points"] if self.at else []
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
@@ -351,15 +297,17 @@ class Requirements:
             )
 
     def _check_values(self) -> None:
-        for limit in LIMITS:
-            limit.refuse(getattr(self, limit.name), self.loop)
+        for limit in self.limits:
+            limit.refuse(getattr(self, limit.name), self._whose)
         if self.control_high_frequency_from_hz is not None:
             what = f"control_high_frequency_from_hz of loop {self.loop!r}"
             refuse_not_positive(what, self.control_high_frequency_from_hz)
-        for name, least in (("integrators", -2), ("unstable_poles", 0)):
+        if self.band_hz is not None and not _rising_pair(self.band_hz):
+            raise WrongUseError("band_hz is two rising frequencies", f"{self.band_hz!r}")
+        for name, least in (("integrators", self._least_integrators), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
+                raise WrongUseError(f"{name} of {self._whose} is a whole number from {least}", f"{value!r}")
 
     def _allow_nothing_over_masks(self) -> None:
         masked = {mask.quantity for mask in self.masks}
@@ -373,7 +321,7 @@ class Requirements:
 
     def _check_at(self, one: AtPoints) -> None:
         """Refuse limits at operating points that are none of one operating point, or make no sense."""
-        known = set(LIMIT_OF) - set(OF_ALL_POINTS) - set(MASKED)
+        known = {limit.name for limit in self.limits} - set(OF_ALL_POINTS) - set(MASKED)
         if unknown := sorted(set(one.limits) - known):
             raise WrongUseError(
                 f"at operating points of loop {self.loop!r} cannot be limited", ", ".join(unknown),
@@ -400,7 +348,7 @@ class Requirements:
     def limited(self) -> tuple[str, ...]:
         """Names of the quantities that are limited, at some operating point at least, in the order of `LIMITS`."""
         every = (self, *(self._with(one) for one in self.at))
-        return tuple(x.name for x in LIMITS if any(getattr(one, x.name) is not None for one in every))
+        return tuple(x.name for x in self.limits if any(getattr(one, x.name) is not None for one in every))
 
     def moved(self, by: Mapping[str, float]) -> Requirements:
         """The same with limits moved by these amounts, at all operating points."""
@@ -427,7 +375,7 @@ class Requirements:
         return [(limit, from_hz) for limit, from_hz in asked if limit is not None]
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Requirements:
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
         """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
         known = {f.name for f in fields(cls)} | {"disturbance_below_hz"}
         given = dict(table)
@@ -448,123 +396,35 @@ class Requirements:
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
                 raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
-        if band is not None and not _rising_pair(band):
-            raise WrongUseError("band_hz is two rising frequencies", f"{band!r}")
-        band_hz = None if band is None else (band[0], band[1])
-        return cls(**given, structure=structure, band_hz=band_hz, objective=objective, masks=masks, at=at)
+        band = tuple(band) if isinstance(band, list) else band
+        return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, at=at)
+
+
+@dataclass(frozen=True, repr=False)
+class SeveralRequirements(Requirements):
+    """What all loops of a plant must keep together, of `limits` alone; None requires nothing.
+
+    `integrators` and `unstable_poles` declare those of the whole plant (`LoopMatrix`); None leaves them to its lowest
+    lines, and to the loops that were recorded and stood. Refuses values that make no sense.
+    """
+
+    input_output_disk_margin: float | None = None
+    limits: ClassVar[tuple[Limit, ...]] = SEVERAL_LIMITS
+    _least_integrators: ClassVar[int] = 0
+
+    @property
+    def _whose(self) -> str:
+        return "several loops"
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
+        """Requirements of the table `[several]` of a requirements file; an unknown key is refused."""
+        known = [*(limit.name for limit in cls.limits), "integrators", "unstable_poles", "band_hz"]
+        if unknown := [key for key in table if key not in known]:
+            raise WrongUseError("unknown key", ", ".join(map(repr, unknown)), f"known are {', '.join(known)}")
+        return super().from_table({"name": "", **table})
 
 
 def _rising_pair(band: Any) -> bool:
     numbers = isinstance(band, (list, tuple)) and all(isinstance(x, (int, float)) for x in band)
-    return numbers and len(band) == 2 and 0.0 < band[0] < band[1]
-
-
-@dataclass(frozen=True)
-class Line:
-    """One line of a verdict at its worst operating point: wished, found with its 95 % interval, spare, and the outcome.
-
-    `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
-    `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
-    then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
-    A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
-    to which frequency to measure, as |L| falls on over the highest lines (None: not known).
-    `beyond` tells that `found` is a bound, the largest that was searched.
-    """
-
-    quantity: str
-    unit: str
-    wished: float
-    found: float
-    spare: float
-    outcome: str
-    recording: str
-    at_hz: float | None
-    interval: tuple[float, float] | None = None
-    longer: float | None = None
-    bound: float | None = None
-    measure_to_hz: float | None = None
-    beyond: bool = False
-
-    @property
-    def passed(self) -> bool:
-        """Whether the requirement holds, as far as these data are sure."""
-        return self.outcome == "passed"
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """A check's outcome for one loop: the worst line of each requirement over all operating points.
-
-    `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
-    every operating point to be stable. A loop whose stability the data cannot decide does not pass.
-    `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
-    """
-
-    loop: str
-    lines: tuple[Line, ...]
-    margins: Mapping[str, Margins]
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def unstable(self) -> tuple[str, ...]:
-        """Recordings whose loop is unstable or undecided."""
-        return tuple(name for name, m in self.margins.items() if m.stable != "stable")
-
-    @property
-    def outcome(self) -> Outcome:
-        """What these data say of the controller."""
-        stable = {m.stable for m in self.margins.values()}
-        lines = {line.outcome for line in self.lines}
-        if "unstable" in stable or "failed" in lines:
-            return Outcome.FAILED
-        return Outcome.UNDECIDED if "undecided" in stable | lines else Outcome.PASSED
-
-    def __repr__(self) -> str:
-        """One line: the outcome, and each requirement that does not hold."""
-        missed = [f"{line.quantity} {line.outcome}" for line in self.lines if not line.passed]
-        missed += [f"{self.margins[name].stable} at {name}" for name in self.unstable]
-        of, why = f" {self.loop}" if self.loop else "", f" ({', '.join(missed)})" if missed else ""
-        return f"Verdict{of}: {self.outcome}{why}"
-
-    def table(self) -> pd.DataFrame:
-        """A row a requirement at its worst operating point: limit, worst case, 95 % interval, slack, where, outcome."""
-        import pandas as pd
-
-        rows = [
-            {
-                "requirement": line.quantity,
-                "unit": line.unit,
-                "required": line.wished,
-                "worst case": line.found,
-                "low": line.interval[0] if line.interval else None,
-                "high": line.interval[1] if line.interval else None,
-                "slack": line.spare,
-                "at [Hz]": line.at_hz,
-                "operating point": line.recording,
-                "outcome": line.outcome,
-            }
-            for line in self.lines
-        ]
-        return pd.DataFrame(rows)
-
-    def _repr_html_(self) -> str:
-        """The table in a notebook, under the outcome."""
-        return f"<p>{escape(repr(self))}</p>{self.table().to_html(index=False, float_format='{:.4g}'.format)}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """The verdict as plain values for JSON; what was not found is None."""
-        found = {
-            "loop": self.loop,
-            "passed": self.passed,
-            "outcome": self.outcome.value,
-            "lines": [json_ready(line, None) | {"passed": line.passed} for line in self.lines],
-            "margins": {name: m.to_dict() for name, m in self.margins.items()},
-            "unstable": self.unstable,
-            "warnings": self.warnings,
-        }
-        return {name: json_ready(value) for name, value in found.items()}
-
-    @property
-    def passed(self) -> bool:
-        """Whether the controller may be signed on these data."""
-        return self.outcome == "passed"
+    return numbers and len(band) == 2 and 0.0 < band[0] < band[1] < np.inf

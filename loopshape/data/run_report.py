@@ -15,8 +15,9 @@ from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Estimate, Fit
 from loopshape.data.recording import RecordingInfo
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
 from loopshape.data.run import Run
+from loopshape.data.verdict import Verdict
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.block import Block
+from loopshape.data.block import Block, BlockTemplate, Free
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import BlockTemplate, Free
 
 Parameter = float | tuple[float, float] | None
 #: a parameter that tuning may move as far as the plants' frequencies and gains make sense

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from loopshape.data.detuning import STABILITY, Lost, Reach
+from loopshape.data.requirements import LIMIT_OF
 
 if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.controller import Controller
-    from loopshape.data.requirements import Line, Margins, Verdict
+    from loopshape.data.requirements import Margins
+    from loopshape.data.verdict import Line, Verdict
 
 #: how an outcome is printed
 WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
@@ -54,10 +56,7 @@ def longer_text(line: Line) -> str:
 
 def wished_text(line: Line) -> str:
     """What was asked for: "at least 45 deg"."""
-    from loopshape.data.requirements import LIMITS
-    from loopshape.data.several import SEVERAL_LIMITS
-
-    sense = next((_SENSE[limit.sense] for limit in (*LIMITS, *SEVERAL_LIMITS) if limit.name == line.quantity), "")
+    sense = _SENSE[LIMIT_OF[line.quantity].sense] if line.quantity in LIMIT_OF else ""
     return f"{sense} {line.wished:g}{_unit(line.unit)}".strip()
 
 

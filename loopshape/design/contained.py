@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.data.requirements import BlockTemplate, Free
+from loopshape.data.block import BlockTemplate, Free
 from loopshape.design.problem import Problem
 from loopshape.design.search import Found, begin
 from loopshape.design.settle import Judge, Settled, settle

@@ -15,11 +15,13 @@ from itertools import product
 import numpy as np
 
 from loopshape.core.units import Array
+from loopshape.data.block import BlockTemplate, Free
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
-from loopshape.data.requirements import BlockTemplate, Free, Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.problem import Problem, problem
 from loopshape.design.search import Goal, begin, search, step_within
 from loopshape.design.settle import Judge, Settled, settle

@@ -13,10 +13,11 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Block, Controller, series_response
 from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
-from loopshape.data.requirements import LIMIT_OF, BlockTemplate, Requirements
+from loopshape.data.requirements import LIMIT_OF, Requirements
 from loopshape.design.structure import Variable, refuse, variables_of
 from loopshape.loop.controller_bandwidth import controller_grid_hz
 from loopshape.loop.low_end import low_hz, low_models

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import LIMIT_OF, Line, Requirements, Verdict
+from loopshape.data.requirements import LIMIT_OF, Requirements
+from loopshape.data.verdict import Line, Verdict
 from loopshape.design.bound import excluded
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of
@@ -107,7 +108,9 @@ def schedule(
     held = check(frfs, robust, requirements, fits).margins
     points = []
     for frf, (name, margins) in zip(frfs, held.items(), strict=True):
-        points.append(_point(frf, requirements, robust, margins.bandwidth_hz, fits, seed, starts, bounds))
+        points.append(
+            _point(replace(frf, recording=name), requirements, robust, margins.bandwidth_hz, fits, seed, starts, bounds)
+        )
         step(name)
     return Schedule(requirements.loop, robust, tuple(points))
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
-from loopshape.data.requirements import LIMIT_OF, Verdict
+from loopshape.data.requirements import LIMIT_OF
+from loopshape.data.verdict import Verdict
 from loopshape.design.measures import Measures, measure
 from loopshape.design.problem import Problem
 from loopshape.design.rows import DIP, SURE, Tighten, in_rows, spare_of, wished

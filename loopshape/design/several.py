@@ -13,8 +13,8 @@ from loopshape.core.units import Array
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements, SeveralVerdict
+from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.tune import Tuning, tune
 from loopshape.identify.equivalent_plant import equivalent_plant
 from loopshape.identify.interaction import square_part
@@ -48,7 +48,7 @@ class SeveralTuning:
 
     controllers: tuple[Controller, ...]
     turns: tuple[Turn, ...]
-    verdict: SeveralVerdict
+    verdict: Verdict
     converged: bool
     notes: tuple[str, ...]
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from loopshape.data.controller import Controller
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.detuning import worst_shift
 from loopshape.loop.shifted import stretched
 from loopshape.loop.verdict import verdict_on

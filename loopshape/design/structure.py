@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loopshape.core.errors import WrongUseError
+from loopshape.data.block import Free
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMITS, Free, Requirements
+from loopshape.data.requirements import LIMITS, Requirements
 
 #: a problem needs one of these: without them a loop comes as near to -1 as it likes
 NEAR = tuple(limit.name for limit in LIMITS if limit.keeps_off)

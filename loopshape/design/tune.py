@@ -12,7 +12,8 @@ from loopshape.core.units import Array, db
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.contained import raced, settled
 from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, step_of
 from loopshape.design.problem import Problem, bounds_reached

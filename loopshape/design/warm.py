@@ -8,8 +8,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
+from loopshape.data.block import BlockTemplate, Free
 from loopshape.data.controller import Block, Controller
-from loopshape.data.requirements import BlockTemplate, Free
 from loopshape.design.problem import Problem
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.errors import BadSignalError
 from loopshape.core.units import Array, ComplexArray
 
 
@@ -32,20 +31,6 @@ def coherences(power: ComplexArray, outputs: int, averages: float) -> tuple[Arra
             multiple[:, i] = 1.0 - 1.0 / diagonal[:, 0]
             partial[:, i] = np.abs(inverse[:, 0, 1:]) ** 2 / (diagonal[:, :1] * diagonal[:, 1:])
     return np.clip(np.nan_to_num(multiple), 0.0, 1.0), np.clip(np.nan_to_num(partial), 0.0, 1.0)
-
-
-def coherence_bias(inputs: int, averages: float) -> tuple[float, float]:
-    """Mean multiple and partial coherence that `averages` give where an output follows no input.
-
-    Refuses as many averages as inputs, or fewer: coherence is then 1 whatever the signals.
-    """
-    if averages <= inputs:
-        raise BadSignalError(
-            f"with {inputs} input{'s' * (inputs > 1)} and {averages:.3g} averages a coherence is 1 always",
-            f"{averages:.3g} averages",
-            "record longer, or ask for a coarser resolution",
-        )
-    return inputs / averages, 1.0 / (averages - inputs + 1.0)
 
 
 def _inverse(matrix: ComplexArray) -> ComplexArray:

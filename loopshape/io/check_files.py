@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,27 +10,32 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.baseline import Checked, Comparison
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
+from loopshape.data.loop import Loop
+from loopshape.data.loop_matrix import LoopMatrix
 from loopshape.data.model import Fit
 from loopshape.data.profile import Profile
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.data.verdict import Verdict
 from loopshape.io.controllers import read_controllers
 from loopshape.io.fits import read_fits
-from loopshape.io.frfs import read_frfs
-from loopshape.io.requirements import read_requirements
+from loopshape.io.frfs import read_frfs, read_several_loops
+from loopshape.io.requirements import read_required
 from loopshape.io.run_folder import RUN_TOML, read_run
 from loopshape.io.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
-from loopshape.loop.verdict import check
+from loopshape.loop.several import loop_matrices, verdict_on_matrices
+from loopshape.loop.verdict import check_loops
 
 
 @dataclass(frozen=True, eq=False)
 class LoopCheck:
-    """One loop of a requirements file: what was checked, and what came out."""
+    """One loop of a requirements file: what was checked, the loops that were built for it, and what came out."""
 
     frfs: tuple[FRF, ...]
     requirements: Requirements
     fits: tuple[Fit, ...]
     checked: Checked
+    loops: tuple[Loop, ...]
 
     @property
     def controller(self) -> Controller:
@@ -41,6 +46,35 @@ class LoopCheck:
     def verdict(self) -> Verdict:
         """What the check says."""
         return self.checked.verdict
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixCheck:
+    """Several loops of one plant: the loops by operating point, what all must keep together, and what came out."""
+
+    matrices: Mapping[str, LoopMatrix]
+    several: SeveralRequirements
+    verdict: Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Checks:
+    """What was checked, loop by loop or as one matrix, with the verdict on each loop and then on all together."""
+
+    verdicts: tuple[Verdict, ...]
+    loops: tuple[LoopCheck, ...] = ()
+    matrix: MatrixCheck | None = None
+
+    @property
+    def single(self) -> tuple[LoopCheck, ...]:
+        """The single loops, of which alone a verdict is kept and compared; refuses several at once."""
+        if self.matrix is not None:
+            raise WrongUseError(
+                "several loops were checked at once, and a kept verdict is of single loops",
+                self.verdicts[-1].loop,
+                "leave out --baseline and --save-verdict, or [several] and --matrix",
+            )
+        return self.loops
 
 
 @dataclass(frozen=True)
@@ -73,17 +107,46 @@ class Baseline:
 def check_files(
     run: Path, controller: Path, require: Path | None, profile: Profile | None = None
 ) -> tuple[LoopCheck, ...]:
+    """`check_all` of single loops; refuses requirements of several at once."""
+    return check_all(run, controller, require, profile).single
+
+
+def check_all(
+    run: Path,
+    controller: Path,
+    require: Path | None,
+    profile: Profile | None = None,
+    *,
+    matrix: bool = False,
+    closed: Sequence[str] | None = None,
+) -> Checks:
     """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
 
-    With a `profile` its limits hold too.
+    Several loops are checked at once, on the run's matrices, where `matrix` or the table [several] of the requirements
+    asks for it; `closed` are then those that are closed, all by default. With a `profile` its limits hold too.
 
-    Refuses files that cannot be read, a loop without a controller, and one without FRFs.
+    Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
+    has FRFs of single loops only.
     """
-    controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
+    requirements, several = (None, None) if require is None else read_required(require)
+    controllers = read_controllers(controller)
+    if not matrix and several is None:
+        loops = _single_loops(run, controllers, requirements, profile)
+        return Checks(tuple(loop.verdict for loop in loops), loops)
+    together = several or SeveralRequirements()
+    one = _several_loops(run, controllers, requirements or (), together, profile, closed)
+    return Checks(one.verdict.parts, matrix=one)
+
+
+def _single_loops(
+    run: Path,
+    controllers: Sequence[Controller],
+    requirements: tuple[Requirements, ...] | None,
+    profile: Profile | None,
+) -> tuple[LoopCheck, ...]:
+    frfs, fits = read_frfs(run), fits_of(run)
     measured = {one.loop for one in frfs}
-    if require is not None:
-        requirements = read_requirements(require)
-    else:
+    if requirements is None:
         requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
     if not requirements:
         raise WrongUseError(
@@ -95,9 +158,28 @@ def check_files(
     return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in asked)
 
 
+def _several_loops(
+    run: Path,
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+    several: SeveralRequirements,
+    profile: Profile | None,
+    closed: Sequence[str] | None,
+) -> MatrixCheck:
+    matrices, notes = loop_matrices(
+        read_several_loops(run), controllers, several, loops=closed, held=recorded_under(run)
+    )
+    if profile is not None:
+        given = {one.loop: one for one in requirements}
+        names = next(iter(matrices.values())).names
+        requirements = [profile.joined(given.get(name, Requirements(name))) for name in names]
+    return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
+
+
 def _check(frfs: Sequence[FRF], controller: Controller, wished: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:
     mine = tuple(one for one in frfs if one.loop == wished.loop)
-    return LoopCheck(mine, wished, fits, checked(check(mine, controller, wished, fits), controller, mine))
+    verdict, loops = check_loops(mine, controller, wished, fits)
+    return LoopCheck(mine, wished, fits, checked(verdict, controller, mine), loops)
 
 
 def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:

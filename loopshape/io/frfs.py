@@ -17,7 +17,7 @@ from loopshape.io.frf_csv import frf_csv as frf_csv  # tables for people stand b
 from loopshape.io.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
 from loopshape.io.growth import check_zip
 from loopshape.io.held import held
-from loopshape.io.run_folder import excited_names, marks_as_read, recording_digests
+from loopshape.io.run_folder import excited_names, has_run, marks_as_read, read_run
 from loopshape.io.seen import own
 from loopshape.io.words import refuse_doubles
 
@@ -120,12 +120,14 @@ def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FR
         raise UnreadableInputError(none, str(folder), way_out)
     found = [_read(inside(folder, path.name, "a FRF's file")) for path in paths]
     if any(source for _, source in found):
-        _check_fresh(run_folder, found, excited_names(run_folder) if place == FOLDER else set())
+        _check_fresh(run_folder, found, place)
     return tuple(frf for frf, _ in found)
 
 
-def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], wanted: set[str]) -> None:
-    sources = recording_digests(run_folder)
+def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], place: str) -> None:
+    run = read_run(run_folder) if place == FOLDER or has_run(run_folder) else None
+    sources = {} if run is None else marks_as_read(run, [recording.info.name for recording in run.recordings])
+    wanted = excited_names(run) if run is not None and place == FOLDER else set()
     stale = [frf.recording for frf, source in found if source and _source(sources, frf) != source]
     missing = sorted(wanted - {name for frf, _ in found for name in _names(frf)})
     if stale or missing:

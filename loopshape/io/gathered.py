@@ -24,7 +24,7 @@ from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrice
 from loopshape.io.requirements import read_requirements
 from loopshape.io.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run_inputs import given_text, input_files, stored_figures
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import check_loops
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries, together
 
@@ -92,8 +92,8 @@ def _checked(
             continue
         wish = next((w for w in wishes if w.loop == own.loop), None)
         asked = wish or Requirements(own.loop)
-        loops, _ = loops_of(mine, own, asked, fits)
-        found.append(CheckedLoop(mine, tuple(loops), own, wish, check(mine, own, asked, fits)))
+        verdict, loops = check_loops(mine, own, asked, fits)
+        found.append(CheckedLoop(mine, loops, own, wish, verdict))
     return tuple(found)
 
 

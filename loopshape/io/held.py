@@ -11,7 +11,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.io.files import reading
 from loopshape.io.seen import settled
 
-_HELD: set[tuple[int, int, int]] = set()  # folders held, by process (a fork holds nothing), device and number
+_Place = tuple[int, int, int]  # process (a fork holds nothing), device and number of a folder
+_HELD: dict[_Place, object] = {}  # what stands for each hold
 
 
 @contextmanager
@@ -24,12 +25,12 @@ def alone(folder: Path) -> Iterator[None]:
     try:
         if place in _HELD or not _locked(handle):
             raise WrongUseError("another process is writing this run", str(folder), "wait for it, or stop it")
-        _HELD.add(place)
+        _HELD[place] = object()
         try:
             with settled():
                 yield
         finally:
-            _HELD.discard(place)
+            _HELD.pop(place, None)
     finally:
         os.close(handle)
 
@@ -43,7 +44,14 @@ def held(folder: Path) -> Iterator[None]:
         yield
 
 
-def _open(folder: Path) -> tuple[int, tuple[int, int, int]]:
+def hold_of(folder: Path) -> object | None:
+    """What stands for this process's hold of a folder, another at each time; None where it does not hold it."""
+    handle, place = _open(folder)
+    os.close(handle)
+    return _HELD.get(place)
+
+
+def _open(folder: Path) -> tuple[int, _Place]:
     """A folder as it is open, and what tells it from all others."""
     with reading(folder, "a run's folder"):
         handle = os.open(folder, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0))

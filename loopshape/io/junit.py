@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from loopshape.data.baseline import Comparison
-from loopshape.data.requirements import Verdict
+from loopshape.data.verdict import Verdict
 from loopshape.data.verdict_words import change_text, line_change_words, line_text, stability_text
 from loopshape.io.files import make_folder, write_text_whole
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from loopshape.data.baseline import Comparison, MarginChange
-from loopshape.data.requirements import LIMITS, Line, Margins, Verdict
+from loopshape.data.requirements import LIMITS, Margins
+from loopshape.data.verdict import Line, Verdict
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.io.words import Words, is_number, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-requirements/1"
@@ -18,6 +16,11 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
 
     Refuses another format, unknown keys, values of the wrong kind, no loop, and two of one name.
     """
+    return read_required(path)[0]
+
+
+def read_required(path: Path) -> tuple[tuple[Requirements, ...], SeveralRequirements | None]:
+    """What a file requires of each loop, and of all together, None where it has no table `[several]`."""
     words = read_words(path, FORMAT)
     words.only("format", "loop", "several")
     words.need("loop")
@@ -25,16 +28,10 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
     if not requirements:
         raise WrongUseError(f"{path.name} requires nothing", "no [[loop]]", "write a [[loop]] with a name")
     refuse_doubles((one.loop for one in requirements), path.name, "loops")
-    return requirements
+    return requirements, _several(words.inner("several")) if "several" in words.table else None
 
 
-def read_several(path: Path) -> SeveralRequirements:
-    """The table `[several]` of a requirements file: what all loops must keep together; nothing where it is missing.
-
-    Refuses another format, unknown keys and values of the wrong kind.
-    """
-    words = read_words(path, FORMAT).inner("several")
-    words.only(*(f.name for f in fields(SeveralRequirements)))
+def _several(words: Words) -> SeveralRequirements:
     if "band_hz" in words.table:
         words.list_of_numbers("band_hz")
     for key in words.table:

@@ -10,6 +10,7 @@ import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from loopshape.data.run import Run
 from loopshape.io.arriving import ARRIVING, EARLIER, next_earlier
 from loopshape.io.files import PART, inside, leave_memory, make_folder, reading, remove_part, short, write_toml
 from loopshape.io.held import alone as alone
-from loopshape.io.held import held
+from loopshape.io.held import held, hold_of
 from loopshape.io.journal import FILE as JOURNAL
 from loopshape.io.journal import note, note_all, read_journal
 from loopshape.io.provenance import KEY, file_sha256, versions
@@ -35,6 +36,8 @@ from loopshape.io.words import Words, read_words, refuse_doubles
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"
+#: `run.toml` of the run that this process holds, as it was last read or written, and the hold
+_WRITTEN: dict[Path, tuple[object, dict[str, Any]]] = {}
 _KEYS = ("format", "plant", "rate_hz", "outputs", "pwm", "loop", "recording")
 
 
@@ -95,9 +98,27 @@ def read_run_words(folder: Path) -> Words:
         is_folder = folder.is_dir()
     if not is_folder:
         raise UnreadableInputError("a run is a folder", f"{folder}, which is none", "name the folder with run.toml")
-    words = read_words(folder / RUN_TOML, FORMAT)
+    path = folder / RUN_TOML
+    hold, last = hold_of(folder), _WRITTEN.get(path)
+    if hold is not None and last is not None and last[0] is hold:
+        return Words(deepcopy(last[1]), path.name)
+    words = read_words(path, FORMAT)
     words.need("rate_hz")
+    _remember(path, hold, dict(words.table))
     return words
+
+
+def _remember(path: Path, hold: object | None, table: dict[str, Any]) -> None:
+    """Keep what a file says while the run is held: nobody else changes it."""
+    _WRITTEN.clear()
+    if hold is not None:
+        _WRITTEN[path] = hold, deepcopy(table)
+
+
+def _write(folder: Path, table: Mapping[str, Any]) -> None:
+    """Write `run.toml`, and remember it as it reads back."""
+    write_toml(folder / RUN_TOML, table)
+    _remember(folder / RUN_TOML, hold_of(folder), tomllib.loads(toml_text(table)))
 
 
 def _existing(folder: Path, file: str) -> Path:
@@ -133,24 +154,15 @@ def holds(folder: Path, recording: Recording) -> bool:
     return same and all(equal(there.signal(name), values) for name, values in wanted.items())
 
 
-def recording_digests(folder: Path) -> dict[str, str]:
-    """A mark of each recording by name: its table, what is said of it, loops, outputs; empty without a run."""
-    if not has_run(folder):
-        return {}
-    words = read_run_words(folder)
-    tables = [_table(folder, words, entry) for entry in words.tables("recording")]
-    return {table.path.name.split(".")[0]: table.mark for table in tables}
-
-
 def marks_as_read(run: Run, names: Iterable[str]) -> dict[str, str]:
     """The marks of recordings of a run as it was read, whatever lies in its folder by now."""
     found = {name: run.recording(name).columns for name in names}
     return {name: columns.mark for name, columns in found.items() if isinstance(columns, TableColumns)}
 
 
-def excited_names(folder: Path) -> set[str]:
+def excited_names(run: Run) -> set[str]:
     """Names of the estimation recordings from which a loop's FRF follows: they excite one, and did not end early."""
-    infos = (recording.info for recording in read_run(folder).recordings)
+    infos = (recording.info for recording in run.recordings)
     return {i.name for i in infos if i.alone and i.role == "estimation" and i.ended_early is None}
 
 
@@ -169,7 +181,7 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
             _resume(folder, header)
             return
         refuse_foreign(folder, tables)
-        write_toml(folder / RUN_TOML, header)
+        _write(folder, header)
 
 
 def refuse_foreign(folder: Path, tables: Sequence[str] = ()) -> None:
@@ -195,12 +207,12 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
     old = dict(words.table)
     _refuse_lost(folder, words)
     if not old.get("recording"):  # nothing was recorded under the old header
-        write_toml(folder / RUN_TOML, dict(header))
+        _write(folder, dict(header))
         return
     _refuse_other(folder, words, header)
     notes = [note for note in header.get("notes", []) if note not in old.get("notes", [])]
     if notes:
-        write_toml(folder / RUN_TOML, old | {"notes": old.get("notes", []) + notes})
+        _write(folder, old | {"notes": old.get("notes", []) + notes})
 
 
 def _refuse_other(folder: Path, words: Words, header: Mapping[str, Any]) -> None:
@@ -340,7 +352,7 @@ def _list(
     """Name tables that are whole in `run.toml`, and in the journal."""
     place = {name: k for k, name in enumerate(order)}
     both = sorted([*table.get("recording", []), *entries], key=lambda entry: place.get(_name(entry), len(place)))
-    write_toml(folder / RUN_TOML, dict(table) | {"recording": both})
+    _write(folder, dict(table) | {"recording": both})
     note_all(
         folder,
         "finished",

@@ -11,7 +11,8 @@ from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.baseline import RANK, Checked
-from loopshape.data.requirements import Line, Margins, Verdict
+from loopshape.data.requirements import Margins
+from loopshape.data.verdict import Line, Verdict
 from loopshape.io.files import make_folder, read_json, reading, write_json
 from loopshape.io.run_tables import controller_table, read_controller
 from loopshape.io.words import Words, refuse_doubles

@@ -12,7 +12,8 @@ import numpy as np
 from loopshape.data.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Verdict
+from loopshape.data.requirements import LIMITS, Limit, Margins
+from loopshape.data.verdict import Line, Verdict
 
 #: changes without an error of their own count from here on: what four figures do not show is none
 TINY = 1e-4

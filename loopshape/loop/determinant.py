@@ -17,7 +17,6 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.loop_matrix import LoopMatrix, responses, sensitivity
-from loopshape.data.several import Certificate
 from loopshape.data.smoothed import Dense
 from loopshape.identify.smoothing_matrix import smoothed_matrix
 from loopshape.loop.between import Path
@@ -26,6 +25,7 @@ from loopshape.loop.loci import characteristic_loci
 from loopshape.loop.obstacles import ON_IT, Obstacle, Sampling, doubt, sampling
 from loopshape.loop.sampling import HiddenPole, hidden_poles
 from loopshape.loop.several_low_end import LowEnd, low_doubt, low_end, slopes
+from loopshape.loop.stability import Stability
 
 UNKNOWN_POLES = (
     "the number of unstable poles of the whole plant is not known: declare unstable_poles in the requirements'"
@@ -40,7 +40,7 @@ DRAWN = 50
 _SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
 
 
-def closed_loops_stability(loops: LoopMatrix) -> Certificate:
+def closed_loops_stability(loops: LoopMatrix) -> Stability:
     """The count for all loops of a plant at once, on the lines of its matrix.
 
     Integrators and unstable poles of the whole plant are the noun's word; a wrong word gives a wrong answer. Gain and
@@ -53,7 +53,7 @@ def closed_loops_stability(loops: LoopMatrix) -> Certificate:
     counted = encirclement_count(loops)
     from_held = count_from_held(loops) if loops.held else counted
     if isinstance(from_held, Obstacle) and isinstance(counted, Obstacle):
-        return Certificate("undecided", None, counted.reason, counted.band_hz)
+        return Stability("undecided", None, counted.reason, counted.band_hz)
     poles = counted if isinstance(from_held, Obstacle) else from_held
     assert isinstance(poles, int)
     if isinstance(counted, int) and counted != poles:
@@ -61,14 +61,14 @@ def closed_loops_stability(loops: LoopMatrix) -> Certificate:
             f"{counted} unstable closed-loop poles by the declared integrators and unstable poles, and {poles} by the"
             " loops that were recorded and stood: one of them is wrong"
         )
-        return Certificate("undecided", None, reason)
+        return Stability("undecided", None, reason)
     if poles < 0:
         reason = f"{-poles} encirclements too many for {loops.unstable_poles} unstable poles of the plant"
-        return Certificate("undecided", None, f"{reason}: declare unstable_poles of the whole plant")
+        return Stability("undecided", None, f"{reason}: declare unstable_poles of the whole plant")
     if poles:
         plural = "pole" if poles == 1 else "poles"
-        return Certificate("unstable", poles, f"{poles} closed-loop {plural} in the right half plane")
-    return Certificate("stable", 0, _why_stable(isinstance(counted, int)))
+        return Stability("unstable", poles, f"{poles} closed-loop {plural} in the right half plane")
+    return Stability("stable", 0, _why_stable(isinstance(counted, int)))
 
 
 def _why_stable(counted: bool) -> str:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, LIMITS, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, LIMITS, Margins
+from loopshape.data.verdict import Line, Verdict
 
 #: quantities that say how close L comes to -1, the most telling first
 CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)

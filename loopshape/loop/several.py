@@ -1,4 +1,4 @@
-"""Matrix FRFs, controllers and requirements -> SeveralVerdict: each loop with the others closed, and all at once."""
+"""Matrix FRFs, controllers and requirements -> Verdict: each loop with the others closed, and all at once."""
 
 from __future__ import annotations
 
@@ -11,20 +11,15 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Limit, Line, Requirements, Verdict
-from loopshape.data.several import SEVERAL_LIMITS, SeveralMargins, SeveralRequirements, SeveralVerdict
+from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.data.verdict import SeveralMargins, Verdict
 from loopshape.identify.equivalent_plant import equivalent_plant
 from loopshape.identify.interaction import square_part
 from loopshape.loop.determinant import closed_loops_stability, count_from_held, encirclement_count
 from loopshape.loop.several_low_end import read_integrators
 from loopshape.loop.several_margins import several_margins
 from loopshape.loop.stability import unstable_count
-from loopshape.loop.verdict import check, loops_of
-
-#: lines above the judged band count as seen where their relative standard deviation is below this
-KNOWN_BEYOND = 0.3
-#: a poor witness of one loop's own integrators and unstable poles is no matter where all loops are counted together
-_SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
+from loopshape.loop.verdict import beyond_lines, check, loops_of, points_of, worst_lines
 
 
 def check_several(
@@ -35,7 +30,7 @@ def check_several(
     *,
     loops: Sequence[str] | None = None,
     held: Sequence[Controller] = (),
-) -> SeveralVerdict:
+) -> Verdict:
     """Hold the controllers of several loops against what is wished of each and of all, at every operating point.
 
     `frfs` are square matrix FRFs (or such that `loops` makes square), one an operating point; loops that `loops` leaves
@@ -48,14 +43,25 @@ def check_several(
     """
     several = several or SeveralRequirements()
     matrices, notes = loop_matrices(frfs, controllers, several, loops=loops, held=held)
+    return verdict_on_matrices(matrices, requirements, several, notes)
+
+
+def verdict_on_matrices(
+    matrices: Mapping[str, LoopMatrix],
+    requirements: Sequence[Requirements],
+    several: SeveralRequirements,
+    notes: Sequence[str] = (),
+) -> Verdict:
+    """The verdict on loops (one operating point at least) as `loop_matrices` makes them."""
     names = next(iter(matrices.values())).names
     _refuse_strays(requirements, names)
     margins = {recording: several_margins(matrix) for recording, matrix in matrices.items()}
-    notes += [f"{recording}: {text}" for recording, m in margins.items() for text in m.notes]
-    lines = [_line(x, w, margins) for x in SEVERAL_LIMITS if (w := getattr(several, x.name)) is not None]
+    said = [f"{recording}: {text}" for recording, m in margins.items() for text in m.notes]
+    _refuse_mixed(several, margins)
     by_loop = {wished.loop: wished for wished in requirements}
     each = tuple(_one(name, matrices, margins, by_loop.get(name)) for name in names)
-    return SeveralVerdict(names, each, tuple(lines), margins, tuple(dict.fromkeys(notes)))
+    warnings = tuple(dict.fromkeys([*notes, *said]))
+    return Verdict(" + ".join(names), worst_lines(dict.fromkeys(margins, several), margins), margins, warnings, each)
 
 
 def loop_matrices(
@@ -73,7 +79,7 @@ def loop_matrices(
     chosen = _controllers(names, controllers)
     stood = held if all(len(frf.inputs) == len(names) for frf in frfs) else ()  # those left out were closed then
     matrices, notes = {}, []
-    for recording, frf in zip(_recordings(frfs), parts, strict=True):
+    for recording, frf in zip(points_of(frfs), parts, strict=True):
         matrices[recording], note = _loop_matrix(frf, chosen, names, several, stood)
         notes += [f"{recording}: {text}" for text in note]
     return matrices, notes
@@ -107,11 +113,15 @@ def _refuse_strays(requirements: Sequence[Requirements], names: Sequence[str]) -
         raise WrongUseError(what, ", ".join(strays), f"loops: {', '.join(names)}")
 
 
-def _recordings(frfs: Sequence[FRF]) -> list[str]:
-    names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
-    if len(set(names)) != len(names):
-        raise WrongUseError("two matrices come from the same recordings", ", ".join(names))
-    return names
+def _refuse_mixed(several: SeveralRequirements, margins: Mapping[str, SeveralMargins]) -> None:
+    """Refuse limits on what is not defined: singular values where the outputs have different units."""
+    for name in (limit.name for limit in several.limits if getattr(several, limit.name) is not None):
+        if any(np.isnan(getattr(m, name)) for m in margins.values()):
+            raise WrongUseError(
+                f"{name} is not defined where outputs have different units",
+                f"loops {', '.join(next(iter(margins.values())).loops)}",
+                "ask for modulus_margin or disk_margin, which do not depend on units",
+            )
 
 
 def _loop_matrix(
@@ -126,7 +136,7 @@ def _loop_matrix(
     known = {one.loop: one for one in held}
     stood = tuple(known[name] for name in names) if set(names) <= set(known) else ()
     poles = several.integrators, several.unstable_poles
-    made = LoopMatrix(lines, controllers, names, *poles, _beyond(frf, lines), stood)
+    made = LoopMatrix(lines, controllers, names, *poles, beyond_lines(frf, lines), stood)
     notes: list[str] = []
     declared = several.integrators is not None and several.unstable_poles is not None
     if made.held and not declared and isinstance(count_from_held(made), int):
@@ -154,13 +164,6 @@ def _held_poles(loops: LoopMatrix) -> tuple[int | None, tuple[str, ...]]:
         return None, (note,)
     word = {0: "no unstable poles", -1: "1 unstable pole"}.get(count, f"{-count} unstable poles")
     return -count, (f"plant taken to have {word}, because the loops that were recorded were stable",)
-
-
-def _beyond(frf: FRF, lines: FRF) -> FRF | None:
-    """Lines above the judged ones that are known to 30 %, all elements taken together."""
-    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
-    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
-    return frf.select(rows) if rows.any() else None
 
 
 def _one(
@@ -214,30 +217,3 @@ def unstable_poles_met(name: str, matrices: Mapping[str, LoopMatrix], wished: Re
         counts.add(together - alone)
     found = counts.pop()
     return found if not counts and found >= 0 else None
-
-
-def _line(limit: Limit, wished: float, margins: Mapping[str, SeveralMargins]) -> Line:
-    lines = [_line_at(limit, wished, name, m) for name, m in margins.items()]
-    return min(lines, key=lambda line: (_SEVERITY[line.outcome], line.spare))
-
-
-def _line_at(limit: Limit, wished: float, recording: str, margins: SeveralMargins) -> Line:
-    """The line of one operating point; between what is guaranteed and what is known to be lost it is undecided."""
-    found = float(getattr(margins, limit.name))
-    if np.isnan(found):
-        raise WrongUseError(
-            f"{limit.name} is not defined where outputs have different units", f"loops {', '.join(margins.loops)}",
-            "ask for modulus_margin or disk_margin, which do not depend on units",
-        )  # fmt: skip
-    low, high = margins.intervals.get(limit.name, (found, found))
-    if limit.name == "disk_margin" and found > 0.0:
-        high *= margins.disk_margin_reached / found
-    sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-    spare, best = sign * (bad - wished), sign * (good - wished)
-    outcome = "passed" if spare >= 0.0 else "failed" if best < 0.0 else "undecided"
-    room = sign * (found - wished)
-    reach = abs(found - (bad if room >= 0.0 else good))
-    longer = None if outcome != "undecided" else (reach / abs(room)) ** 2 if room else float("inf")
-    interval = margins.intervals.get(limit.name)
-    at_hz = margins.at_hz.get(limit.name)
-    return Line(limit.name, limit.unit, wished, found, spare, outcome, recording, at_hz, interval, longer)

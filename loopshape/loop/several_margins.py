@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import Array, ComplexArray, db
+from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.loop_matrix import LoopMatrix, responses, sensitivity
-from loopshape.data.several import SeveralMargins
 from loopshape.data.smoothed import Dense
+from loopshape.data.verdict import SeveralMargins
 from loopshape.loop.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.structured import mu_bounds, refined, upper_at
 
@@ -32,6 +32,10 @@ FIELDS = {
     "sensitivity_peak_db": "S",
     "complementary_peak_db": "T",
 }
+#: what is read of a single loop alone
+_OF_ONE_LOOP = (
+    "gain_reduction_margin_db", "delay_margin_s", "control_peak_db", "control_high_frequency_db", "bandwidth_hz",
+)  # fmt: skip
 
 
 class _Peak(NamedTuple):
@@ -72,20 +76,32 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         shifts = {g: _shift(g, scatter, c, peaks[g]) for g in wanted}
         values = {g: values[g] - shifts[g][0] for g in wanted}
         reaches = {g: REACH * shifts[g][1] for g in wanted}
-    certificate = closed_loops_stability(loops)
+    stability = closed_loops_stability(loops)
     disk = peaks["disk"]
-    found = {name: _field(name, values[g]) if g in values else float("nan") for name, g in FIELDS.items()}
+    found: dict[str, Any] = {
+        name: _field(name, values[g]) if g in values else float("nan") for name, g in FIELDS.items()
+    }
+    intervals = {n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches}
+    a = found["disk_margin"]
+    reached = min(a * float(np.exp(disk.value - disk.lower)), 2.0)
+    if reached > a > 0.0:  # between what is guaranteed and what is known to be lost nothing is known
+        low, high = intervals.get("disk_margin", (a, a))
+        intervals["disk_margin"] = low, high * reached / a
     return SeveralMargins(
-        loops=loops.names,
-        disk_margin_reached=min(found["disk_margin"] * float(np.exp(disk.value - disk.lower)), 2.0),
-        **found,
-        worst_changes=_changes(disk),
+        **(dict.fromkeys(_OF_ONE_LOOP, float("nan")) | found),
+        gain_margin_db=float(db((2.0 + a) / (2.0 - a))) if a < 2.0 else float("inf"),
+        phase_margin_deg=float(2.0 * deg(np.arctan(0.5 * a))),
+        crossings_hz=(),
+        phase_crossings_hz=(),
         at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
-        stable=certificate.outcome,
-        stability_reason=certificate.reason,
-        stability_band_hz=certificate.band_hz,
-        unstable_poles=certificate.unstable_poles,
-        intervals={n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches},
+        stable=stability.outcome,
+        stability_reason=stability.reason,
+        stability_band_hz=stability.band_hz,
+        intervals=intervals,
+        loops=loops.names,
+        disk_margin_reached=reached,
+        worst_changes=_changes(disk),
+        unstable_poles=stability.unstable_poles,
         notes=(MIXED,) if mixed else (),
     )
 

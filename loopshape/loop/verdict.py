@@ -13,8 +13,9 @@ from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF, Hold
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
-from loopshape.data.requirements import LIMITS, Limit, Line, Margins, Requirements, Verdict
+from loopshape.data.requirements import Limit, Margins, Requirements
 from loopshape.data.smoothed import Scatter
+from loopshape.data.verdict import Line, Verdict
 from loopshape.data.verdict_words import detuning_warnings
 from loopshape.identify.merging import merged
 from loopshape.identify.smoothing import smoothed
@@ -68,7 +69,7 @@ def loops_of(
         fit = next(
             (x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, measured)), None
         )
-        beyond, model = _beyond(frf, lines), None if fit is None else fit.model
+        beyond, model = beyond_lines(frf, lines), None if fit is None else fit.model
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
@@ -121,9 +122,10 @@ def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
     )
 
 
-def _beyond(frf: FRF, lines: FRF) -> FRF | None:
-    """Lines above the judged ones that are known to 30 %: a check must not overlook what they show."""
-    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (frf.relative_std[:, 0, 0] < KNOWN_BEYOND)
+def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
+    """Lines above the judged ones that are known to 30 %, all elements together: a check must not overlook them."""
+    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
+    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
     return frf.select(rows) if rows.any() else None
 
 
@@ -234,6 +236,19 @@ def check(
     required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
     `counted` false notes nothing of open-loop poles: they are counted for all loops at once.
     """
+    return check_loops(frfs, controller, requirements, fits, detuned=detuned, counted=counted)[0]
+
+
+def check_loops(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    detuned: bool = True,
+    counted: bool = True,
+) -> tuple[Verdict, tuple[Loop, ...]]:
+    """`check`, and the loops that it looked at, for pictures."""
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
     from_hz = requirements.control_high_frequency_from_hz
@@ -243,10 +258,11 @@ def check(
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
     loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
-    named = dict(zip(_names(frfs), loops, strict=True))
+    named = dict(zip(points_of(frfs), loops, strict=True))
     found = verdict_on(named, requirements, detuned=detuned)
     unseen = outside_warnings(requirements, loops)
-    return replace(found, warnings=(*notes, *unseen, *detuning_warnings(found.margins, controller)))
+    warnings = (*notes, *unseen, *detuning_warnings(found.margins, controller))
+    return replace(found, warnings=warnings), tuple(loops)
 
 
 def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple[str, ...]:
@@ -276,19 +292,25 @@ def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned
     }
     if detuned or requirements.detuning_percent is not None:
         found = {name: with_detuning(loop, found[name], asked[name]) for name, loop in loops.items()}
-    wished = {x: {name: v for name, one in asked.items() if (v := getattr(one, x.name)) is not None} for x in LIMITS}
-    lines = [_line(limit, asks, found) for limit, asks in wished.items() if asks]
-    return Verdict(requirements.loop, tuple(lines), found)
+    return Verdict(requirements.loop, worst_lines(asked, found), found)
 
 
-def _names(frfs: Sequence[FRF]) -> list[str]:
+def points_of(frfs: Sequence[FRF]) -> list[str]:
+    """Names of operating points, one a FRF; refuses two of one recording."""
     names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
     if len(set(names)) != len(names):
         raise WrongUseError("two FRFs of one loop come from the same recording", ", ".join(names))
     return names
 
 
-def _line(limit: Limit, wished: Mapping[str, float], found: Mapping[str, Margins]) -> Line:
+def worst_lines(asked: Mapping[str, Requirements], found: Mapping[str, Margins]) -> tuple[Line, ...]:
+    """Each limit that is asked for, at the worst of the operating points (one at least), of one loop or of several."""
+    limits = next(iter(asked.values())).limits
+    wished = {x: {name: v for name, one in asked.items() if (v := getattr(one, x.name)) is not None} for x in limits}
+    return tuple(_worst_line(limit, asks, found) for limit, asks in wished.items() if asks)
+
+
+def _worst_line(limit: Limit, wished: Mapping[str, float], found: Mapping[str, Margins]) -> Line:
     lines = [_line_at(limit, value, name, found[name]) for name, value in wished.items()]
     return min(lines, key=lambda line: (SEVERITY[line.outcome], line.spare))
 

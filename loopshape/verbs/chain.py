@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
+from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
-from loopshape.data.requirements import BlockTemplate, Requirements, Verdict
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.data.run import Run
 from loopshape.data.shorthand import bounded
+from loopshape.data.verdict import Verdict
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import Settings
 from loopshape.verbs.files import read
@@ -27,8 +29,9 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Model
     from loopshape.data.plant import Followable
     from loopshape.data.prediction import Prediction
-    from loopshape.data.several import SeveralRequirements
+    from loopshape.data.requirements import SeveralRequirements
     from loopshape.design.bound import Bound
+    from loopshape.design.schedule import Schedule
     from loopshape.loop.remeasured import Remeasured
 
 Plants = FRF | Sequence[FRF]
@@ -146,17 +149,53 @@ def tune(
     )
 
 
-def check(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, fits: Sequence[Fit] = ()) -> Verdict:
+def check(
+    P: Plants,
+    C: Controller | Tuning | Sequence[Controller | Tuning],
+    R: Requirements | Sequence[Requirements] | None = None,
+    *,
+    fits: Sequence[Fit] = (),
+    together: SeveralRequirements | None = None,
+    loops: Sequence[str] | None = None,
+    recorded_under: Sequence[Controller] = (),
+) -> Verdict:
     """Stability and margins with 95 % intervals at every operating point, and whether the requirements hold.
 
     The verdict's `outcome` is passed, failed, or undecided by these data; without `R` nothing is required. An unstable
     plant is told by `R.unstable_poles`, or counted from the loop that was recorded; where nothing tells, the verdict is
     undecided. Raises WrongUseError for a controller at another rate than the FRF.
+
+    With a sequence of controllers, one a loop, `P` is a square matrix FRF (`ls.frf_matrices`) and all loops are closed
+    at once: each is checked with the others closed (`R`, one a loop), then all `together`: stability by det(I + L), and
+    margins for changes of every loop at the same time. `loops` are those that are closed (default: all of the matrix);
+    `recorded_under` are the controllers of the loops that were recorded: their count tells the plant's unstable poles
+    where nothing declares them. The verdict's `each` is that of each loop. Raises WrongUseError for a loop without a
+    controller.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> f_hz = np.geomspace(0.5, 200.0, 100)
+    >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
+    >>> C = ls.controller(ls.gain(2.0), rate_hz=1000.0)
+    >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
+    True
     """
+    from loopshape.loop.several import check_several
     from loopshape.loop.verdict import check as check_loop
 
-    plants, controller = _plants(P), C.controller if isinstance(C, Tuning) else C
-    return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+    plants = _plants(P)
+    if isinstance(C, Controller | Tuning):
+        controller = _controller(C)
+        if isinstance(R, Sequence):
+            raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
+        return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+    asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
+    return check_several(plants, [_controller(one) for one in C], asked, together, loops=loops, held=recorded_under)
+
+
+def _controller(given: Controller | Tuning) -> Controller:
+    return given.controller if isinstance(given, Tuning) else given
 
 
 def shape(
@@ -193,7 +232,7 @@ def shape(
     if isinstance(C, Sequence):
         loops = SeveralLoops(plants, wished, together).shaped(C)
     else:
-        own = C.controller if isinstance(C, Tuning) else C
+        own = None if C is None else _controller(C)
         loops = [shaped(plants, own, wished[0] if wished else None, tuple(fits))]
     write_bytes_whole(Path(out), page_of(loops, "Shape"))
     return Path(out)
@@ -206,7 +245,33 @@ def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[
     """
     from loopshape.design.bound import bound as bound_loop
 
-    return bound_loop(_plants(P), C.controller if isinstance(C, Tuning) else C, R, tuple(fits))
+    return bound_loop(_plants(P), _controller(C), R, tuple(fits))
+
+
+def schedule(
+    P: Plants, R: Requirements, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0, starts: int = 16
+) -> Schedule:
+    """What one robust controller `C` costs in bandwidth, beside one tuned for each operating point alone under `R`.
+
+    `points` of the answer hold own, robust and unreachable bandwidth in Hz of each. Same input and seed, same answer.
+    Misleads: a controller switched between the points is no loop that was checked. Raises WrongUseError where `C` is
+    not of the structure of `R`.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> f_hz = np.geomspace(1.0, 400.0, 40)
+    >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
+    >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, structure=(ls.gain(),))
+    >>> found = ls.schedule(P, R, ls.controller(ls.gain(0.5), rate_hz=5000.0), starts=1)
+    >>> bool(found.points[0].cost_hz > 0.0)
+    True
+    """
+    from loopshape.design.schedule import schedule as schedule_loop
+
+    plants = _plants(P)
+    asked = replace(R, structure=bounded(R.structure, plants))
+    return schedule_loop(plants, asked, _controller(C), tuple(fits), seed=seed, starts=starts)
 
 
 def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0) -> tuple[Prediction, ...]:
@@ -216,7 +281,7 @@ def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed
     """
     from loopshape.loop.prediction import predict as predict_loop
 
-    return tuple(predict_loop(_plants(P), C.controller if isinstance(C, Tuning) else C, tuple(fits), seed=seed))
+    return tuple(predict_loop(_plants(P), _controller(C), tuple(fits), seed=seed))
 
 
 def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0) -> list[Remeasured]:

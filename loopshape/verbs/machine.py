@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
@@ -18,10 +19,14 @@ from loopshape.model import registry
 from loopshape.rig.described import DescribedRig
 from loopshape.rig.effects import asked
 from loopshape.rig.interrupts import interrupts
+from loopshape.rig.link import open_link
+from loopshape.rig.messages import Identity
+from loopshape.rig.session import Session
 from loopshape.rig.simulated import Rig, header, plan
 from loopshape.rig.simulated import measure as recordings
-from loopshape.verbs.on_target import record_on_target
-from loopshape.verbs.watch import Confirm, Unwatched, Watch
+from loopshape.verbs.on_target import motion_of, record_on_target
+from loopshape.verbs.stop import BAUD, stop
+from loopshape.verbs.watch import Confirm, Motion, Unwatched, Watch
 
 
 def measure(
@@ -60,8 +65,8 @@ def measure(
         record_on_target(wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra)
         return read_run(folder)
     todo = plan(wanted, plant)
-    start_run(folder, header(wanted, plant, extra))
     done = frozenset((whole if again else finished)(folder))
+    start_run(folder, header(wanted, plant, extra))
     with alone(folder), interrupts(), told.progress("measure", len(todo) - len(done)) as step:
         try:
             for recording in recordings(wanted, plant, done=done, states=states):
@@ -70,7 +75,61 @@ def measure(
         except KeyboardInterrupt:
             kept = f"interrupted; what {folder / 'run.toml'} lists is kept, the same command goes on"
             raise KeyboardInterrupt(kept) from None
-    return read_run(folder)
+        return read_run(folder)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A real-time target at a port: what it is, what it would do, and what it does once that is allowed.
+
+    The line is open only while something is asked, so that the emergency stop (`stop`, or `ls.stop` of another
+    process) finds it free.
+    """
+
+    port: str
+    baud: int
+    identity: Identity
+
+    def __enter__(self) -> Target:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Nothing is held: every verb vents and closes by itself."""
+
+    def state(self) -> str:
+        """The word for its state, as "idle", "armed" or "fault"."""
+        with open_link(self.port, self.baud) as link:
+            return Session(link).status().state.name.lower()
+
+    def show(self, study: str | Path, *, controllers: Iterable[Controller] = ()) -> Motion:
+        """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
+        return motion_of(*_asked(Path(study), controllers, ()), self.port)
+
+    def measure(self, study: str | Path, out: str | Path, *, arm: bool = False, **options: Any) -> Run:
+        """`ls.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""
+        return measure(study, out, port=self.port, arm=arm, **options)
+
+    def stop(self, *, clear: bool = False) -> str:
+        """Vent it at once; `clear` then clears the fault that this is. Gives what was done."""
+        return stop(self.port, clear=clear, baud=self.baud)
+
+
+def connect(port: str, *, baud: int = BAUD) -> Target:
+    """The target at a port ("tcp://127.0.0.1:4040", a pseudo-terminal, "/dev/ttyACM0"), once it has said what it is.
+
+    Raises RigError where nothing answers.
+
+    Examples
+    --------
+    >>> import loopshape as ls
+    >>> try:
+    ...     ls.connect("tcp://127.0.0.1:9")
+    ... except ls.LoopshapeError as error:
+    ...     print(str(error).split(";")[0])
+    no target answers there
+    """
+    with open_link(port, baud) as link:
+        return Target(port, baud, Session(link).identity)
 
 
 @contextmanager

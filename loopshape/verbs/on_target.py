@@ -52,9 +52,7 @@ def record_on_target(
         return
     with open_link(name, settings.baud) as link:
         session = Session(link)
-        wanted = configuration(session.identity, planned[0].loops, settings, study.rate_hz, head.pwm or study.pwm)
-        motion = Motion(session.identity, name, settings, tuple(todo), lambda one: experiment(study, plant, one))
-        _refuse_points_beyond_limits(motion)
+        motion, wanted = _motion(session, name, study, plant, todo)
         if not confirm(motion):
             raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
         start_run(out, head)
@@ -74,6 +72,28 @@ def record_on_target(
                     [f"{ticks} ticks came before that, and are kept in {path}" for path, ticks in keep_arrived(out)]
                 )
     _refuse_a_limit(session.identity, settings, name, out, [one.name for one in todo])
+
+
+def _motion(
+    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned]
+) -> tuple[Motion, Configuration]:
+    """What a target is about to do, and how it is configured for that; refuses what is outside its limits."""
+    settings = study.target
+    assert settings is not None
+    head = header(study, plant)
+    wanted = configuration(session.identity, todo[0].loops, settings, study.rate_hz, head.pwm or study.pwm)
+    motion = Motion(session.identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one))
+    _refuse_points_beyond_limits(motion)
+    return motion, wanted
+
+
+def motion_of(study: Study, plant: Rig, port: str) -> Motion:
+    """What a target at a port would do in a study, with nothing moved; refuses what measuring would refuse."""
+    if study.target is None:
+        raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.measure")
+    _refuse_what_only_models_do(study)
+    with open_link(port, study.target.baud) as link:
+        return _motion(Session(link), port, study, plant, plan(study, plant))[0]
 
 
 def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out: Path, todo: Sequence[str]) -> None:

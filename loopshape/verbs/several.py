@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import BadSignalError
-from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
 from loopshape.data.run import Run
 from loopshape.identify.settings import Settings
 from loopshape.verbs.files import read
@@ -18,7 +16,6 @@ from loopshape.verbs.watch import Unwatched, Watch
 if TYPE_CHECKING:
     from loopshape.data.interaction import Interaction
     from loopshape.data.recording import Recording
-    from loopshape.data.several import SeveralRequirements, SeveralVerdict
 
 
 def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
@@ -61,24 +58,3 @@ def interaction(P: FRF, loops: Sequence[str] | None = None) -> Interaction:
     from loopshape.identify.interaction import interaction as interaction_of
 
     return interaction_of(P, loops)
-
-
-def check_several(
-    P: FRF | Sequence[FRF],
-    controllers: Sequence[Controller],
-    R: Sequence[Requirements] = (),
-    together: SeveralRequirements | None = None,
-    *,
-    loops: Sequence[str] | None = None,
-    recorded_under: Sequence[Controller] = (),
-) -> SeveralVerdict:
-    """Stability by det(I + L) and margins of several loops closed at once, each alone (`R`) and all (`together`).
-
-    `P` is a square matrix FRF, or several where the controllers serve several operating points. `recorded_under` are
-    the controllers of the loops that were recorded: their count tells the plant's unstable poles where the requirements
-    do not. Raises WrongUseError for a loop without a controller.
-    """
-    from loopshape.loop.several import check_several as check_loops
-
-    plants = (P,) if isinstance(P, FRF) else tuple(P)
-    return check_loops(plants, tuple(controllers), tuple(R), together, loops=loops, held=tuple(recorded_under))

@@ -16,9 +16,9 @@ from threading import Lock
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.block import BLOCK_KINDS, Block
+from loopshape.data.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.data.controller import Controller
-from loopshape.data.requirements import BlockTemplate, Free, Requirements
+from loopshape.data.requirements import Requirements
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import SeveralLoops, served_page
 from loopshape.view.page.payload import Shaped, certificate_words, controller_words

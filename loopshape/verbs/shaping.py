@@ -13,8 +13,7 @@ from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop_matrix import LoopMatrix
 from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.loop.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
@@ -79,10 +78,9 @@ def several_run(run: Path, require: Path | None, controller: Path) -> tuple[Seve
     from loopshape.io.check_files import recorded_under
     from loopshape.io.controllers import read_controllers
     from loopshape.io.frfs import read_several_loops
-    from loopshape.io.requirements import read_requirements, read_several
+    from loopshape.io.requirements import read_required
 
-    wished = tuple(read_requirements(require)) if require else ()
-    together = read_several(require) if require else None
+    wished, together = read_required(require) if require else ((), None)
     made = SeveralLoops(read_several_loops(run), wished, together, recorded_under(run))
     return made, made.shaped(read_controllers(controller))
 

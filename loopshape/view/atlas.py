@@ -16,7 +16,8 @@ from matplotlib.ticker import FixedLocator
 
 from loopshape.core.units import Array, db
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.view.curves import frequency_axis, shown_band_hz
 from loopshape.view.key import key_of, varying

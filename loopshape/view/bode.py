@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import db, deg
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Margins, Requirements, Verdict
+from loopshape.data.requirements import Margins, Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.points import margins_of, worst_of
 from loopshape.view.curves import hide_inner, nearest_branch
 from loopshape.view.key import Entry, place_notes

@@ -12,7 +12,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.limits_over import Mask
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, Margins, Requirements, Verdict
+from loopshape.data.requirements import LIMIT_OF, Margins, Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.bands import band
 from loopshape.loop.points import NEAREST, Worst, margins_of
 from loopshape.view.contours import turns

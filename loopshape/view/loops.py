@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.points import worst_of
 from loopshape.view.curves import hide_inner
 from loopshape.view.key import key_of, place_key, place_notes

@@ -14,7 +14,8 @@ from matplotlib.ticker import MultipleLocator
 
 from loopshape.core.units import Array, db, deg
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.points import Worst, worst_of
 from loopshape.view.contours import error_region
 from loopshape.view.curves import UNTRUSTED, nearest_branch

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.verdict import loops_of
 from loopshape.view import frequency
 from loopshape.view import gap_report as gaps

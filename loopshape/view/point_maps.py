@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, Margins
+from loopshape.data.verdict import Line, Verdict
 from loopshape.loop.points import margins_of, point_outcome
 from loopshape.view.key import varying
 from loopshape.view.labels import number, numbers, quantity

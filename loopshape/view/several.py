@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
 from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Margins
-from loopshape.data.several import SeveralMargins, SeveralRequirements
+from loopshape.data.requirements import Margins, SeveralRequirements
+from loopshape.data.verdict import SeveralMargins
 from loopshape.identify.equivalent_plant import equivalent_plant
 from loopshape.loop.loci import characteristic_loci
 from loopshape.loop.several_margins import gauge_matrix

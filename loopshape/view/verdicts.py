@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from loopshape.core.units import Array
-from loopshape.data.requirements import LIMIT_OF, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, Margins
+from loopshape.data.verdict import Line, Verdict
 from loopshape.data.verdict_words import WORDS
 from loopshape.loop.points import point_outcome
 from loopshape.view.labels import bracket, number, symbol

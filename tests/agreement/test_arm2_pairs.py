@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, QUIET, numbers
 from arm2_cases import point as dual_point
+from arm2_closed import close2
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import Experiment
 from loopshape.model import registry
 from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.closed_linear2 import close2
 from loopshape.model.arm.equilibrium2 import pair_pressures2, pair_rest2, pressures2
 from loopshape.model.arm.linear2 import DECOUPLING, PAIR_DECOUPLING, PAIR_OUTPUTS, linearise2, linearise_pairs2
 from loopshape.model.arm.model2 import standing_torques

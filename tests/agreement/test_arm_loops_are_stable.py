@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from source_controllers import angle_controller
 
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.loop.margins import margins
 from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.published import angle_controller
 from loopshape.model.arm.source import EQUILIBRIA
 
 F = np.geomspace(0.01, 100.0, 3000)

@@ -16,8 +16,7 @@ from several_cases import (
 from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.loop.determinant import closed_loops_stability
 from loopshape.loop.margins import margins
 from loopshape.loop.several import check_several

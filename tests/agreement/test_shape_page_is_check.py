@@ -15,8 +15,8 @@ import shaped_cases
 import loopshape as ls
 from loopshape.data.controller import Controller
 from loopshape.data.limits_over import MASKED
-from loopshape.data.requirements import LIMITS, Requirements, Verdict
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import LIMITS, Requirements, SeveralRequirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.step_response import predict_step
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped

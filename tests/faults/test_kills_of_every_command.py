@@ -21,7 +21,7 @@ from loopshape.io.verify import verify
 #: commands that write, but for campaigns, whose workers have a test of their own
 WRITING = (
     "import another", "import --replace", "import a third", "frf otherwise", "fit otherwise", "tune", "predict",
-    "report", "figures", "export", "import-frf", "import-frf --replace", "check-several --junit",
+    "report", "figures", "export", "import-frf", "import-frf --replace", "check --matrix --junit",
     "check --save-verdict", "export-controller", "export-excitation", "measure", "simulate",
 )  # fmt: skip
 #: before these a command is given that leaves another file in the place of its own

@@ -43,9 +43,9 @@ READ = {
     "given/a.axis.uff": ("import-frf of two",),
     "study.toml": ("export-excitation", "measure"),
     "campaign.toml": ("campaign --merge",),
-    "two/matrix/of_a+of_b.a+b.npz": ("interaction", "check-several"),
-    "several.toml": ("check-several",),
-    "both.toml": ("check-several",),
+    "two/matrix/of_a+of_b.a+b.npz": ("interaction", "check --matrix"),
+    "several.toml": ("check --matrix",),
+    "both.toml": ("check --matrix",),
 }
 #: files that carry a checksum of their content
 CHECKED = (

@@ -32,8 +32,8 @@ QUICK = [
 WIDE = [
     ("measure", "measure otherwise"), ("measure otherwise", "measure"), ("simulate", "simulate otherwise"),
     ("import-frf", "import-frf --replace"), ("import-frf --replace", "import-frf of two"),
-    ("interaction", "frf --matrix"), ("interaction", "import a third"), ("check-several", "frf --matrix"),
-    ("check-several --junit", "import a third"), ("frf --matrix", "import a third"), ("gap", "measure"),
+    ("interaction", "frf --matrix"), ("interaction", "import a third"), ("check --matrix", "frf --matrix"),
+    ("check --matrix --junit", "import a third"), ("frf --matrix", "import a third"), ("gap", "measure"),
     ("check --save-verdict", "tune"), ("check --baseline", "check --save-verdict"),
 ]  # fmt: skip
 

@@ -116,8 +116,8 @@ def commands(folder):
         "import-frf --replace": (*frf, out("given", "a.axis.mat"), "--recording", "theirs", "--replace", "--json"),
         "import-frf of two": (*frf, out("given", "a.axis.uff"), "--recording", "third", "--relative-std", "0.01"),
         "interaction": ("interaction", two, "--no-figures", "--json"),
-        "check-several": ("check-several", *several[:1], out("both.toml"), *several[1:], "--json"),
-        "check-several --junit": ("check-several", two, out("both.toml"), *several[1:], "--junit", out("several.xml")),
+        "check --matrix": ("check", *several[:1], out("both.toml"), *several[1:], "--json"),
+        "check --matrix --junit": ("check", two, out("both.toml"), *several[1:], "--junit", out("several.xml")),
         "check --save-verdict": (
             "check", run, controller, "--require", require, "--no-figures", "--junit", out("junit.xml"),
             "--markdown", out("verdict.md"), "--save-verdict", out("verdict.json"),

@@ -133,4 +133,4 @@ def test_loops_of_a_matrix_are_tuned_in_turn(tmp_path):
     assert [one["loop"] for one in told["rounds"]][:4] == ["a", "b", "a", "b"]
     assert [one.loop for one in read_controllers(out)] == ["a", "b"]
     assert "Loops in turn" in loopshape(*words)
-    loopshape("check-several", tmp_path / "run", out, "--require", path, "--no-figures")
+    loopshape("check", tmp_path / "run", out, "--require", path, "--no-figures")

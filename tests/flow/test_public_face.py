@@ -289,8 +289,15 @@ def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
             ls.measure(study, tmp_path / "run", port=port, confirm=lambda motion: bool(seen.append(motion)))
         assert seen[0].identity.emulated
         assert not (tmp_path / "run").exists()
-        run = ls.measure(study, tmp_path / "run", port=port, arm=True)
-        assert len(run.recordings) == 1
+        with ls.connect(port) as rig:
+            assert (rig.identity.board, rig.state()) == (seen[0].identity.board, "idle")
+            (shown,) = rig.show(study).experiments()
+            assert shown.name == "noise"
+            assert not (tmp_path / "run").exists()
+            run = rig.measure(study, tmp_path / "run", arm=True)
+            assert len(run.recordings) == 1
+            assert rig.stop(clear=True).startswith("vented")
+            assert rig.state() == "idle"
         assert ls.stop(port).startswith("vented")
 
 

@@ -10,11 +10,13 @@ import pytest
 
 from loopshape import __version__
 from loopshape.core.units import rad
+from loopshape.data.block import Free
 from loopshape.data.controller import Block, Controller
 from loopshape.data.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.data.frf import FRF
 from loopshape.data.model import Estimate, Fit, TransferFunction
-from loopshape.data.requirements import Free, Line, Margins, Verdict
+from loopshape.data.requirements import Margins
+from loopshape.data.verdict import Line, Verdict
 from loopshape.io.controllers import read_controllers, write_controllers
 from loopshape.io.files import read_json, read_toml, write_json, write_toml
 from loopshape.io.fits import read_fits, write_fits

@@ -13,7 +13,8 @@ import pytest
 from loopshape.data.experiment import Told
 from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.recording import RecordingInfo
-from loopshape.data.requirements import LIMITS, Line, Margins, Requirements, Verdict
+from loopshape.data.requirements import LIMITS, Margins, Requirements
+from loopshape.data.verdict import Line, Verdict
 from loopshape.design.bound_nodes import COUNTED, counted
 from loopshape.design.structure import NEAR
 from loopshape.io.run_tables import INFO, TOLD, read_recording, recording_table

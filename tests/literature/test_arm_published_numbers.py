@@ -5,6 +5,7 @@ A tolerance is half a unit of the last digit that the source prints.
 
 import numpy as np
 import pytest
+from source_controllers import angle_controller, third_order_plant
 
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
@@ -13,7 +14,6 @@ from loopshape.model.arm import parameters as k
 from loopshape.model.arm.equilibrium import pressures
 from loopshape.model.arm.linear import linearise
 from loopshape.model.arm.model import muscle
-from loopshape.model.arm.published import angle_controller, third_order_plant
 from loopshape.model.arm.source import EQUILIBRIA, value
 
 F = np.geomspace(0.01, 100.0, 6000)

@@ -6,13 +6,13 @@ the margins are ARM.md's own, computed with two digits, hence the tolerances of 
 
 import numpy as np
 import pytest
+from source_controllers import angle_controller, third_order_plant
 
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Requirements
 from loopshape.loop.margins import margins
 from loopshape.loop.verdict import check
-from loopshape.model.arm.published import angle_controller, third_order_plant
 from loopshape.model.arm.source import value
 
 RATE = 1000.0

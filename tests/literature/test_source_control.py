@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from loopshape.core.errors import WrongUseError
-from loopshape.model.arm.published import (
+from source_controllers import (
     TABLES,
     angle_controller,
     controller,
     pressure_controller,
     third_order_plant,
 )
+
+from loopshape.core.errors import WrongUseError
 from loopshape.model.arm.source import numbers, value
 
 STUDIES = Path(__file__).parents[2] / "experiments"

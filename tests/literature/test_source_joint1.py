@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from arm2_closed import close2
+from source_controllers import controller
 
 from loopshape.data.controller import Controller
-from loopshape.model.arm.closed_linear2 import close2
 from loopshape.model.arm.linear2 import linearise_pairs2
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.model.arm.published import controller
 from loopshape.model.arm.source import value
 from loopshape.model.arm.strategies2 import PAIRS
 

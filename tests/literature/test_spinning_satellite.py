@@ -10,8 +10,7 @@ import pytest
 from several_cases import frf_of, gain, loops
 
 from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.loop.several import check_several
 from loopshape.loop.several_margins import several_margins
 

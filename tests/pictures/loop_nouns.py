@@ -11,7 +11,8 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements, Verdict
+from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.loop.verdict import check, loops_of
 
 RATE = 1000.0

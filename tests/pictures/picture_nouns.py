@@ -11,7 +11,8 @@ from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Estimate, Fit, TransferFunction
 from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.requirements import Line, Margins, Requirements, Verdict
+from loopshape.data.requirements import Margins, Requirements
+from loopshape.data.verdict import Line, Verdict
 
 POINTS = (
     *((theta, p) for p in (0.8, 1.0, 1.2, 1.4) for theta in (-30.0, -15.0, 0.0, 15.0, 30.0)),

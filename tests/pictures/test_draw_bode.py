@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import db
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import Verdict
+from loopshape.data.verdict import Verdict
 from loopshape.loop.bands import band
 from loopshape.view.bode import bode_page
 from loopshape.view.phase import loop_phase_deg

@@ -5,7 +5,7 @@ import pytest
 from several_cases import frf_of, gain
 
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import SeveralRequirements
 from loopshape.loop.several import check_several, loop_matrices
 from loopshape.view.several import determinant, disk_margins, loci, several_page, singular_values, summary
 

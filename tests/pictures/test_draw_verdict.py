@@ -8,7 +8,7 @@ import picture_nouns as nouns
 import pytest
 from matplotlib.axes import Axes
 
-from loopshape.data.requirements import Verdict
+from loopshape.data.verdict import Verdict
 from loopshape.loop.points import point_outcome
 from loopshape.view import verdicts
 from loopshape.view.outcomes import MARKS

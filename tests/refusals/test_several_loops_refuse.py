@@ -8,9 +8,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block, Controller
 from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
-from loopshape.io.requirements import read_several
+from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.io.requirements import read_required
 from loopshape.loop.several import check_several
 
 F = np.geomspace(0.01, 100.0, 100)
@@ -49,7 +48,7 @@ def test_another_rate():
 
 
 def test_matrices_of_one_recording_twice():
-    with pytest.raises(WrongUseError, match="two matrices come from the same recordings"):
+    with pytest.raises(WrongUseError, match="two FRFs of one loop come from the same recording"):
         check_several([frf(), frf()], BOTH)
 
 
@@ -70,8 +69,8 @@ def test_a_plant_that_is_not_square():
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"disk_margin": 2.5}, "disk_margin of several loops lies above 0 and is 2 at most"),
-        ({"modulus_margin": 1.5}, "modulus_margin of several loops lies above 0 and is 1 at most"),
+        ({"disk_margin": 2.5}, "disk_margin of several loops must not exceed 2"),
+        ({"modulus_margin": 1.5}, "modulus_margin of several loops must not exceed 1"),
         ({"sensitivity_peak_db": np.inf}, "sensitivity_peak_db of several loops must be finite"),
         ({"integrators": -1}, "integrators of several loops is a whole number from 0"),
         ({"unstable_poles": True}, "unstable_poles of several loops is a whole number from 0"),
@@ -97,7 +96,7 @@ def test_a_bad_table(tmp_path, line, words):
     path = tmp_path / "r.toml"
     path.write_text(f'format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n[several]\n{line}\n')
     with pytest.raises(WrongUseError, match=words):
-        read_several(path)
+        read_required(path)
 
 
 def test_a_line_above_half_the_rate():

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_sweep import command_amplitude, expected_angle_response
 
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io.study import read_study
-from loopshape.model.arm.expected import command_amplitude, expected_angle_response
 from loopshape.model.arm.linear import linearise
 from loopshape.rig.simulated import experiment, header, plan
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from h1_h2 import h1_h2
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.excitation import BandNoise
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.h1_h2 import h1_h2
 from loopshape.identify.settings import Settings
 
 RATE, K = 200.0, 3.0

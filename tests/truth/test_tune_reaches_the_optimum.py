@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from source_controllers import angle_controller
 
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
@@ -14,7 +15,6 @@ from loopshape.design.measures import measure
 from loopshape.design.problem import problem
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of
-from loopshape.model.arm.published import angle_controller
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "speed"))
 from tune_workload import frfs as arm_frfs

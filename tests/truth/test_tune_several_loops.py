@@ -8,8 +8,7 @@ import pytest
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.data.several import SeveralRequirements
+from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
 from loopshape.loop.several import check_several

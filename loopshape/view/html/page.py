@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMIT_OF, Verdict
+from loopshape.data.requirements import LIMIT_OF
 from loopshape.data.run_report import CheckedLoop, RunReport
+from loopshape.data.verdict import Verdict
 from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, Plots

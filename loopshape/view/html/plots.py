@@ -9,7 +9,8 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMIT_OF, Line, Requirements
+from loopshape.data.requirements import LIMIT_OF, Requirements
+from loopshape.data.verdict import Line
 from loopshape.view.html.axes import (
     BOTTOM,
     HEIGHT,

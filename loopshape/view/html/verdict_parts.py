@@ -8,8 +8,9 @@ import numpy as np
 
 from loopshape.data.detuning import Reach
 from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, LIMITS, Limit, Line, Margins, Verdict
+from loopshape.data.requirements import LIMIT_OF, LIMITS, Limit, Margins
 from loopshape.data.run_report import CheckedLoop, RunReport
+from loopshape.data.verdict import Line, Verdict
 from loopshape.data.verdict_words import reach_text
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, figure, table, together

@@ -22,7 +22,8 @@ from loopshape.data.frf import FRF
 from loopshape.data.limits_over import MASKED
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
-from loopshape.data.requirements import LIMITS, Objective, Requirements, Verdict
+from loopshape.data.requirements import LIMITS, Objective, Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.resonances import Phase, resonances
