@@ -10,7 +10,6 @@ import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,8 +35,8 @@ from loopshape.io.words import Words, read_words, refuse_doubles
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"
-#: `run.toml` of the run that this process holds, as it was last read or written, and the hold
-_WRITTEN: dict[Path, tuple[object, dict[str, Any]]] = {}
+#: `run.toml` of the run that this process holds, as it was last written, and the hold
+_WRITTEN: dict[Path, tuple[object, Mapping[str, Any]]] = {}
 _KEYS = ("format", "plant", "rate_hz", "outputs", "pwm", "loop", "recording")
 
 
@@ -101,24 +100,18 @@ def read_run_words(folder: Path) -> Words:
     path = folder / RUN_TOML
     hold, last = hold_of(folder), _WRITTEN.get(path)
     if hold is not None and last is not None and last[0] is hold:
-        return Words(deepcopy(last[1]), path.name)
+        return Words(tomllib.loads(toml_text(last[1])), path.name)  # as it reads back, and a copy
     words = read_words(path, FORMAT)
     words.need("rate_hz")
-    _remember(path, hold, dict(words.table))
     return words
 
 
-def _remember(path: Path, hold: object | None, table: dict[str, Any]) -> None:
-    """Keep what a file says while the run is held: nobody else changes it."""
-    _WRITTEN.clear()
-    if hold is not None:
-        _WRITTEN[path] = hold, deepcopy(table)
-
-
 def _write(folder: Path, table: Mapping[str, Any]) -> None:
-    """Write `run.toml`, and remember it as it reads back."""
+    """Write `run.toml`, and remember it while the run is held: nobody else changes it."""
     write_toml(folder / RUN_TOML, table)
-    _remember(folder / RUN_TOML, hold_of(folder), tomllib.loads(toml_text(table)))
+    _WRITTEN.clear()
+    if (hold := hold_of(folder)) is not None:
+        _WRITTEN[folder / RUN_TOML] = hold, table
 
 
 def _existing(folder: Path, file: str) -> Path:
