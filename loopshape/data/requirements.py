@@ -285,8 +285,8 @@ class Requirements:
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
 
     def __post_init__(self) -> None:
-        self._allow_nothing_over_masks()
         self._check_values()
+        self._allow_nothing_over_masks()
         for one in self.at:
             self._check_at(one)
         if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
