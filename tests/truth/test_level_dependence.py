@@ -17,7 +17,7 @@ LEVELS = (1.0, 4.0)
 @cache
 def found(levels=LEVELS, **machine):
     run = run_of(levels, **machine)
-    (one,) = level_dependences(run, ls.frfs(run))
+    (one,) = level_dependences(run, ls.frfs(run, method="welch"))
     return one
 
 
@@ -76,7 +76,7 @@ def test_a_linear_machine_shows_none_at_the_stated_chance():
 
 def test_one_level_says_nothing():
     run = run_of((1.0, 1.1))
-    assert level_dependences(run, ls.frfs(run)) == ()
+    assert level_dependences(run, ls.frfs(run, method="welch")) == ()
 
 
 def test_two_runs_of_one_machine_say_it_in_the_conclusion():
