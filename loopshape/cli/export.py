@@ -97,11 +97,13 @@ def firmware(
 ) -> None:
     """Make a controller file of a flight firmware's rate loop; export-controller writes its parameters back."""
     from loopshape.io.controllers import write_controllers
-    from loopshape.io.firmware import controller_of, read_parameters
+    from loopshape.io.firmware import controller_of, left_out, read_parameters
 
-    output = Output(as_json, quiet)
-    made = controller_of(read_parameters(parameters), of, axis, rate_hz)
-    write_controllers(out, [made], {"firmware": of, "parameters": parameters.name})
+    output, given = Output(as_json, quiet), read_parameters(parameters)
+    made, missing = controller_of(given, of, axis, rate_hz), left_out(given, of, axis)
+    write_controllers(out, [made], {"firmware": of, "parameters": parameters.name, "left_out": list(missing)})
     rows = [[block.kind, ", ".join(f"{k} {v:.6g}" for k, v in block.parameters.items())] for block in made.blocks]
     output.table(f"Rate loop {axis} of {of} in {out}", ["block", "parameters"], rows)
-    output.json({"controller": str(out), "firmware": of, "axis": axis, "blocks": [b.to_table() for b in made.blocks]})
+    output.warn(missing)
+    told = {"controller": str(out), "firmware": of, "axis": axis, "warnings": list(missing)}
+    output.json(told | {"blocks": [block.to_table() for block in made.blocks]})

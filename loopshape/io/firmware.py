@@ -7,10 +7,10 @@ which firmware calls alpha filter, low-pass or PT1:
 |---|---|---|---|
 | `px4` | K (P + I T/(z-1) + D (1 - 1/z)/T A) | notches, two-pole low-pass | RateControl.cpp |
 | `ardupilot` | A_E (P + I T z/(z-1) + D (1 - 1/z)/T A_D) | two-pole low-pass | AC_PID.cpp |
-| `betaflight` | (P' + I' T z/(z-1) + D' (1 - 1/z)/T A_1 A_2)/1000, e in deg/s | PT1s | pid.c, filter.c |
+| `betaflight` | (P' + I' T z/(z-1) + D' (1 - 1/z)/T A_1 A_2)/1000, e in deg/s | PT1-3, biquads | pid.c, filter.c |
 
-Feed-forward, limits, anti-windup, thrust-dependent scaling and dynamic notches are outside. A law whose zeros no block
-holds is refused.
+Feed-forward, limits, anti-windup and thrust-dependent scaling are outside; filters that change in flight are named
+(`left_out`). A law whose zeros no block holds is refused.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Firmware:
 
     `factor` is what multiplies P, I and D for an error in rad/s; `forward` says that the integral of before this sample
     counts. Filters: `common` on the whole error, `derivative` on D alone (both first order), `two_pole` on the gyro,
-    `notches` (frequency, width) too.
+    `notches` (frequency, width) too. `changing` switch on filters that change in flight, which no block holds.
     """
 
     axes: Mapping[str, str]
@@ -51,6 +51,7 @@ class Firmware:
     derivative: tuple[str, ...] = ()
     two_pole: tuple[str, ...] = ()
     notches: tuple[tuple[str, str], ...] = ()
+    changing: tuple[str, ...] = ()
 
     def named(self, name: str, axis: str) -> str:
         """A parameter's name for an axis."""
@@ -64,21 +65,25 @@ FIRMWARE: dict[str, Firmware] = {
         ("MC_{axis}RATE_P", "MC_{axis}RATE_I", "MC_{axis}RATE_D"), (1.0, 1.0, 1.0), True, "MC_{axis}RATE_K",
         derivative=("IMU_DGYRO_CUTOFF",), two_pole=("IMU_GYRO_CUTOFF",),
         notches=(("IMU_GYRO_NF0_FRQ", "IMU_GYRO_NF0_BW"), ("IMU_GYRO_NF1_FRQ", "IMU_GYRO_NF1_BW")),
+        changing=("IMU_GYRO_DNF_EN",),
     ),
     "ardupilot": Firmware(
         dict(zip(AXES, ("RLL", "PIT", "YAW"), strict=True)),
         ("ATC_RAT_{axis}_P", "ATC_RAT_{axis}_I", "ATC_RAT_{axis}_D"), (1.0, 1.0, 1.0), False,
         common=("ATC_RAT_{axis}_FLTE",), derivative=("ATC_RAT_{axis}_FLTD",), two_pole=("INS_GYRO_FILTER",),
+        changing=("INS_HNTCH_ENABLE", "INS_HNTC2_ENABLE", "ATC_RAT_{axis}_NEF", "ATC_RAT_{axis}_NTF"),
     ),
     "betaflight": Firmware(
         dict(zip(AXES, AXES, strict=True)), ("p_{axis}", "i_{axis}", "d_{axis}"),
         (0.032029 * _PER_DEG, 0.244381 * _PER_DEG, 0.000529 * _PER_DEG), False,
         common=("gyro_lpf1_static_hz", "gyro_lpf2_static_hz"),
         derivative=("dterm_lpf1_static_hz", "dterm_lpf2_static_hz"),
+        changing=("gyro_lpf1_dyn_min_hz", "dterm_lpf1_dyn_min_hz", "dyn_notch_count", "rpm_filter_harmonics",
+                  "gyro_notch1_hz", "gyro_notch2_hz", "dterm_notch_hz", "yaw_lowpass_hz"),
     ),
 }  # fmt: skip
-#: switches of Betaflight's filters; of their kinds PT1 is read
-_KINDS = ("gyro_lpf1_type", "gyro_lpf2_type", "dterm_lpf1_type", "dterm_lpf2_type")
+#: how many PT1 a filter of Betaflight is, and what its cutoff is multiplied by: 1/sqrt(2^(1/n) - 1), in its own digits
+_IN_ROW = {"PT1": (1, 1.0), "PT2": (2, 1.553773974), "PT3": (3, 1.961459177)}
 
 
 def read_parameters(path: Path) -> dict[str, float | str]:
@@ -110,17 +115,18 @@ def controller_of(parameters: Mapping[str, float | str], firmware: str, axis: st
     axis. Refuses an unknown firmware or axis, missing terms, and a law that no blocks hold.
     """
     kind = _kind(firmware, axis)
-    _refuse_kinds(parameters)
     p, i, d = (factor * value for factor, value in zip(kind.factor, _terms(kind, parameters, axis), strict=True))
-    common, inner = (
-        [f for name in names if (f := _number(parameters, kind.named(name, axis), 0.0)) > 0.0]
-        for names in (kind.common, kind.derivative)
-    )
+    two_pole = [f for name in kind.two_pole if (f := _number(parameters, name, 0.0)) > 0.0]
+    common, more = _first_order(kind, kind.common, parameters, axis)
+    inner, none = _first_order(kind, kind.derivative, parameters, axis)
+    if none:
+        raise WrongUseError(
+            "a biquad on D does not come apart into blocks", f"at {none[0]:g} Hz", "PT1, PT2 and PT3 do"
+        )
     blocks = _law(p, i, d, inner, rate_hz, forward=kind.forward)
     blocks += [_alpha(f, rate_hz) for f in common]
-    for name in kind.two_pole:
-        if (f := _number(parameters, name, 0.0)) > 0.0:
-            blocks.append(Block("low_pass_2", {"f_hz": _warped(f, rate_hz), "damping": _TWO_POLE_DAMPING}))
+    for f in (*two_pole, *more):
+        blocks.append(Block("low_pass_2", {"f_hz": _warped(f, rate_hz), "damping": _TWO_POLE_DAMPING}))
     for frequency, width in kind.notches:
         if (f := _number(parameters, frequency, 0.0)) > 0.0:
             blocks.append(_notch(f, _number(parameters, width, 20.0), rate_hz))
@@ -150,12 +156,32 @@ def _number(parameters: Mapping[str, float | str], name: str, default: float | N
     return float(value)
 
 
-def _refuse_kinds(parameters: Mapping[str, float | str]) -> None:
-    for name in _KINDS:
-        if str(parameters.get(name, "PT1")) != "PT1":
-            raise WrongUseError(
-                "of Betaflight's filters PT1 is read", f"{name} = {parameters[name]}", "add that filter as a block"
-            )
+def _first_order(
+    kind: Firmware, names: tuple[str, ...], parameters: Mapping[str, float | str], axis: str
+) -> tuple[list[float], list[float]]:
+    """Cutoffs in Hz of the first-order filters that these parameters switch on, and of biquads among them."""
+    first, biquads = [], []
+    for name in names:
+        f = _number(parameters, kind.named(name, axis), 0.0)
+        word = str(parameters.get(name.replace("_static_hz", "_type"), "PT1")) if name.endswith("_static_hz") else "PT1"
+        if word not in (*_IN_ROW, "BIQUAD"):
+            raise WrongUseError("a kind of filter is not known", repr(word), f"use {', '.join(_IN_ROW)} or BIQUAD")
+        count, times = _IN_ROW.get(word, (0, 1.0))
+        first += [times * f] * count if f > 0.0 else []
+        biquads += [f] if f > 0.0 and not count else []
+    return first, biquads
+
+
+def left_out(parameters: Mapping[str, float | str], firmware: str, axis: str) -> tuple[str, ...]:
+    """A sentence for each filter that is switched on and stands in no block, such as notches that follow the motors."""
+    kind = _kind(firmware, axis)
+    names = [kind.named(name, axis) for name in kind.changing]
+    on = [name for name in names if parameters.get(name, 0.0) not in (0.0, "OFF")]
+    return tuple(
+        f"{name} = {parameters[name]}: this filter is not in the controller, and its phase is missing; switch it off,"
+        " or add it as a block at its frequency in the flight that was logged"
+        for name in on
+    )
 
 
 def _warped(f_hz: float, rate_hz: float) -> float:
@@ -186,38 +212,37 @@ def _alpha(f_hz: float, rate_hz: float) -> Block:
 
 
 def _law(p: float, i: float, d: float, cutoffs: list[float], rate_hz: float, *, forward: bool) -> list[Block]:
-    """P, I and D with first-order filters on D as blocks: the sum is multiplied out in z and taken apart by roots."""
-    num, den = _proportional_integral(p, i / rate_hz, forward=forward)
+    """P, I and D with first-order filters on D as blocks: the sum is multiplied out in z, its zeros looked for."""
+    num, poles = _proportional_integral(p, i / rate_hz, forward=forward)
     if d:
-        top, bottom = _derivative(cutoffs, rate_hz)
-        whole = np.polyadd(np.polymul(num, bottom), d * np.polymul(den, top))
-        return _blocks(np.asarray(whole), np.asarray(np.polymul(den, bottom)), rate_hz)
-    return _blocks(num, den, rate_hz)
+        top, more = _derivative(cutoffs, rate_hz)
+        num = np.polyadd(np.polymul(num, np.poly(more)), d * np.polymul(np.poly(poles), top))
+        poles = [*poles, *more]
+    return _blocks(np.asarray(num), poles, rate_hz)
 
 
-def _proportional_integral(p: float, step: float, *, forward: bool) -> tuple[Array, Array]:
-    """Polynomials of P + `step`/(z-1), or of P + `step` z/(z-1); of P alone without an integral."""
+def _proportional_integral(p: float, step: float, *, forward: bool) -> tuple[Array, list[float]]:
+    """Numerator and poles of P + `step`/(z-1), or of P + `step` z/(z-1); of P alone without an integral."""
     if not step:
-        return np.array([p]), np.array([1.0])
-    return np.array([p, step - p] if forward else [p + step, -p]), np.array([1.0, -1.0])
+        return np.array([p]), []
+    return np.array([p, step - p] if forward else [p + step, -p]), [1.0]
 
 
-def _derivative(cutoffs: list[float], rate_hz: float) -> tuple[Array, Array]:
-    """Polynomials of rate (z-1)/z times a z/(z - 1 + a) for each cutoff."""
-    num, den = rate_hz * np.array([1.0, -1.0]), np.array([1.0])
-    for a in (_share(f, rate_hz) for f in cutoffs):
-        num, den = num * a, np.polymul(den, [1.0, a - 1.0])
-    powers = len(cutoffs) - 1  # of z: one above for each filter, one below for the difference
-    return np.append(num, np.zeros(max(powers, 0))), np.append(den, np.zeros(max(-powers, 0)))
+def _derivative(cutoffs: list[float], rate_hz: float) -> tuple[Array, list[float]]:
+    """Numerator and poles of rate (z-1)/z times a z/(z - 1 + a) for each cutoff."""
+    shares = [_share(f, rate_hz) for f in cutoffs]
+    num = rate_hz * float(np.prod(shares)) * np.array([1.0, -1.0])
+    powers = max(len(cutoffs) - 1, 0)  # of z: one above for each filter, one below for the difference
+    return np.append(num, np.zeros(powers)), [1.0 - a for a in shares] or [0.0]
 
 
-def _blocks(num: Array, den: Array, rate_hz: float) -> list[Block]:
-    """Blocks in series whose sections are num/den (in z, falling powers), a gain first."""
-    zeros, poles = (_in_s(np.roots(np.trim_zeros(x, "f")).astype(complex), rate_hz) for x in (num, den))
-    made = _paired(list(zeros), list(poles))
+def _blocks(num: Array, poles: list[float], rate_hz: float) -> list[Block]:
+    """Blocks in series whose sections are num (in z, falling powers) over these poles, a gain first."""
+    zeros = _in_s(np.roots(np.trim_zeros(num, "f")).astype(complex), rate_hz)
+    made = _paired(list(zeros), list(_in_s(np.array(poles, dtype=complex), rate_hz)))
     z = np.exp(1j * np.pi / 4.0)
     rest = Controller("", tuple(made), rate_hz).response(np.array([rate_hz / 8.0]))[0] if made else 1.0
-    gain = complex(np.polyval(num, z) / np.polyval(den, z) / rest)
+    gain = complex(np.polyval(num, z) / np.prod([z - pole for pole in poles]) / rest)
     return [Block("gain", {"gain": gain.real}), *made]
 
 
@@ -233,14 +258,7 @@ def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
     pairs = [z for z in zeros if z.imag > 0.0]
     lags = sorted((p.real for p in poles if not p.imag and p != 0.0), reverse=True)
     integrators = sum(p == 0.0 for p in poles)
-    swings = any(p.imag for p in poles)
-    if (
-        swings
-        or any(z.real >= 0.0 for z in zeros)
-        or integrators > 1
-        or (integrators and not real)
-        or len(lags) < 2 * len(pairs)
-    ):
+    if any(z.real >= 0.0 for z in zeros) or integrators > 1 or (integrators and not real) or len(lags) < 2 * len(pairs):
         raise WrongUseError(
             "the law of a firmware's controller does not come apart into blocks",
             f"zeros at {', '.join(f'{z / TWO_PI:.3g}' for z in zeros)} Hz",

@@ -16,6 +16,7 @@ from loopshape.core.units import TWO_PI
 from loopshape.data.requirements import SeveralRequirements
 from loopshape.io.controllers import write_controllers
 from loopshape.io.frfs import write_frfs, write_matrices
+from loopshape.io.profiles import OWN
 from loopshape.io.requirements import read_required, read_requirements
 from loopshape.loop.several import check_several as check
 
@@ -70,6 +71,22 @@ def test_what_holds_passes_and_is_drawn(run):
     assert [suite.get("name") for suite in suites] == ["a", "b", "a + b"]
     assert {suite.get("failures") for suite in suites} == {"0"}
     assert [case.get("name") for case in suites[2]] == ["disk_margin", "sensitivity_peak_db", "stability in exact"]
+
+
+def test_a_profile_limits_each_loop_with_the_others_closed(run):
+    """A phase margin that the requirements do not ask: of a profile of one's own that no loop meets, and its words."""
+    text = OWN.read_text(encoding="utf-8").replace(
+        "limits = { gain_margin_db = 6.0, phase_margin_deg = 45.0 }", "limits = { phase_margin_deg = 89.9 }"
+    )
+    (run / "mine.toml").write_text(text, encoding="utf-8")
+    done = said(run, "--no-figures", "--profile", f"{run / 'mine.toml'}:converter", "--json")
+    assert done.exit_code == 1, done.output
+    told = json.loads(done.stdout)
+    assert [one["outcome"] for one in told["each"]] == ["failed", "failed"]
+    assert "phase_margin_deg" in json.dumps(told["each"])
+    done = said(run, "--no-figures", "--profile", "converter")
+    assert done.exit_code == 0, done.output
+    assert "power electronics" in done.output
 
 
 def test_what_is_missed_is_exit_code_1_and_says_which(run):

@@ -132,5 +132,7 @@ def test_loops_of_a_matrix_are_tuned_in_turn(tmp_path):
     assert told["converged"]
     assert [one["loop"] for one in told["rounds"]][:4] == ["a", "b", "a", "b"]
     assert [one.loop for one in read_controllers(out)] == ["a", "b"]
-    assert "Loops in turn" in loopshape(*words)
+    printed = loopshape(*words, "--profile", "servo")
+    assert "Loops in turn" in printed
+    assert "Profile servo" in printed
     loopshape("check", tmp_path / "run", out, "--require", path, "--no-figures")

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from loopshape.cli.export import export_controller, firmware
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.controller import step
-from loopshape.io.firmware import controller_of, parameters_of, read_parameters
+from loopshape.io.firmware import controller_of, left_out, parameters_of, read_parameters
 
 RATE_HZ = 1000.0
 T = 1.0 / RATE_HZ
@@ -22,7 +22,8 @@ ARDUPILOT = {
 }  # fmt: skip
 BETAFLIGHT = {
     "p_yaw": 45.0, "i_yaw": 80.0, "d_yaw": 30.0, "gyro_lpf1_static_hz": 250.0, "dterm_lpf1_static_hz": 75.0,
-    "dterm_lpf2_static_hz": 150.0, "dterm_lpf1_type": "PT1",
+    "dterm_lpf2_static_hz": 150.0, "dterm_lpf1_type": "PT1", "dterm_lpf2_type": "PT2", "gyro_lpf1_type": "PT3",
+    "gyro_lpf2_static_hz": 180.0, "gyro_lpf2_type": "BIQUAD",
 }  # fmt: skip
 E = np.random.default_rng(7).standard_normal(400)
 
@@ -99,11 +100,12 @@ def ardupilot(e):
 
 def betaflight(e):
     """pid.c: D on the slope of the gyro behind two PT1; terms in their scales, error in deg/s, the sum over 1000."""
-    gyro, first, second = Alpha(250.0), Alpha(75.0), Alpha(150.0)
+    three = [Alpha(1.961459177 * 250.0) for _ in range(3)]
+    biquad, first, second = two_pole(180.0), Alpha(75.0), [Alpha(1.553773974 * 150.0) for _ in range(2)]
     integral, before, out = 0.0, 0.0, []
     for value in np.degrees(e):
-        x = gyro(value)
-        filtered = second(first(x))
+        x = biquad(three[2](three[1](three[0](value))))
+        filtered = second[1](second[0](first(x)))
         d, before = (filtered - before) / T, filtered
         integral += 0.244381 * 80.0 * x * T
         out.append((0.032029 * 45.0 * x + integral + 0.000529 * 30.0 * d) / 1000.0)
@@ -175,13 +177,21 @@ def test_the_command_makes_a_controller_file_and_export_writes_its_parameters_ba
     assert back == pytest.approx({name: PX4[name] for name in back}, rel=1e-6)
 
 
+def test_a_filter_that_changes_in_flight_is_named():
+    (said,) = left_out(BETAFLIGHT | {"dyn_notch_count": 3.0, "rpm_filter_harmonics": 0.0}, "betaflight", "yaw")
+    assert "dyn_notch_count = 3" in said
+    assert left_out(PX4, "px4", "roll") == ()
+    assert len(left_out(ARDUPILOT | {"INS_HNTCH_ENABLE": 1.0}, "ardupilot", "pitch")) == 1
+
+
 def test_what_is_no_rate_controller_is_refused(tmp_path):
     with pytest.raises(WrongUseError, match="MC_ROLLRATE_I is a number"):
         controller_of({"MC_ROLLRATE_P": 0.1}, "px4", "roll", RATE_HZ)
     with pytest.raises(WrongUseError, match="zeros real"):
         controller_of(PX4 | {"MC_ROLLRATE_I": 5.0}, "px4", "roll", RATE_HZ)
-    with pytest.raises(WrongUseError, match="PT1"):
-        controller_of(BETAFLIGHT | {"dterm_lpf1_type": "BIQUAD"}, "betaflight", "yaw", RATE_HZ)
+    for word in ("BIQUAD", "PT9"):
+        with pytest.raises(WrongUseError, match="PT1"):
+            controller_of(BETAFLIGHT | {"dterm_lpf1_type": word}, "betaflight", "yaw", RATE_HZ)
     with pytest.raises(WrongUseError, match="roll, pitch, yaw"):
         controller_of(PX4, "px4", "x", RATE_HZ)
     with pytest.raises(WrongUseError, match="a gain, pi and one lead_lag"):
