@@ -216,9 +216,9 @@ def _law(p: float, i: float, d: float, cutoffs: list[float], rate_hz: float, *, 
     num, poles = _proportional_integral(p, i / rate_hz, forward=forward)
     if d:
         top, more = _derivative(cutoffs, rate_hz)
-        num = np.polyadd(np.polymul(num, np.poly(more)), d * np.polymul(np.poly(poles), top))
-        poles = [*poles, *more]
-    return _blocks(np.asarray(num), poles, rate_hz)
+        whole = np.polyadd(np.polymul(num, np.poly(more)), d * np.polymul(np.poly(poles), top))
+        return _blocks(np.asarray(whole), [*poles, *more], rate_hz)
+    return _blocks(num, poles, rate_hz)
 
 
 def _proportional_integral(p: float, step: float, *, forward: bool) -> tuple[Array, list[float]]:
