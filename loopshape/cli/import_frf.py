@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def import_frf(
     file: Annotated[
-        Path, typer.Argument(help="MAT, CSV and other tables, UFF, Touchstone, LIGO XML.", show_default=False)
+        Path, typer.Argument(help="MAT, HDF5, CSV and other tables, UFF, Touchstone, LIGO XML.", show_default=False)
     ],
     out: Annotated[Path, typer.Option(help="The folder to write, or to add to; fit and check take it as a run.")],
     recording: Annotated[str, typer.Option(help="Its name; default: the file's.")] = "",
