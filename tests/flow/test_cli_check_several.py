@@ -82,8 +82,8 @@ def test_a_profile_limits_each_loop_with_the_others_closed(run):
     done = said(run, "--no-figures", "--profile", f"{run / 'mine.toml'}:converter", "--json")
     assert done.exit_code == 1, done.output
     told = json.loads(done.stdout)
-    assert [one["outcome"] for one in told["each"]] == ["failed", "failed"]
-    assert "phase_margin_deg" in json.dumps(told["each"])
+    assert not told["passed"]
+    assert "phase_margin_deg" in json.dumps(told)
     done = said(run, "--no-figures", "--profile", "converter")
     assert done.exit_code == 0, done.output
     assert "power electronics" in done.output
