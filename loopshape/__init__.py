@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from loopshape.data.control_frd import from_control as from_control
     from loopshape.data.control_frd import to_control as to_control
     from loopshape.data.controller import Controller as Controller
+    from loopshape.data.fixed import fixed as fixed
     from loopshape.data.frf import FRF as FRF
     from loopshape.data.gap_report import GapReport as GapReport
     from loopshape.data.interaction import Interaction as Interaction
+    from loopshape.data.limits_over import AtPoints as AtPoints
+    from loopshape.data.limits_over import Mask as Mask
     from loopshape.data.machine import Input as Input
     from loopshape.data.machine import Model as Model
     from loopshape.data.machine import ModelParameter as ModelParameter
@@ -44,12 +47,15 @@ if TYPE_CHECKING:
     from loopshape.data.shorthand import low_pass as low_pass
     from loopshape.data.shorthand import notch as notch
     from loopshape.data.shorthand import pi as pi
+    from loopshape.data.shorthand import pid as pid
     from loopshape.data.shorthand import resonator as resonator
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.tune import Tuning as Tuning
+    from loopshape.loop.cascade import Cascade as Cascade
+    from loopshape.loop.cascade import cascade as cascade
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
@@ -84,7 +90,9 @@ __version__ = "0.1.0"
 
 #: public name -> the module that holds it
 _HOME = {
+    "AtPoints": "data.limits_over",
     "Bound": "design.bound",
+    "Cascade": "loop.cascade",
     "Comparison": "data.prediction",
     "Controller": "data.controller",
     "FRF": "data.frf",
@@ -94,6 +102,7 @@ _HOME = {
     "Interaction": "data.interaction",
     "LoopshapeError": "core.errors",
     "Margins": "data.requirements",
+    "Mask": "data.limits_over",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
     "Outcome": "data.verdict",
@@ -109,6 +118,7 @@ _HOME = {
     "Verdict": "data.verdict",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
+    "cascade": "loop.cascade",
     "check": "verbs.chain",
     "compare": "verbs.chain",
     "complex_lead": "data.shorthand",
@@ -117,6 +127,7 @@ _HOME = {
     "emulator": "verbs.machine",
     "export": "verbs.files",
     "fit": "verbs.chain",
+    "fixed": "data.fixed",
     "frf": "verbs.chain",
     "frf_matrices": "verbs.several",
     "frfs": "verbs.chain",
@@ -130,6 +141,7 @@ _HOME = {
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "plan": "verbs.plan",
+    "pid": "data.shorthand",
     "plot": "view",
     "predict": "verbs.chain",
     "profiles": "verbs.files",

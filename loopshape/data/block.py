@@ -10,6 +10,8 @@ Transfer functions, w = 2 pi f (source: appendix H.1 of van den Brink, DCT 2007.
 | low_pass, order 1 | f_hz | 1/(s/w + 1) |
 | low_pass, order 2 | f_hz, damping | 1/(s²/w² + 2 b s/w + 1) |
 | pi | f_hz | (s + w)/s |
+| pid | gain, fi_hz, fd_hz, ff_hz | gain (1 + wi/s + (s/wd)/(s/wf + 1)) |
+| section | n0, n1, n2, d0, d1, d2 | (n0 + n1 s + n2 s²)/(d0 + d1 s + d2 s²), s in rad/s |
 """
 
 from __future__ import annotations
@@ -107,23 +109,89 @@ def _pi_slopes(p: Mapping[str, float]) -> dict[str, Section]:
     return {"f_hz": ((TWO_PI, 0.0, 0.0), _ZERO)}
 
 
+def _pid(p: Mapping[str, float]) -> Section:
+    (n0, n1, n2), den = _pid_of_gain_one(p)
+    return (p["gain"] * n0, p["gain"] * n1, p["gain"] * n2), den
+
+
+def _pid_of_gain_one(p: Mapping[str, float]) -> Section:
+    wi, tame, derivative = TWO_PI * p["fi_hz"], 1.0 / (TWO_PI * p["ff_hz"]), 1.0 / (TWO_PI * p["fd_hz"])
+    return (wi, 1.0 + wi * tame, tame + derivative), (0.0, 1.0, tame)
+
+
+def _pid_slopes(p: Mapping[str, float]) -> dict[str, Section]:
+    gain, wi = p["gain"], TWO_PI * p["fi_hz"]
+    tame, by_ff = 1.0 / (TWO_PI * p["ff_hz"]), -1.0 / (TWO_PI * p["ff_hz"] ** 2)
+    return {
+        "gain": (_pid_of_gain_one(p)[0], _ZERO),
+        "fi_hz": ((gain * TWO_PI, gain * TWO_PI * tame, 0.0), _ZERO),
+        "fd_hz": ((0.0, 0.0, -gain / (TWO_PI * p["fd_hz"] ** 2)), _ZERO),
+        "ff_hz": ((0.0, gain * wi * by_ff, gain * by_ff), (0.0, 0.0, by_ff)),
+    }
+
+
+_COEFFICIENTS = ("n0", "n1", "n2", "d0", "d1", "d2")
+
+
+def _section(p: Mapping[str, float]) -> Section:
+    return (p["n0"], p["n1"], p["n2"]), (p["d0"], p["d1"], p["d2"])
+
+
+def _section_slopes(p: Mapping[str, float]) -> dict[str, Section]:
+    units: tuple[Polynomial, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    top = {f"n{k}": (one, _ZERO) for k, one in enumerate(units)}
+    return top | {f"d{k}": (_ZERO, one) for k, one in enumerate(units)}
+
+
+def _refuse_section(p: Mapping[str, float]) -> None:
+    """Refuse what cannot run: no numerator, more zeros than poles, a common zero and pole at s = 0, unstable poles."""
+    num, den = _section(p)
+    if not any(num) or not any(den):
+        raise WrongUseError("a section needs a numerator and a denominator", f"{num} over {den}")
+    if _degree(num) > _degree(den):
+        raise WrongUseError(
+            "a section with more zeros than poles cannot run (it is improper)", f"{num} over {den}",
+            "add a pole far above the band",
+        )  # fmt: skip
+    if num[0] == den[0] == 0.0:
+        raise WrongUseError("a section has a zero and a pole at s = 0", f"{num} over {den}", "cancel the factor s")
+    poles = np.roots(den[::-1])
+    rest = poles[poles != 0.0]
+    if rest.size and float(rest.real.max()) >= 0.0:
+        shown = ", ".join(f"{pole:.4g}" for pole in rest)
+        raise WrongUseError(
+            "a section of a controller must be stable", f"poles at {shown} rad/s", "integrators at s = 0 may stay"
+        )
+
+
+def _degree(p: Polynomial) -> int:
+    return max((k for k, c in enumerate(p) if c != 0.0), default=0)
+
+
 @dataclass(frozen=True)
 class BlockKind:
-    """What a kind of block is: its parameters, its transfer function, and that function's slopes."""
+    """What a kind of block is: its parameters, its transfer function, and that function's slopes.
+
+    `signed` are the parameters that need not be positive; `refuse` refuses what each parameter alone does not show.
+    """
 
     parameters: tuple[str, ...]
     section: Callable[[Mapping[str, float]], Section]
     slopes: Callable[[Mapping[str, float]], dict[str, Section]]
     order: int | None = None
+    signed: tuple[str, ...] = ()
+    refuse: Callable[[Mapping[str, float]], None] | None = None
 
 
 BLOCK_KINDS: dict[str, BlockKind] = {
-    "gain": BlockKind(("gain",), _gain, _gain_slopes),
+    "gain": BlockKind(("gain",), _gain, _gain_slopes, signed=("gain",)),
     "lead_lag": BlockKind(("f1_hz", "f2_hz"), _lead_lag, _lead_lag_slopes),
     "notch": BlockKind(("f1_hz", "f2_hz", "damping1", "damping2"), _notch, _notch_slopes),
     "low_pass_1": BlockKind(("f_hz",), _low_pass_1, _low_pass_1_slopes, order=1),
     "low_pass_2": BlockKind(("f_hz", "damping"), _low_pass_2, _low_pass_2_slopes, order=2),
     "pi": BlockKind(("f_hz",), _pi, _pi_slopes),
+    "pid": BlockKind(("gain", "fi_hz", "fd_hz", "ff_hz"), _pid, _pid_slopes, signed=("gain",)),
+    "section": BlockKind(_COEFFICIENTS, _section, _section_slopes, signed=_COEFFICIENTS, refuse=_refuse_section),
 }
 
 
@@ -135,7 +203,7 @@ def block_kind(table: Mapping[str, Any]) -> str:
         raise WrongUseError(
             "a controller block is not known",
             f"{dict(table)!r}",
-            "use kind gain, lead_lag, notch, pi, or low_pass with order 1 or 2",
+            "use kind gain, lead_lag, notch, pi, pid, section, or low_pass with order 1 or 2",
         )
     return str(name)
 
@@ -161,6 +229,8 @@ class Block:
             )
         values = {name: _finite(self.kind, name, self.parameters[name]) for name in wanted}
         object.__setattr__(self, "parameters", MappingProxyType(values))
+        if (refuse := BLOCK_KINDS[self.kind].refuse) is not None:
+            refuse(values)
 
     def __reduce__(self) -> tuple[type, tuple[str, dict[str, float]]]:
         """As another process is sent it."""
@@ -184,20 +254,51 @@ class Block:
 
     def order(self) -> int:
         """Degree of the denominator, or of the numerator where that is higher: the poles of the block as it runs."""
-        return max(k for polynomial in self.section() for k, c in enumerate(polynomial) if c != 0.0 or k == 0)
+        return max(_degree(polynomial) for polynomial in self.section())
 
-    def log_slopes(self, s: ComplexArray) -> dict[str, ComplexArray]:
-        """d log(block)/d parameter at each s, exact; keys are the block's parameters."""
-        num, den = (_polyval(p, s) for p in self.section())
-        slopes = BLOCK_KINDS[self.kind].slopes(self.parameters)
+    def integrators(self) -> int:
+        """Number of poles at s = 0, below zero of zeros there."""
+        num, den = (next((k for k, c in enumerate(p) if c != 0.0), 0) for p in self.section())
+        return den - num
+
+    def bounded_section(self) -> Section:
+        """The section without the integral term of its partial fractions; 1 where it is nothing else."""
+        num, den = self.section()
+        if den[0] != 0.0:
+            return num, den
+        rest = (0.0, num[1] - num[0] * den[2] / den[1] if den[1] != 0.0 else 0.0, num[2])
+        return (_lowered(rest, den), _lowered(den, den)) if any(rest) else (_ONE, _ONE)
+
+    def log_slopes(self, s: ComplexArray, *, bounded: bool = False) -> dict[str, ComplexArray]:
+        """d log(block)/d parameter at each s, exact, by parameter; of the `bounded_section` where that is asked."""
+        section, slopes = self.section(), BLOCK_KINDS[self.kind].slopes(self.parameters)
+        if bounded and section[1][0] == 0.0:
+            slopes = {name: _bounded_slope(section, slope) for name, slope in slopes.items()}
+            section = self.bounded_section()
+        num, den = (_polyval(p, s) for p in section)
         return {name: _polyval(dn, s) / num - _polyval(dd, s) / den for name, (dn, dd) in slopes.items()}
 
 
-def series_response(blocks: Sequence[Block], s: ComplexArray) -> ComplexArray:
-    """Response (ns,) of blocks in series at complex frequencies s (ns,)."""
+def _lowered(p: Polynomial, den: Polynomial) -> Polynomial:
+    """A polynomial without the factors s that it has in common with a denominator of integrators."""
+    return (p[1], p[2], 0.0) if den[1] != 0.0 else (p[2], 0.0, 0.0)
+
+
+def _bounded_slope(section: Section, slope: Section) -> Section:
+    """Slope of the section without its integral term."""
+    ((n0, _, _), den), ((dn0, dn1, dn2), dd) = section, slope
+    _, d1, d2 = den
+    if d1 == 0.0:
+        return _lowered((0.0, 0.0, dn2), den), _lowered(dd, den)
+    ratio, moved = d2 / d1, dd[2] / d1 - d2 * dd[1] / d1**2
+    return _lowered((0.0, dn1 - dn0 * ratio - n0 * moved, dn2), den), _lowered(dd, den)
+
+
+def series_response(blocks: Sequence[Block], s: ComplexArray, *, bounded: bool = False) -> ComplexArray:
+    """Response (ns,) of blocks in series at complex frequencies s (ns,); without integral terms where `bounded`."""
     out = np.ones_like(s)
     for block in blocks:
-        num, den = block.section()
+        num, den = block.bounded_section() if bounded else block.section()
         out = out * _polyval(num, s) / _polyval(den, s)
     return out
 
@@ -216,7 +317,7 @@ def _finite(kind: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < np.inf:
         raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
     refuse_too_large(kind, name, value)
-    if name != "gain" and not (value > 0.0 or (name == "damping1" and value == 0.0)):
+    if name not in BLOCK_KINDS[kind].signed and not (value > 0.0 or (name == "damping1" and value == 0.0)):
         raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give a positive number")
     return float(value)
 
@@ -262,6 +363,10 @@ class BlockTemplate:
         """Block with the free parameters at `values`."""
         known = {k: (values[k] if isinstance(v, Free) else v) for k, v in self.parameters.items()}
         return Block(self.kind, known | {k: known[target] for k, target in self.tie.items()})
+
+    def integrators(self) -> int:
+        """Number of the block's poles at s = 0, below zero of zeros there, whatever its free parameters are."""
+        return self.block({k: v.low for k, v in self.parameters.items() if isinstance(v, Free)}).integrators()
 
 
 def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:

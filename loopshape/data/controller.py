@@ -119,9 +119,15 @@ class Controller:
         return hold_and_delay(frequency_hz, self.rate_hz, self.computation_delay_s, hold=self.added_hold)
 
     def biquads(self) -> Array:
-        """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule, rounded to `precision`."""
+        """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule, rounded to `precision`.
+
+        Where one of a section's two poles is an integrator, a2 is what keeps it at z = 1 to the last digit.
+        """
         k = self.tustin_constant
-        return self.number_format.rounded([_tustin(block.section(), k) for block in self.blocks])
+        rows = self.number_format.rounded([_tustin(block.section(), k) for block in self.blocks])
+        beside = [block.integrators() == 1 and block.section()[1][2] != 0.0 for block in self.blocks]
+        rows[beside, 4] = -1.0 - rows[beside, 3]
+        return rows
 
     def check_sections(self) -> None:
         """Refuse coefficients that the number format does not hold, and sections that rounding ruins.
@@ -138,8 +144,8 @@ class Controller:
             _check_section(where, block, row, form)
 
     def integrators(self) -> int:
-        """Number of poles at s = 0."""
-        return sum(block.kind == "pi" for block in self.blocks)
+        """Number of poles at s = 0, less that of zeros there."""
+        return sum(block.integrators() for block in self.blocks)
 
     def order(self) -> int:
         """Number of its poles."""
@@ -220,11 +226,13 @@ def _check_section(where: str, block: Block, row: Array, form: Precision) -> Non
     finer = "use a finer precision, or raise the frequency of the block"
     if b0 == b1 == b2 == 0.0 and any(block.section()[0]):
         raise WrongUseError(f"{where} lets nothing pass", f"a numerator that {form.name} rounds to 0", finer)
-    if block.kind == "pi":
-        if b0 + b1 == 0.0:
+    if block.integrators() > 0:
+        if b0 + b1 + b2 == 0.0:
             raise WrongUseError(
                 f"{where} has lost its integrator", f"a zero that {form.name} rounds onto its pole at z = 1", finer
             )
+        if block.integrators() == 1 and not abs(a2) < 1.0:
+            raise WrongUseError(f"{where} has a second pole on or outside the unit circle", f"z = {a2:.9g}", finer)
     elif not (abs(a2) < 1.0 and abs(a1) < 1.0 + a2):  # the stability triangle of 1 + a1/z + a2/z²
         radius = float(np.max(np.abs(np.roots([1.0, a1, a2]))))
         raise WrongUseError(

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, from_db
@@ -28,8 +29,9 @@ class Mask:
     `response` is S, T, L, CS or PS; `sense` is "at_most", of L "at_least" too. Refuses another response, fewer than two
     points, frequencies that do not rise, and numbers that are not finite.
 
-    >>> Mask("S", ((0.1, -40.0), (10.0, 0.0))).level_db(np.array([0.01, 1.0]))
-    array([inf, -20.])
+    >>> import loopshape as ls
+    >>> print(ls.Mask("S", ((0.1, -40.0), (10.0, 0.0))).level_db([0.01, 1.0]))
+    [ inf -20.]
     """
 
     response: str
@@ -68,11 +70,11 @@ class Mask:
         """First and last frequency."""
         return self.points[0][0], self.points[-1][0]
 
-    def level_db(self, f: Array) -> Array:
+    def level_db(self, f: ArrayLike) -> Array:
         """The limit in dB at frequencies (nf,) in Hz; outside its points no limit, inf (of a floor -inf)."""
         hz, level = np.array(self.points).T
         none = -np.inf if self.sense == "at_least" else np.inf
-        return np.interp(np.log(f), np.log(hz), level, none, none)
+        return np.interp(np.log(np.asarray(f, dtype=float)), np.log(hz), level, none, none)
 
     @classmethod
     def from_table(cls, table: Any) -> Mask:
@@ -107,6 +109,11 @@ class AtPoints:
 
     `where` gives for coordinates of the operating point the range (low, high) in which these hold, ends included;
     `limits` are by the names of `Requirements`; a mask replaces those of its kind.
+
+    >>> import loopshape as ls
+    >>> heavy = ls.AtPoints({"load_kg": (2.0, 5.0)}, {"phase_margin_deg": 30.0})
+    >>> ls.Requirements(phase_margin_deg=45.0, at=(heavy,)).of({"load_kg": 3.0}).phase_margin_deg
+    30.0
     """
 
     where: Mapping[str, tuple[float, float]]

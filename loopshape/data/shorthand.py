@@ -139,6 +139,18 @@ def pi(f_hz: Parameter = None) -> BlockTemplate:
     return _block("pi", f_hz=f_hz)
 
 
+def pid(
+    gain: Parameter = None, fi_hz: Parameter = None, fd_hz: Parameter = None, ff_hz: Parameter = None
+) -> BlockTemplate:
+    """A PID with a tame derivative, gain (1 + wi/s + (s/wd)/(s/wf + 1)); corners in Hz, `ff_hz` that of the filter.
+
+    >>> import loopshape as ls
+    >>> ls.controller(ls.pid(2.0, 0.5, 8.0, 200.0), rate_hz=1000.0).integrators()
+    1
+    """
+    return _block("pid", gain=gain, fi_hz=fi_hz, fd_hz=fd_hz, ff_hz=ff_hz)
+
+
 def controller(
     *blocks: BlockTemplate,
     rate_hz: float,

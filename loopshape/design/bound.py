@@ -113,6 +113,12 @@ def bound(
     Misleads: on noisy lines the plant is taken at its face value; a sharp resonance between lines is not
     seen; limits that are left out (phase margin) can put the best possible well below the bound.
     """
+    if requirements.at:
+        raise WrongUseError(
+            f"a bound holds the limits of loop {requirements.loop!r} at all operating points alike",
+            f"others at {len(requirements.at)} ranges of operating points",
+            "bound one operating point alone, with requirements.of(operating_point)",
+        )
     verdict = check(frfs, controller, requirements, fits)
     loops, notes = loops_of(frfs, controller, requirements, fits)
     _refuse_unknown(loops)

@@ -27,12 +27,11 @@ class Evaluation:
 
     @cached_property
     def C(self) -> ComplexArray:
-        """C on the columns, without its `pi` blocks on the wide ones."""
+        """C on the columns, without its integral terms on the wide ones."""
         s, wide = self.p.s, self.p.wide
         every = series_response(self.blocks, s[: wide.start])
         if self.p.f_wide.size:
-            rest = [block for block in self.blocks if block.kind != "pi"]
-            every = np.concatenate([every, series_response(rest, s[wide])])
+            every = np.concatenate([every, series_response(self.blocks, s[wide], bounded=True)])
         return every if self.p.outside is None else every * self.p.outside
 
     @cached_property

@@ -196,16 +196,17 @@ class Problem:
         return name, float(np.concatenate([self.f_above, self.f_beyond, self.f_wide])[at - self.f.size])
 
     def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
-        """d ln C/d x (variables, columns), exact; `pi` blocks count as 1 on the wide columns."""
-        s = self.s[columns]
+        """d ln C/d x (variables, columns), exact; without integral terms on the wide columns."""
+        s, wide = self.s[columns], columns >= self.wide.start
         by_block = {k: blocks[k].log_slopes(s) for k in {v.block for v in self.variables}}
+        for k in by_block if wide.any() else ():
+            for name, slope in blocks[k].log_slopes(s[wide], bounded=True).items():
+                by_block[k][name][wide] = slope
         rows = np.empty((len(self.variables), s.size), dtype=complex)
         for row, v in zip(rows, self.variables, strict=True):
-            template, block = self.templates[v.block], blocks[v.block]
+            template = self.templates[v.block]
             names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
-            row[:] = block.parameters[v.name] * sum(by_block[v.block][name] for name in names)
-            if block.kind == "pi":
-                row[columns >= self.wide.start] = 0.0
+            row[:] = blocks[v.block].parameters[v.name] * sum(by_block[v.block][name] for name in names)
         return rows
 
 
@@ -248,7 +249,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         unique_s=unit.s_at(unique),
         line=line,
         integrators=np.array([loop.integrators or 0 for loop in loops])
-        + sum(t.kind == "pi" for t in requirements.structure),
+        + sum(t.integrators() for t in requirements.structure),
         unstable=np.array([loop.unstable_poles for loop in loops]),
         fitted=np.array([loop.below_hz.size > 0 for loop in loops]),
         P_below=np.concatenate([P for _, P in below]) * outside,

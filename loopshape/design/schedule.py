@@ -126,7 +126,7 @@ def _point(
     bound_hz = float("nan")
     if bounds:
         (loop,), _ = loops_of([frf], robust, requirements, fits)
-        bound_hz = excluded(loop, [loop], requirements).bound_hz
+        bound_hz = excluded(loop, [loop], requirements.of(frf.operating_point)).bound_hz
     return PointCost(
         recording=frf.recording,
         operating_point=frf.operating_point,

@@ -19,13 +19,12 @@ def controller_grid_hz(rate_hz: float) -> Array:
 def controller_bandwidth_hz(controller: Controller) -> float:
     """Highest frequency in Hz at which |C| is within 3 dB of its largest; half the rate where C does not roll off.
 
-    An integrator's |C| is infinite at zero frequency and says nothing of how high C reaches, so `pi` blocks count as
-    the 1 that they come to above their corner. Between lines ln |C| is linear in ln f. A resonance of C between two
-    lines (4 % apart) is not seen whole.
+    An integrator's |C| is infinite at zero frequency and says nothing of how high C reaches, so blocks count without
+    the integral term of their partial fractions (`pi` as the 1 that it comes to above its corner). Between lines
+    ln |C| is linear in ln f. A resonance of C between two lines (4 % apart) is not seen whole.
     """
     f = controller_grid_hz(controller.rate_hz)
-    blocks = [block for block in controller.blocks if block.kind != "pi"]
-    size = np.log(np.abs(series_response(blocks, controller.s_at(f))))
+    size = np.log(np.abs(series_response(controller.blocks, controller.s_at(f), bounded=True)))
     room = size - (size.max() + HALF_POWER)
     k = int(np.flatnonzero(room >= 0.0)[-1])
     if k == f.size - 1:

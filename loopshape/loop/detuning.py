@@ -121,10 +121,10 @@ def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> 
 
 
 def _sharpest(loop: Loop) -> float:
-    """Least damping of the controller's notches, of numerators and denominators; 1 without."""
-    names = ("damping", "damping1", "damping2")
-    found = [block.parameters[name] for block in loop.controller.blocks for name in names if name in block.parameters]
-    return min([x for x in found if x > 0.0], default=1.0)
+    """Least damping of the controller's sections, of numerators and denominators; 1 without."""
+    parts = [polynomial for block in loop.controller.blocks for polynomial in block.section()]
+    found = [abs(p[1]) / (2.0 * np.sqrt(p[0] * p[2])) for p in parts if p[0] * p[2] > 0.0]
+    return min([float(x) for x in found if x > 0.0], default=1.0)
 
 
 class _Search:

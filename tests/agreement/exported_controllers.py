@@ -1,4 +1,4 @@
-"""Controllers that the tests of exports share: every kind of block alone and a series with a PI, in every precision."""
+"""Controllers that the tests of exports share: each kind of block, a series with one integrator, each precision."""
 
 import numpy as np
 
@@ -12,6 +12,8 @@ BLOCKS = {
     "low_pass_1": Block("low_pass_1", {"f_hz": 10.0}),
     "low_pass_2": Block("low_pass_2", {"f_hz": 19.0, "damping": 0.55}),
     "pi": Block("pi", {"f_hz": 0.7}),
+    "pid": Block("pid", {"gain": 0.8, "fi_hz": 0.7, "fd_hz": 3.0, "ff_hz": 19.0}),
+    "section": Block("section", {"n0": 1.0, "n1": 0.05, "n2": 0.001, "d0": 1.0, "d1": 0.05, "d2": 0.002}),
 }
 PRECISIONS = ("double", "single", "q5.27", "q5.11", "q5.35")
 
@@ -23,7 +25,7 @@ def cases():
         short = precision.replace(".", "_")
         for kind, block in BLOCKS.items():
             made[f"{kind}-{short}"] = Controller(f"{kind}-{short}", (block,), RATE_HZ, precision=precision)
-        series = tuple(BLOCKS.values())
+        series = tuple(block for kind, block in BLOCKS.items() if kind != "pid")  # one integrator
         made[f"series-{short}"] = Controller(f"series-{short}", series, RATE_HZ, prewarp_hz=5.0, precision=precision)
     return made
 

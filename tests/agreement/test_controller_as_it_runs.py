@@ -96,7 +96,10 @@ def test_response_is_that_of_the_rounded_sections(name):
         np.testing.assert_array_equal(sections * 2.0**form.fraction_bits % 1.0, 0.0)
         assert np.abs(sections - in_double).max() <= 0.5 * 2.0**-form.fraction_bits
     else:
-        np.testing.assert_array_equal(sections, in_double.astype(np.float32))
+        expected = in_double.astype(np.float32)
+        beside = [block.integrators() == 1 and block.order() == 2 for block in controller.blocks]
+        expected[beside, 4] = -1.0 - expected[beside, 3]  # an integrator stays at z = 1 to the last digit
+        np.testing.assert_array_equal(sections, expected)
     halves = [Fraction(float(t)).limit_denominator(10**9) for t in np.geomspace(1e-5, 100.0, 20)]
     f = RATE_HZ * np.arctan([float(t) for t in halves]) / np.pi
     np.testing.assert_allclose(controller.response(f), exact_response(sections, halves), rtol=1e-11)

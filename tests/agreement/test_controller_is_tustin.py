@@ -19,6 +19,8 @@ BLOCKS = {
     "low_pass_1": {"f_hz": 10.0},
     "low_pass_2": {"f_hz": 190.0, "damping": 0.55},
     "pi": {"f_hz": 0.7},
+    "pid": {"gain": -1.3, "fi_hz": 0.6, "fd_hz": 7.0, "ff_hz": 160.0},
+    "section": {"n0": 2.0, "n1": -0.1, "n2": 0.003, "d0": 1.0, "d1": 0.02, "d2": 0.001},
 }
 SERIES = tuple(Block(kind, parameters) for kind, parameters in BLOCKS.items())
 
@@ -36,6 +38,12 @@ def transfer_function(kind, p):
         "low_pass_1": lambda: ([1.0], [1.0 / w["f_hz"], 1.0]),
         "low_pass_2": lambda: ([1.0], [1.0 / w["f_hz"] ** 2, 2.0 * p["damping"] / w["f_hz"], 1.0]),
         "pi": lambda: ([1.0, w["f_hz"]], [1.0, 0.0]),
+        "pid": lambda: (
+            p["gain"]
+            * (np.polymul([1.0, w["fi_hz"]], [1.0 / w["ff_hz"], 1.0]) + np.array([1.0 / w["fd_hz"], 0.0, 0.0])),
+            [1.0 / w["ff_hz"], 1.0, 0.0],
+        ),
+        "section": lambda: ([p["n2"], p["n1"], p["n0"]], [p["d2"], p["d1"], p["d0"]]),
     }[kind]()
 
 

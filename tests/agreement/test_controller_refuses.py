@@ -8,7 +8,7 @@ from loopshape.data.controller import Block, Controller
 GAIN = Block("gain", {"gain": 1.0})
 
 
-@pytest.mark.parametrize("kind", ["pid", "low_pass", "", "Gain"])
+@pytest.mark.parametrize("kind", ["pd", "low_pass", "", "Gain"])
 def test_unknown_kind(kind):
     with pytest.raises(WrongUseError, match=r"block is not known; received .*use one of gain, lead_lag, notch"):
         Block(kind, {"gain": 1.0})
@@ -17,7 +17,7 @@ def test_unknown_kind(kind):
 @pytest.mark.parametrize(
     "table",
     [
-        {"kind": "pid"},
+        {"kind": "pd"},
         {},
         {"kind": "low_pass", "f_hz": 1.0},
         {"kind": "low_pass", "order": 3, "f_hz": 1.0},

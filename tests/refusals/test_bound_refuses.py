@@ -28,6 +28,12 @@ def test_an_unstable_plant_under_a_controller_that_does_not_hold_it():
         excluded(loop, [loop], limits(sensitivity_peak_db=6.0))
 
 
+def test_limits_that_differ_between_operating_points():
+    own = [{"where": {"load_kg": [0.0, 1.0]}, "sensitivity_peak_db": 9.0}]
+    with pytest.raises(WrongUseError, match="one operating point alone"):
+        bound([frf_of(TransferFunction([1.0], [1.0, 0.0]))], gain(), limits(sensitivity_peak_db=6.0, at=own))
+
+
 def test_nothing_to_schedule():
     with pytest.raises(WrongUseError, match="no FRF"):
         schedule([], limits(sensitivity_peak_db=6.0), gain())

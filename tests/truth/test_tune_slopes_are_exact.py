@@ -38,6 +38,10 @@ LIMITS = {
 OBJECTIVE = {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 3.0}
 LAG = {"kind": "low_pass", "order": 1, "f_hz": {"min": 50.0, "max": 4000.0}}
 FIXED = {"kind": "notch", "f1_hz": 150.0, "f2_hz": {"min": 60.0, "max": 400.0}, "damping1": 0.4, "damping2": "damping1"}
+PID = {
+    "kind": "pid", "gain": 1.0, "fi_hz": {"min": 0.01, "max": 5.0}, "fd_hz": {"min": 5.0, "max": 500.0},
+    "ff_hz": {"min": 100.0, "max": 4000.0},
+}  # fmt: skip
 #: all kinds of blocks, two notches and two leads; a parameter fixed, two tied
 STRUCTURE = (GAIN, LEAD, PI, NOTCH, LAG, FIXED, LEAD, LOW_PASS)
 AT = [0.6, 9.0, 160.0, 15.0, 75.0, 0.3, 0.9, 900.0, 170.0, 30.0, 70.0, 300.0, 0.7]
@@ -66,6 +70,16 @@ def test_slopes_agree_with_finite_differences(runs):
         bandwidth, rejection, room = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(here.rejection_slopes[:, k], rejection, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)
+
+
+def test_slopes_of_a_pid_agree_with_finite_differences():
+    p = problem_of(servos(), wished(GAIN, PID, LOW_PASS, **LIMITS))
+    x = np.log([0.4, 0.3, 60.0, 700.0, 500.0, 0.7])
+    here = measure(p, x, {})
+    for k in range(x.size):
+        bandwidth, _, room = differences(p, x, k)
+        np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)
 
 

@@ -21,6 +21,8 @@ FORMULAS = {
     "low_pass_1": "1/(s/w + 1)",
     "low_pass_2": "1/(s²/w² + 2 damping s/w + 1)",
     "pi": "(s + w)/s",
+    "pid": "gain (1 + wi/s + (s/wd)/(s/wf + 1))",
+    "section": "(n0 + n1 s + n2 s²)/(d0 + d1 s + d2 s²)",
 }
 
 

@@ -35,6 +35,8 @@ from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of
 
 FORMAT = "loopshape-shape/1"
+#: kinds of blocks that the page can draw and move
+SHAPED = ("gain", "lead_lag", "notch", "low_pass_1", "low_pass_2", "pi")
 NOT_JUDGED = "masks and limits of single operating points are not judged on this page; check judges them"
 
 
@@ -76,7 +78,7 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "version": version,
         "title": title,
         "limits": [json_ready(limit) for limit in LIMITS if limit.name not in MASKED],
-        "blocks": {kind: list(known.parameters) for kind, known in BLOCK_KINDS.items()},
+        "blocks": {kind: list(BLOCK_KINDS[kind].parameters) for kind in SHAPED},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
         "loops": [_loop(one) for one in loops],
