@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help docs demo test test-long test-oldest test-newest check speed studies exam clean install
+.PHONY: help docs pictures demo test test-long test-oldest test-newest check speed studies exam clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -17,6 +17,9 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 install: $(STAMP) ## make the environment in .venv
+
+pictures: $(STAMP) ## draw the pictures of README and docs anew (needs Chromium)
+	$(BIN)/python docs/pictures.py
 
 demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm and a real bench; figures in demo/
 	$(BIN)/loopshape demo --out demo

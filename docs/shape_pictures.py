@@ -12,18 +12,17 @@ BENCH = ROOT / "examples" / "motor_bench"
 SIZES = {1440: 940, 1024: 900, 390: 844}
 
 
-def page(folder: Path) -> Path:
+def walk() -> tuple[ls.FRF, ls.Controller, ls.Requirements]:
     """The motor bench at the end of the walk in shape.md."""
     P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
     (R,) = ls.read_requirements(BENCH / "requirements.toml")
-    walk = (
+    blocks = (
         ls.gain(12.0),
         ls.lead_lag(1.0, 50.0),
         ls.notch(77.5, 0.1, 0.6),
         ls.low_pass(400.0, 1.0),
     )
-    C = ls.controller(*walk, rate_hz=P.rate_hz, loop=P.loop)
-    return ls.shape(P, C, R, folder / "bench.html")
+    return P, ls.controller(*blocks, rate_hz=P.rate_hz, loop=P.loop), R
 
 
 def draw(file: Path, name: str, out: Path) -> None:
@@ -51,6 +50,8 @@ if __name__ == "__main__":
     pictures = ROOT / "figures" / "shape"
     pictures.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        files = [Path(x).resolve() for x in sys.argv[1:]] or [page(Path(folder))]
+        files = [Path(x).resolve() for x in sys.argv[1:]] or [
+            ls.shape(*walk(), Path(folder) / "bench.html")
+        ]
         for file in files:
             draw(file, file.stem, pictures)

@@ -27,7 +27,7 @@ from loopshape.view.labels import expression, number, point, symbol
 from loopshape.view.matrix import settled
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, head, new_figure, styled
 
-VERDICT_COLOURS = {"decoupled": "#009E73", "undecided": "#BDBDBD", "coupled": "#D55E00"}
+VERDICT_COLOURS = {"decoupled": "#E8E8E8", "undecided": "#A6A6A6", "coupled": "#3C3C3C"}
 _CEILING_DB = 400.0
 _FEW = 3  # pairs that share a panel of half the width
 _MANY = 9  # partial coherences beyond which no curve can be told

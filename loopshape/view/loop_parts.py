@@ -52,8 +52,12 @@ def worst_text(loops: Sequence[Loop], worst: Worst, verdict: Verdict | None) -> 
     between = "" if ends is None else f" (95 %: {number3(ends[0])} to {number3(ends[1])})"
     size, at_hz = f"least |1 + L| = {number3(least)}{between}", f"at {worst.at_hz:.3g} Hz"
     what = f"{size} {at_hz}" if worst.why == NEAREST else f"{worst.why} {at_hz}; {size}"
-    at = point(loop.plant.operating_point)
-    return f"worst: {loop.plant.recording}{f' ({at})' if at else ''}, {what}" if len(loops) > 1 else what
+    return f"worst: {named(loop)}, {what}" if len(loops) > 1 else what
+
+
+def named(loop: Loop) -> str:
+    """The operating point of a loop; the recording where none was stated."""
+    return point(loop.plant.operating_point) or loop.plant.recording
 
 
 def with_interval(margins: Margins, quantity: str, last_hz: float = np.inf) -> str:
@@ -175,7 +179,7 @@ def worst_entries(loops: Sequence[Loop], looks: Sequence[dict[str, Any]], worst:
     """What the notes say of the worst curve and of bands."""
     entries: list[Entry] = []
     if len(loops) > 1:
-        entries.append((f"worst: {loops[worst].plant.recording}", shown(looks[worst])))
+        entries.append((f"worst: {named(loops[worst])}", shown(looks[worst])))
     if np.any(loops[worst].plant.variance):
         text = "its 95 %, each frequency by itself" if len(loops) > 1 else "95 %, each frequency by itself"
         entries.append((text, {"color": BAND_COLOUR, "alpha": 0.5, "linewidth": 6.0, "solid_capstyle": "butt"}))

@@ -20,7 +20,7 @@ from loopshape.loop.points import Worst, worst_of
 from loopshape.view.contours import error_region
 from loopshape.view.curves import UNTRUSTED, nearest_branch
 from loopshape.view.key import Entry, curve, key_of, place_key
-from loopshape.view.loop_parts import needs_loops, shown, standing_out, title_of, worst_text
+from loopshape.view.loop_parts import named, needs_loops, shown, standing_out, title_of, worst_text
 from loopshape.view.nichols_guides import (
     CONTOUR_ENTRIES,
     centre_marks,
@@ -115,7 +115,7 @@ def _draw_worst(ax: Axes, one: _Curve, count: int) -> list[Entry]:
     look = one.look | {"linewidth": 1.2}
     if count > 1:
         look = standing_out(one.look)
-        entries.append((f"worst: {one.loop.plant.recording}", shown(look)))
+        entries.append((f"worst: {named(one.loop)}", shown(look)))
     if one.loop.raw is not None:
         dots: dict[str, Any] = {"color": "0.45", "linestyle": "none", "marker": ".", "markersize": 2.5}
         dots["markeredgewidth"] = 0.0

@@ -115,7 +115,7 @@ def comparison_grid(
 def _verdict(found: Comparison) -> str:
     worst = found.worst
     if found.outcome != "did not hold" or worst is None:
-        return found.outcome
+        return "confirmed" if found.outcome == "held" else found.outcome
     return f"{worst.sensitivity_db:+.1f} dB at {worst.low_hz:.2g}-{worst.high_hz:.2g} Hz".replace(
         "-", "\N{MINUS SIGN}", int(worst.sensitivity_db < 0.0)
     )

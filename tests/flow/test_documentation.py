@@ -1,8 +1,10 @@
 """The documentation site builds without a warning, its pages hang together, and its notebooks run as plain Python."""
 
+import json
 import os
 import pkgutil
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -16,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.py"))
-QUICK = {"1_bench_in_five_minutes", "2_your_own_arrays", "6_a_rig"}
+QUICK = {"1_bench_in_five_minutes"}
 
 
 def copied(to: Path) -> Path:
@@ -92,6 +94,16 @@ def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
     text = (DOCS / "mathematics" / f"{page}.md").read_text()
     parts = re.split(r"^## ", text, flags=re.M)[1:]
     assert [part.splitlines()[0] for part in parts if "*Code:*" not in part] == []
+
+
+def test_the_pictures_show_what_the_code_computes() -> None:
+    noted = json.loads((ROOT / "figures" / "shown.json").read_text())
+    computed = runpy.run_path(str(DOCS / "pictures.py"))["shown"]()
+    assert set(noted) == set(computed) == {"readme", "report", "shape"}
+    for name, rows in computed.items():
+        assert set(noted[name]) == set(rows)
+        for requirement, numbers in rows.items():
+            assert noted[name][requirement] == pytest.approx(numbers, rel=2e-3), (name, requirement, "make pictures")
 
 
 @pytest.mark.long

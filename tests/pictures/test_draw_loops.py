@@ -14,6 +14,7 @@ from loopshape.data.loop import Loop
 from loopshape.loop.bands import band
 from loopshape.loop.points import worst_of
 from loopshape.view import loops as pictures
+from loopshape.view.labels import point
 from loopshape.view.nichols import nichols
 from loopshape.view.style import LIMIT
 
@@ -71,7 +72,7 @@ def test_the_worst_point_is_thick_named_and_alone_has_a_band() -> None:
         assert np.array_equal(edge[:lines, 1], ends.low_db[use])
         assert np.array_equal(edge[lines : 2 * lines, 1], ends.high_db[use][::-1])
     assert not bands(figure.axes[2])  # the controller is known
-    assert f"worst: {loop.plant.recording} (" in figure.texts[1].get_text()
+    assert f"worst: {point(loop.plant.operating_point)}, " in figure.texts[1].get_text()
     assert f"at {worst.at_hz:.3g} Hz" in figure.texts[1].get_text()
 
 
