@@ -35,7 +35,7 @@ for one in found.verdicts:
 ls.plot.interaction(found)
 
 # %% [markdown]
-# The controllers under which the arm was recorded, judged together: each loop with the others closed, stability of all
+# The controllers under which the arm was recorded, checked together: each loop with the others closed, stability of all
 # by det(I + L), and the disk margin that all loops have at once.
 
 # %%

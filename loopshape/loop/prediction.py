@@ -94,11 +94,11 @@ def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, toler
     """Whether S measured under the predicted controller (`estimate_sensitivity`, or from a FRF) bears a prediction out.
 
     The statistic is that of `check.agreement`; `tolerance_db` is a rms deviation of |S| that counts as none. "held"
-    means that these data do not contradict, and would have noticed a change of the plant's gain of 1 dB (or of twice
+    means that these data agree, and would have noticed a change of the plant's gain of 1 dB (or of twice
     the tolerance); "cannot tell" that they would not. Lines that differ are interpolated, and it is noted.
 
-    Misleads: variances that are too large (a sweep's) make p-values too large, too small ones contradict too soon.
-    Errors that both measurements share (a leaking window, the same disturbance) cancel. Refuses a measurement that
+    Misleads: variances that are too large (a sweep's) make p-values too large, too small ones report a mismatch too
+    soon. Errors that both measurements share (a leaking window, the same disturbance) cancel. Refuses a measurement that
     another controller held, of another loop, or at another rate.
     """
     notes = _checked(prediction, measured)
@@ -175,7 +175,7 @@ def sensitivity_of(frf: FRF) -> FRF:
     """S of a plant's FRF under the controller that held it, on all its lines; refuses one that does not name it.
 
     It is the same number as the direct estimate from the recording (`estimate_sensitivity`), and less sure where the
-    plant's input drowns: prefer that where there is a recording.
+    plant's input is below the noise: prefer that where there is a recording.
     """
     if frf.held_by is None:
         raise WrongUseError(

@@ -31,7 +31,7 @@ def check_several(
     loops: Sequence[str] | None = None,
     held: Sequence[Controller] = (),
 ) -> Verdict:
-    """Hold the controllers of several loops against what is wished of each and of all, at every operating point.
+    """Check the controllers of several loops against the requirements of each and of all, at every operating point.
 
     `frfs` are square matrix FRFs (or such that `loops` makes square), one an operating point; loops that `loops` leaves
     out stay open. Each loop's limits are checked on the plant that it meets with all others closed; whether that is

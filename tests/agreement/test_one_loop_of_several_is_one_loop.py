@@ -39,10 +39,14 @@ def diagonal(*elements):
     return G
 
 
-def test_the_count_of_one_loop_is_the_single_count():
+# 12 loops decided by both show a count that is wrong in one of five in 93 % of cases; the 30 of the hour one in ten
+@pytest.mark.parametrize(
+    ("drawn", "decided"), [(32, 12), pytest.param(80, 30, marks=(pytest.mark.long, pytest.mark.hour))]
+)
+def test_the_count_of_one_loop_is_the_single_count(drawn, decided):
     rng = np.random.default_rng(0)
     both = 0
-    for _ in range(80):
+    for _ in range(drawn):
         plant, integrators, unstable, lowest = random_plant(rng, 1)
         controllers, corner = random_controllers(rng, 1)
         f = np.geomspace(min(lowest, corner) * log_uniform(rng, 0.01, 0.3), 3000.0, 600)
@@ -53,7 +57,7 @@ def test_the_count_of_one_loop_is_the_single_count():
         if "undecided" not in (one.outcome, several.outcome):
             both += 1
             assert (one.outcome, one.unstable_poles) == (several.outcome, several.unstable_poles)
-    assert both > 30  # the rest is undecided to one of them: crossovers below the first line, bends between lines
+    assert both > decided  # the rest is undecided to one of them: crossovers below the first line, bends between lines
 
 
 def test_the_margins_of_one_loop_are_the_single_margins():

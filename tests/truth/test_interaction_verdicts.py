@@ -74,18 +74,20 @@ def test_a_plant_on_the_limit_is_found_coupled_in_few_bands_and_decoupled_in_non
     assert words.count("coupled") / 400 <= 0.045  # 2.5 % asked; of 400 it scatters by 0.8
 
 
-def test_lines_that_overlap_do_not_find_couplings_that_are_none():
+# a rate of 10 % is found out by 150 draws in 98 % of cases
+@pytest.mark.parametrize("draws", [150, pytest.param(300, marks=(pytest.mark.long, pytest.mark.hour))])
+def test_lines_that_overlap_do_not_find_couplings_that_are_none(draws):
     # errors under a Hann window: each line shares with its neighbours
     k = coupled_by(-20.0)
     one = matrix_frf(k, error=0.04)
     root = 0.04 * np.abs(k.transpose(0, 2, 1).reshape(F.size, 4))
     rng, coupled = np.random.default_rng(5), 0
-    for _ in range(300):
+    for _ in range(draws):
         white = errors(rng, np.broadcast_to(np.eye(4), (F.size + 2, 4, 4)))
         hann = (white[1:-1] - 0.5 * white[:-2] - 0.5 * white[2:]) / np.sqrt(1.5)
         moved = k + (root * hann).reshape(F.size, 2, 2).transpose(0, 2, 1)
         coupled += verdict(replace(one, response=moved, line_overlap=1.94)).verdict == "coupled"
-    assert coupled / 300 <= 0.05
+    assert coupled / draws <= 0.05
 
 
 def test_many_lines_alone_are_no_coupling():
