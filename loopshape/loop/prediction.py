@@ -98,8 +98,8 @@ def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, toler
     the tolerance); "cannot tell" that they would not. Lines that differ are interpolated, and it is noted.
 
     Misleads: variances that are too large (a sweep's) make p-values too large, too small ones report a mismatch too
-    soon. Errors that both measurements share (a leaking window, the same disturbance) cancel. Refuses a measurement that
-    another controller held, of another loop, or at another rate.
+    soon. Errors that both measurements share (a leaking window, the same disturbance) cancel. Refuses a measurement
+    that another controller held, of another loop, or at another rate.
     """
     notes = _checked(prediction, measured)
     one, two, missed, more = on_common_lines(prediction.sensitivity, measured)
