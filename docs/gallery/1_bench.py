@@ -55,7 +55,7 @@ for name in ("size", "error"):
     panels[name].grid(alpha=0.3)
 rows = v.table()
 cells = [
-    [r["requirement"], f"{r['required']:g} {r['unit']}", f"{r['worst case']:.2f}  [{r['low']:.2f}, {r['high']:.2f}]",
+    [r["requirement"].rsplit("_", 1)[0].replace("_", " "), f"{r['required']:g} {r['unit']}", f"{r['worst case']:.2f}  [{r['low']:.2f}, {r['high']:.2f}]",
      r["outcome"]]
     for _, r in rows.iterrows()
 ]  # fmt: skip
