@@ -31,7 +31,8 @@ def respond(
     By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. One sweep
     has local fits of its own (`by_sweep`); of several at once, and of noise with a resolution asked for, `auto` takes
     Welch's segments, and of other noise whichever of both predicts best what it has not seen. Of a long recording's
-    noise `auto` takes Welch's segments, which alone are read a stretch at a time; the others take it whole.
+    noise `auto` takes Welch's segments, which alone are read a stretch at a time; of a sweep one signal after the
+    other is taken whole, of others all.
     """
     sweep = recording.info.kind == "sweep"
     long = any(isinstance(x, LongSignal) for x in (*signals, *instruments))
@@ -40,6 +41,8 @@ def respond(
     welch = settings.method == "welch" or (settings.method == "auto" and chosen and not once)
     if recording.info.period_s is None and welch:
         return by_welch(recording, signals, instruments, settings)
+    if recording.info.period_s is None and once:
+        return by_sweep(recording, signals, instruments[0], outputs, settings)
     whole, moved = [np.asarray(x) for x in signals], [np.asarray(x) for x in instruments]
     if recording.info.period_s is not None:
         if settings.method != "auto" or settings.recipe:
@@ -49,8 +52,6 @@ def respond(
                 "leave it out, or take period_s out of run.toml",
             )
         return by_periods([(recording, whole, moved, 0)], settings)
-    if once:
-        return by_sweep(recording, whole, moved[0], outputs, settings)
     if settings.method == "local":
         return by_local_fits(recording, whole, moved, outputs, settings)[0]
     return _better(recording, whole, moved, outputs, settings)

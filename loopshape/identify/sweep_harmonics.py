@@ -64,7 +64,9 @@ def harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: f
     for i, (c, h) in enumerate(zip(middle, half, strict=True)):
         k, t = np.arange(c - h, c + h + 1), np.arange(-h, h + 1) / h
         residuals = min((_residuals(z[k], t, *x, i) for x in fits), key=lambda r: float(np.prod(_energy(r))))
-        windows.append(_Window(k, t, z[k, 0], residuals, inputs[: max(0, int(c / lowest) - 1), k - low]))
+        here = slice(c - h, c + h + 1)
+        beyond = inputs[: max(0, int(c / lowest) - 1), here.start - low : here.stop - low]
+        windows.append(_Window(k, t, z[here, 0], residuals, beyond))
     apart = [window.apart() for window in windows]
     taken = [window.explained(those)[1] for window, those in zip(windows, apart, strict=True)]
     often = {j for those in taken for j in those if _times(j, taken) >= max(2.0, OFTEN * _times(j, apart))}
@@ -85,10 +87,15 @@ def _inputs(instrument: Array, low: int, high: int) -> ComplexArray:
     """Transforms (HIGHEST - 1, lines) of the sweep at 2, 3, ... times its phase, up to Nyquist."""
     analytic = hilbert(instrument - instrument.mean())
     size, phase = np.abs(analytic), np.unwrap(np.angle(analytic))
+    del analytic
     step = np.gradient(phase)
     found = np.empty((HIGHEST - 1, high + 1 - low), dtype=complex)
     for m in range(2, HIGHEST + 1):
-        found[m - 2] = np.fft.rfft(size * np.cos(m * phase) * (m * step < np.pi))[low : high + 1]
+        wave = m * phase
+        np.cos(wave, out=wave)
+        wave *= size
+        wave[m * step >= np.pi] = 0.0
+        found[m - 2] = np.fft.rfft(wave)[low : high + 1]
     return found
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
+from loopshape.core.stretches import Signal
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.recording import Recording
 from loopshape.identify.answers import Answers
@@ -32,17 +33,19 @@ OVERLAP = 0.7
 
 
 def by_sweep(
-    recording: Recording, signals: Sequence[Array], instrument: Array, outputs: int, settings: Settings
+    recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
 ) -> Answers:
     """Answers of signals (n,), the first `outputs` of them plant outputs, to a sweep (n,), within the band it crosses.
 
-    Lines are the record's own, thinned out to `DENSE` a frequency or to the resolution asked for. Refuses a record
-    whose band holds fewer lines than the narrowest window. Misleads where the plant changes while the sweep passes:
+    Lines are the record's own, thinned out to `DENSE` a frequency or to the resolution asked for. Signals are read one
+    after the other, and their lines above the band are left out. Refuses a record whose band holds fewer lines than the
+    narrowest window. Misleads where the plant changes while the sweep passes:
     one direction alone cannot show it.
     """
-    z, scale, unit = _transforms(recording.rate_hz, signals, instrument)
-    low_hz, high_hz = swept_band(instrument, recording.rate_hz)
-    low, high = max(2, int(0.5 * low_hz / unit)), min(z.shape[0] - 2, int(1.3 * high_hz / unit))
+    n = fast_length(instrument.size)
+    unit = recording.rate_hz / n
+    low_hz, high_hz = swept_band(np.asarray(instrument), recording.rate_hz)
+    low, high = max(2, int(0.5 * low_hz / unit)), min(n // 2 - 1, int(1.3 * high_hz / unit))
     lines = _grid(max(low, int(np.ceil(low_hz / unit))), min(high, int(high_hz / unit)), unit, settings)
     if high - low < 2 * HALVES[0] + 2 or lines.size < 2:
         raise BadSignalError(
@@ -50,7 +53,8 @@ def by_sweep(
             f"{low_hz:.3g} to {high_hz:.3g} Hz with lines {unit:.3g} Hz apart",
             "record longer, or sweep a wider band",
         )
-    nonlinear = harmonics(z, instrument[: fast_length(instrument.size)], low, high, low_hz / unit)
+    z, scale, sweep = _transforms(signals, instrument, n, high)
+    nonlinear = harmonics(z, sweep, low, high, low_hz / unit)
     z[low : high + 1, 2:] -= nonlinear.added
     chosen, transient = choose(z, lines, low, high, outputs)
     response, covariance, power, freedom = _estimated(z, lines, chosen, transient, 1.0 - nonlinear.share[lines - low])
@@ -75,23 +79,25 @@ def by_sweep(
     )
 
 
-def _transforms(rate_hz: float, signals: Sequence[Array], instrument: Array) -> tuple[ComplexArray, Array, float]:
-    """Transforms (nf, 2 + m) of instrument, 1 and signals without their trends, each to unit power, by what they were
-    divided, and the distance between lines in Hz."""
-    n = fast_length(instrument.size)
-    z = np.ones((n // 2 + 1, 2 + len(signals)), dtype=complex)
-    for k, x in ((0, instrument), *enumerate(signals, start=2)):
-        z[:, k] = np.fft.rfft(_without_trend(x[:n]))
-    scale = np.sqrt(np.mean(np.abs(z) ** 2, axis=0))
-    scale[1] = 1.0
-    return np.ascontiguousarray(z / scale), scale, rate_hz / n
+def _transforms(signals: Sequence[Signal], instrument: Signal, n: int, high: int) -> tuple[ComplexArray, Array, Array]:
+    """Transforms up to line `high` (high + 1, 2 + m) of instrument, 1 and signals without their trends, each to unit
+    power, by what they were divided, and the instrument's first `n` samples for `harmonics`."""
+    z, scale = np.ones((high + 1, 2 + len(signals)), dtype=complex), np.ones(2 + len(signals))
+    sweep = np.asarray(instrument[:n])
+    for k, x in ((0, sweep), *enumerate(signals, start=2)):
+        whole = np.fft.rfft(_without_trend(np.asarray(x[:n])))
+        scale[k] = np.sqrt(np.vdot(whole, whole).real / whole.size)
+        z[:, k] = whole[: high + 1] / scale[k]
+    return z, scale, sweep
 
 
 def _without_trend(x: Array) -> Array:
     """x (n,) without its mean and straight trend: what this takes from the sweep's own answer is smooth over lines."""
     t = np.arange(x.size) - 0.5 * (x.size - 1)
     x = x - x.mean()
-    return np.asarray(x - t * ((t @ x) / (t @ t)))
+    t *= (t @ x) / (t @ t)
+    x -= t
+    return np.asarray(x)
 
 
 def swept_band(instrument: Array, rate_hz: float) -> tuple[float, float]:

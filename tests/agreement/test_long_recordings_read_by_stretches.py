@@ -8,6 +8,9 @@ from scipy.signal import lfilter
 from loopshape.core import stretches
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, extent
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
 from loopshape.identify import faults
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
@@ -112,6 +115,27 @@ def test_noise_of_a_long_recording_is_estimated_by_segments(tmp_path, by_stretch
     run = read_run(imported(tmp_path, "long", "parquet"))
     assert "Welch" in estimate_frf(run.recordings[0], run.loop("axis")).method
     assert "local" in estimate_frf(run.recordings[0], run.loop("axis"), Settings(method="local")).method
+
+
+def test_a_sweep_of_a_long_recording_is_estimated_as_one_that_is_held_whole(tmp_path, by_stretches):
+    t, slope = np.arange(ROWS) / RATE_HZ, np.log(100.0) * RATE_HZ / ROWS
+    n = np.sin(2.0 * np.pi / slope * (np.exp(slope * t) - 1.0))
+    y = lfilter([0.0, 0.1], [1.0, -0.9], n + 0.05 * n**2) + 0.001 * np.random.default_rng(4).standard_normal(ROWS)
+    loop = LoopSetup("axis", None, "n_v", "u_v", "y_m", None)
+    info = RecordingInfo("r.parquet", "sweep", "controller_input", excites="axis")
+    columns = {"n_v": n, "u_v": n - 0.1 * y, "y_m": y}
+    write_run(tmp_path / "run", Run(RATE_HZ, (loop,), (Recording(info, RATE_HZ, columns),)))
+
+    def estimated():
+        return estimate_frf(read_run(tmp_path / "run").recordings[0], loop)
+
+    held = estimated()
+    by_stretches()
+    read = estimated()
+    assert "harmonic" in held.method
+    assert held.method == read.method
+    assert np.array_equal(read.frequency_hz, held.frequency_hz)
+    assert np.allclose(read.response, held.response, rtol=1e-9)
 
 
 def test_a_value_that_is_no_number_is_named_by_its_row(tmp_path, by_stretches):
