@@ -74,7 +74,7 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     """
     if not (predicted.trusted.any() and measured.trusted.any()):
         return predicted, measured, np.zeros(0), _NOTHING
-    one, two = predicted.select(predicted.trusted), measured.select(measured.trusted)
+    one, two = (frf.select(_clear_of_the_end(frf)) for frf in (predicted, measured))
     low, high = max(one.frequency_hz[0], two.frequency_hz[0]), min(one.frequency_hz[-1], two.frequency_hz[-1])
     inside = [frf.frequency_hz[(frf.frequency_hz >= low) & (frf.frequency_hz <= high)] for frf in (one, two)]
     fewest = min(f.size for f in inside)
@@ -93,6 +93,23 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     missed = np.abs(np.interp(at, fine.frequency_hz, _bends(fine.siso))) ** 2
     note = f"lines differ: {'predicted' if fine is one else 'measured'} {moved.notes[-1]}, counted as an error"
     return (moved, kept, missed, (note,)) if fine is one else (kept, moved, missed, (note,))
+
+
+def _clear_of_the_end(frf: FRF) -> np.ndarray:
+    """Mask (nf,) of the trusted lines, without those at an end that the errors themselves decided.
+
+    Where the valid band ends before the lines do, it ends at the last line whose estimated variance is small enough:
+    among lines of about that error this picks those whose variance came out too small (a sixth, with four periods). As
+    many lines as share a variance's estimate are left out there, of a quarter of the band at most.
+    """
+    mask = frf.trusted.copy()
+    rows = np.flatnonzero(mask)
+    share = min(round(frf.variance_pooled), rows.size // 4) if frf.variance_freedom < KNOWN else 0
+    if share and rows[0] > 0:
+        mask[rows[:share]] = False
+    if share and rows[-1] < mask.size - 1:
+        mask[rows[-share:]] = False
+    return mask
 
 
 def _shared(f: Array, g: Array) -> tuple[np.ndarray, np.ndarray]:

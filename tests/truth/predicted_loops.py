@@ -44,7 +44,7 @@ def errors(rng: np.random.Generator, lines: int, overlap: float) -> ComplexArray
 
 
 def measured(
-    rng: np.random.Generator, f: Array, P: ComplexArray, relative: float, held: Controller,
+    rng: np.random.Generator, f: Array, P: ComplexArray, relative: float | Array, held: Controller,
     *, overlap: float = 1.0, averages: int = 0, pooled: int = 1,
 ) -> FRF:  # fmt: skip
     """A plant's FRF with relative errors: variance known (no averages), or from the scatter of so many, pooled."""

@@ -1,5 +1,7 @@
 """The statistic of a comparison: uniform where the plant has not changed, small where it has, and where it says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
@@ -9,9 +11,10 @@ from loopshape.data.algebra import regrid
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.prediction import Comparison
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.sensitivity import estimate_sensitivity
-from loopshape.loop.agreement import combined
+from loopshape.loop.agreement import combined, on_common_lines, paired
 from loopshape.loop.prediction import compare, plant_behind, sensitivity_of
 
 LINES = 0.1 * np.arange(1, 151)
@@ -42,6 +45,20 @@ def test_a_plant_that_has_not_changed_is_contradicted_as_often_as_the_level_says
     p = np.array([again(seed, relative, kind).p_value for seed in range(runs)])
     for level in (0.05, 0.2, 0.5):
         assert within_binomial(int(np.sum(p < level)), runs, level), (level, np.mean(p < level))
+
+
+def test_lines_that_a_lucky_variance_let_into_the_valid_band_are_not_judged() -> None:
+    """Errors rise with frequency: the band ends at the last line whose estimated variance is small enough, and there
+    errors are larger than stated. Without care the last five lines' mean of x is 1.3."""
+    relative, ends = 0.1 * LINES / 10.0, []
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        one = measured(rng, LINES, arm().response(LINES), relative, OLD, averages=4, pooled=7)
+        two = measured(rng, LINES, arm().response(LINES), 0.01, NEW, averages=4, pooled=7)
+        known = trusted_lines(LINES, one.relative_std[:, 0, 0], np.ones(LINES.size, dtype=bool))
+        pair = on_common_lines(predicted(replace(one, trusted=known)).sensitivity, sensitivity_of(two))
+        ends.append(paired(*pair[:3]).excess[-5:])
+    assert np.mean(ends) == pytest.approx(1.0, abs=3.5 / np.sqrt(5 * 120))
 
 
 @pytest.mark.parametrize(("relative", "gain"), [(0.02, 1.1), (0.05, 1.1), (0.1, 1.15)])
