@@ -74,7 +74,9 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     """
     if not (predicted.trusted.any() and measured.trusted.any()):
         return predicted, measured, np.zeros(0), _NOTHING
-    one, two = (frf.select(_clear_of_the_end(frf)) for frf in (predicted, measured))
+    reach = [(frf.frequency_hz[0], frf.frequency_hz[-1]) for frf in (predicted, measured)]
+    ends = min(low for low, _ in reach), max(high for _, high in reach)
+    one, two = (frf.select(_clear_of_the_ends(frf, *ends)) for frf in (predicted, measured))
     low, high = max(one.frequency_hz[0], two.frequency_hz[0]), min(one.frequency_hz[-1], two.frequency_hz[-1])
     inside = [frf.frequency_hz[(frf.frequency_hz >= low) & (frf.frequency_hz <= high)] for frf in (one, two)]
     fewest = min(f.size for f in inside)
@@ -95,19 +97,18 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     return (moved, kept, missed, (note,)) if fine is one else (kept, moved, missed, (note,))
 
 
-def _clear_of_the_end(frf: FRF) -> np.ndarray:
+def _clear_of_the_ends(frf: FRF, lowest_hz: float, highest_hz: float) -> np.ndarray:
     """Mask (nf,) of the trusted lines, without those at an end that the errors themselves decided.
 
-    Where the valid band ends before the lines do, it ends at the last line whose estimated variance is small enough:
-    among lines of about that error this picks those whose variance came out too small (a sixth, with four periods). As
-    many lines as share a variance's estimate are left out there, of a quarter of the band at most.
+    Where the valid band ends before the lines of either FRF do, it ends at the last line whose estimated variance is
+    small enough: among lines of about that error this picks those whose variance came out too small (a sixth, with four
+    periods). As many lines as share a variance's estimate are left out there, a quarter of the band at most.
     """
-    mask = frf.trusted.copy()
-    rows = np.flatnonzero(mask)
+    f, mask, rows = frf.frequency_hz, frf.trusted.copy(), np.flatnonzero(frf.trusted)
     share = min(round(frf.variance_pooled), rows.size // 4) if frf.variance_freedom < KNOWN else 0
-    if share and rows[0] > 0:
+    if share and f[rows[0]] > lowest_hz * (1.0 + 1e-9):
         mask[rows[:share]] = False
-    if share and rows[-1] < mask.size - 1:
+    if share and f[rows[-1]] < highest_hz * (1.0 - 1e-9):
         mask[rows[-share:]] = False
     return mask
 

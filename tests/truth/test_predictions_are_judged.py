@@ -1,7 +1,5 @@
 """The statistic of a comparison: uniform where the plant has not changed, small where it has, and where it says."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
@@ -56,7 +54,7 @@ def test_lines_that_a_lucky_variance_let_into_the_valid_band_are_not_judged() ->
         one = measured(rng, LINES, arm().response(LINES), relative, OLD, averages=4, pooled=7)
         two = measured(rng, LINES, arm().response(LINES), 0.01, NEW, averages=4, pooled=7)
         known = trusted_lines(LINES, one.relative_std[:, 0, 0], np.ones(LINES.size, dtype=bool))
-        pair = on_common_lines(predicted(replace(one, trusted=known)).sensitivity, sensitivity_of(two))
+        pair = on_common_lines(predicted(one.select(known)).sensitivity, sensitivity_of(two))
         ends.append(paired(*pair[:3]).excess[-5:])
     assert np.mean(ends) == pytest.approx(1.0, abs=3.5 / np.sqrt(5 * 120))
 
