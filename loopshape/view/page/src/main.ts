@@ -348,7 +348,7 @@ class Page {
 
   /** The command that signs what is designed here. */
   private get signing(): string {
-    return this.loop.closed.length ? "check-several" : "check";
+    return this.loop.closed.length ? "check --matrix" : "check";
   }
 
   private text(name: string): string {
