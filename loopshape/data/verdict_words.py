@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from loopshape.data.detuning import STABILITY, Lost, Reach
-from loopshape.data.requirements import LIMIT_OF
 
 if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison, LineChange, MarginChange
@@ -56,6 +55,8 @@ def longer_text(line: Line) -> str:
 
 def wished_text(line: Line) -> str:
     """What was asked for: "at least 45 deg"."""
+    from loopshape.data.requirements import LIMIT_OF  # numpy with it: `--help` does without
+
     sense = _SENSE[LIMIT_OF[line.quantity].sense] if line.quantity in LIMIT_OF else ""
     return f"{sense} {line.wished:g}{_unit(line.unit)}".strip()
 

@@ -126,7 +126,7 @@ def test_each_loop_of_a_matrix_meets_the_plant_with_the_others_closed(
     wanted = [Requirements(name, phase_margin_deg=30.0, sensitivity_peak_db=6.0) for name in "ab"]
     together = SeveralRequirements(integrators=2, unstable_poles=0)
     file = ls.shape(P, controllers, wanted, tmp_path / "several.html", together=together)
-    page, verdict = page_in_browser.opened(context, file), ls.check_several(P, controllers, wanted, together)
+    page, verdict = page_in_browser.opened(context, file), ls.check(P, controllers, wanted, together=together)
     for k, (one, controller) in enumerate(zip(verdict.each, controllers, strict=True)):
         page.get_by_label("Loop", exact=True).select_option(str(k))
         page.locator("#closed", has_text=f"Loop {controller.loop}, with {'ba'[k]} closed.").wait_for()

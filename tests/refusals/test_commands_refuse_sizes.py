@@ -38,7 +38,7 @@ def frf(gain: float, rate_hz: float) -> FRF:
 
 def judged(gain: float, controller: Controller) -> LoopCheck:
     one = frf(gain, controller.rate_hz)
-    return LoopCheck((one,), WISHED, (), checked(check([one], controller, WISHED), controller, [one]))
+    return LoopCheck((one,), WISHED, (), checked(check([one], controller, WISHED), controller, [one]), ())
 
 
 @pytest.mark.parametrize(("rate_hz", "told_apart"), [(500.0, False), (1000.0, True)])

@@ -31,13 +31,13 @@ def drawn(rng, points, truth=None):
 
 
 def test_chance_alone_is_called_a_change_in_one_comparison_out_of_20():
-    rng, trials = np.random.default_rng(1), 400
+    rng, trials = np.random.default_rng(1), 2000
     alarms = 0
     for _ in range(trials):
         found = compare([checked(drawn(rng, 3), data="a")], [checked(drawn(rng, 3), data="b")])
         assert len(found.margins) == 3 * len(LIMITS)
         alarms += found.outcome != "unchanged"
-    assert 0.02 < alarms / trials < 0.08  # Bonferroni of independent errors: 4.9 %, binomial deviation 1.1 %
+    assert 0.034 < alarms / trials < 0.064  # Bonferroni of independent errors: 4.9 %, binomial deviation 0.5 %
 
 
 def test_a_change_well_beyond_the_errors_is_found_and_its_interval_holds_the_truth():

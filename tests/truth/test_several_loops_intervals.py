@@ -59,7 +59,7 @@ def test_intervals_of_95_percent_cover_and_medians_are_true():
 def test_the_same_matrix_gives_the_same_interval():
     frf = noisy(frf_of(F, G, 0.05), np.random.default_rng(1))
     one, two = (several_margins(LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2, unstable_poles=0)) for _ in range(2))
-    assert one == two
+    np.testing.assert_equal(vars(one), vars(two))  # what is not asked for is nan
 
 
 def test_draws_have_the_covariance_of_the_lines():
