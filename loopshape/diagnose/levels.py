@@ -31,6 +31,7 @@ FEWEST = 8  # frequencies for a mean gain
 NEAR = 0.3  # a resonance that moves further is another
 TAIL = 4.0  # half widths about a resonance that are left out of the gain
 CHANCE = 0.005  # of calling a quantity of a linear machine dependent
+_NEPER_DB = 8.685889638
 LEAST_GAIN_DB, LEAST_SHIFT = 0.02, 2e-4  # what estimators may bias a FRF by
 
 
@@ -160,9 +161,6 @@ def _gain(one: FRF, two: FRF, pair: tuple[Resonance, Resonance] | None) -> Chang
     std = _NEPER_DB * float(np.sqrt(0.5 * np.sum(weight**2 * variance) * max(one.line_overlap, 1.0)) / np.sum(weight))
     bend = _bend(change, std, LEAST_GAIN_DB, (Bend.DROPS_WHEN_LARGE, Bend.DROPS_WHEN_SMALL))
     return Change(bend, change, 0.0, change, _interval(change, std), (float(f[lines][0]), float(f[lines][-1])))
-
-
-_NEPER_DB = 8.685889638
 
 
 def _bend(change: float, std: float, least: float, kinds: tuple[Bend, Bend]) -> Bend:

@@ -38,7 +38,8 @@ class Cascade:
 
     def __repr__(self) -> str:
         """One line: how many operating points, and the inner loop's outcome."""
-        return f"Cascade: {len(self.outer)} operating points, inner loop {self.inner.outcome}"
+        points = f"{len(self.outer)} operating point{'s' * (len(self.outer) != 1)}"
+        return f"Cascade: {points}, inner loop {self.inner.outcome}"
 
 
 def cascade(
@@ -59,7 +60,7 @@ def cascade(
     >>> G = ls.FRF.from_control(control.combine_tf([[motor], [load]]), np.geomspace(0.1, 100.0, 80), rate_hz=1e3)
     >>> C1 = ls.controller(ls.gain(2.0), ls.pi(1.0), rate_hz=1e3)
     >>> ls.cascade(G, C1, ls.Requirements(unstable_poles=0))
-    Cascade: 1 operating points, inner loop passed
+    Cascade: 1 operating point, inner loop passed
     """
     every = (G,) if isinstance(G, FRF) else tuple(G)
     for one in every:
