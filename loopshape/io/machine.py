@@ -113,11 +113,17 @@ def _number(start: str | None) -> float | None:
         return None
 
 
+def _named(folder: Path, file: str, kind: str) -> Path:
+    """A file that model.toml names; refuses one outside its folder, and one that cannot be read."""
+    path = inside(folder, file, kind)
+    with reading(path, kind):
+        path.read_bytes()
+    return path
+
+
 def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
     """The FMU unpacked into a folder that is removed at the end, and its description."""
-    path = inside(folder, file, "the FMU")
-    with reading(path, "the FMU"):
-        path.read_bytes()
+    path = _named(folder, file, "the FMU")
     try:
         import fmpy
     except ImportError:
@@ -146,9 +152,7 @@ def _columns(w: Words) -> dict[str, tuple[str, float]]:
 
 def _specification(folder: Path, file: str) -> Any:
     """The MuJoCo model as an `MjSpec` that compiles."""
-    path = inside(folder, file, "the MuJoCo model")
-    with reading(path, "the MuJoCo model"):
-        path.read_bytes()
+    path = _named(folder, file, "the MuJoCo model")
     try:
         import mujoco
     except ImportError:
@@ -165,9 +169,7 @@ def _specification(folder: Path, file: str) -> Any:
 
 def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
     """The function of this name in a Python file of the folder; the file is run."""
-    path = inside(folder, file, "the Python file of a model")
-    with reading(path, "the Python file of a model"):
-        path.read_bytes()
+    path = _named(folder, file, "the Python file of a model")
     try:
         found = runpy.run_path(str(path)).get(name)
     except Exception as error:  # a user's code may raise anything
