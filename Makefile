@@ -39,7 +39,7 @@ test-long: $(STAMP) ## run the tests of minutes: kills, damaged files, bad lines
 
 # Old libraries warn of newer ones: there a warning is no failure.
 SHORT = -m pytest $(WORKERS) -m short -o filterwarnings=default -W ignore --timeout 600 tests
-EXTRAS = -e '.[uff,mdf,ulog,tdms,cluster,serial]'
+EXTRAS = -e '.[uff,mdf,ulog,tdms,ros,fmu,mujoco,cluster,serial]'
 RUNNER = pytest pytest-timeout pytest-xdist hypothesis markdown-it-py
 UV := $(BIN)/uv --quiet --no-python-downloads
 

@@ -41,6 +41,7 @@ def test_the_example_of_the_page_is_short():
     assert WORDS.count("\n") <= 40
 
 
+@pytest.mark.short
 @pytest.mark.parametrize("version", [2, 3])
 def test_derivatives_are_those_of_the_equations_at_any_state_and_parameters(tmp_path, version):
     mine, theirs = Composed(machine(tmp_path, version)), Composed(own_machine.MODEL)

@@ -68,6 +68,7 @@ def write_ros(path):
     return path if first else next((path.parent / path.stem).glob(f"*{path.suffix}"))
 
 
+@pytest.mark.short
 def test_mcap_with_json_messages(tmp_path):
     pytest.importorskip("mcap")
     write_json_mcap(tmp_path / "a.mcap")
@@ -79,6 +80,7 @@ def test_mcap_with_json_messages(tmp_path):
     assert draft_map(tmp_path / "a.mcap").rate_hz == 200.0
 
 
+@pytest.mark.short
 @pytest.mark.parametrize("ending", [".bag", ".db3", ".mcap"])
 def test_bags_of_ros_by_the_sensor_s_own_stamps(tmp_path, ending):
     pytest.importorskip("rosbags")
