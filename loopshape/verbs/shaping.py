@@ -17,7 +17,7 @@ from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.loop.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
-from loopshape.view.page.payload import SHAPED, Others, Shaped
+from loopshape.view.page.payload import Others, Shaped
 
 
 def shaped(
@@ -27,11 +27,6 @@ def shaped(
     if not frfs:
         raise WrongUseError("there is no FRF to shape a loop on", "none", "estimate one: loopshape frf RUN")
     start = controller or _gain_of_one(frfs[0])
-    if unknown := sorted({block.kind for block in start.blocks} - set(SHAPED)):
-        raise WrongUseError(
-            f"the page cannot shape the blocks of loop {start.loop!r}", ", ".join(unknown),
-            f"it knows {', '.join(SHAPED)}; check and tune know all",
-        )  # fmt: skip
     wished = requirements or Requirements(start.loop)
     return Shaped(tuple(frfs), start, wished, tuple(fits), check(frfs, start, wished, fits))
 

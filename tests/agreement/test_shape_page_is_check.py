@@ -13,8 +13,8 @@ import several_cases
 import shaped_cases
 
 import loopshape as ls
+from loopshape.data.block import Block
 from loopshape.data.controller import Controller
-from loopshape.data.limits_over import MASKED
 from loopshape.data.requirements import LIMITS, Requirements, SeveralRequirements
 from loopshape.data.verdict import Verdict
 from loopshape.loop.step_response import predict_step
@@ -56,9 +56,9 @@ def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...
         if m.stable != other["stability"]["outcome"]:
             out.append(f"{name}: {m.stable} ({m.stability_reason}), and {other['stability']}")
         for limit in LIMITS:
-            if limit.name in without or limit.name in MASKED:  # masks are not judged in the page, which says so
+            if limit.name in without:
                 continue
-            pairs = [(getattr(m, limit.name), other["values"][limit.name])]
+            pairs = [(getattr(m, limit.name), other["values"].get(limit.name))]
             pairs += list(zip(m.intervals.get(limit.name, ()), other["intervals"].get(limit.name, ()), strict=True))
             pairs += [(m.bounds[limit.name], other["bounds"].get(limit.name))] if limit.name in m.bounds else []
             worst = max(far(a, b) for a, b in pairs)
@@ -66,6 +66,9 @@ def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...
     rows = [(line.quantity, line.outcome) for line in verdict.lines]
     others = [(row["quantity"], row["outcome"]) for row in found["rows"]]
     out += [] if rows == others else [f"{rows} and {others}"]
+    for line, row in zip(verdict.lines, found["rows"], strict=False):
+        pairs = [(line.wished, row["wished"]), (line.spare, row["spare"])]
+        out += [] if max(far(a, b) for a, b in pairs) < AGREES else [f"{line.quantity}: {pairs}"]
     return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
 
 
@@ -94,19 +97,79 @@ def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path)
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
 
 
+MASKS = (
+    ls.Mask("S", ((0.5, -18.0), (6.0, 3.0))), ls.Mask("S", ((4.0, 2.0), (280.0, 6.0))), ls.Mask("T", ((3.0, 3.0), (450.0, -30.0))),
+    ls.Mask("CS", ((1.0, 30.0), (400.0, 12.0))), ls.Mask("PS", ((0.5, 0.0), (100.0, -6.0))), ls.Mask("L", ((40.0, -2.0), (450.0, -20.0))),
+    ls.Mask("L", ((0.1, 9.0), (2.0, 3.0)), "at_least"),
+)  # fmt: skip
+HEAVY = ls.AtPoints(
+    {"load_kg": (2.0, 4.0)},
+    {"phase_margin_deg": 60.0, "modulus_margin": 0.6},
+    (ls.Mask("S", ((0.5, -12.0), (9.0, 4.0))),),
+)
+LATE = ls.AtPoints({"load_kg": (0.0, 9.0), "x_m": (0.0, 1.0)}, {"phase_margin_deg": 20.0})
+
+
+@pytest.mark.parametrize("kind", ["lag", "minus", "sharp"])
+def test_masks_and_limits_of_single_operating_points(kind: str, context: Any, tmp_path: Path) -> None:
+    """One point lies in a range, one in none, and one range names a coordinate that no point has."""
+    frfs = [
+        replace(frf, operating_point={"load_kg": load})
+        for frf, load in zip(shaped_cases.plants(kind), (1.0, 3.0), strict=True)
+    ]
+    R = replace(WANTED, detuning_percent=None, masks=MASKS, at=(HEAVY, LATE), sensitivity_mask_db=1.0)
+    assert not compared(context, tmp_path, frfs, LAGS, R, 3)
+
+
+def test_the_detuning_margin_of_a_mask(context: Any, tmp_path: Path) -> None:
+    """A mask on |S| that a moved resonance breaks before anything else does."""
+    P, R, _ = shaped_cases.bench()
+    R, C = (
+        replace(R, masks=(ls.Mask("S", ((50.0, 3.5), (120.0, 3.5))),), detuning_percent=1.0),
+        on_the_bench(10.0, 77.5),
+    )
+    page, verdict = page_on(context, tmp_path, [P], C, R), check([P], C, R)
+    (m,) = verdict.margins.values()
+    assert m.detuning is not None
+    assert m.detuning.worst.breaks == "sensitivity_mask_db"
+    assert differences(verdict, asked(page, C)) == []
+    page.close()
+
+
+PID = {"gain": 1.5, "fi_hz": 0.3, "fd_hz": 30.0, "ff_hz": 250.0}
+SECTIONS = {
+    "a lead": {"n0": 1.0, "n1": 0.01, "n2": 0.0, "d0": 1.0, "d1": 0.001, "d2": 0.0},
+    "two integrators": {"n0": 90.0, "n1": 20.0, "n2": 1.0, "d0": 0.0, "d1": 0.0, "d2": 1.0},
+    "an integrator with a pole": {"n0": 20.0, "n1": 1.0, "n2": 0.0, "d0": 0.0, "d1": 1.0, "d2": 0.002},
+    "a washout": {"n0": 0.0, "n1": 1.0, "n2": 0.0, "d0": 0.5, "d1": 1.0, "d2": 0.001},
+}
+
+
+@pytest.mark.parametrize("precision", ["double", "q8.28"])
+def test_blocks_of_other_programs_and_pid(precision: str, context: Any, tmp_path: Path) -> None:
+    """PID and sections, with none, one or two integrators, or a zero at 0 Hz."""
+    frfs, rate = shaped_cases.plants("lag"), shaped_cases.RATE_HZ
+    blocks = [(Block("pid", PID), Block("notch", {"f1_hz": 50.0, "f2_hz": 50.0, "damping1": 0.02, "damping2": 0.3}))]
+    blocks += [(Block("gain", {"gain": 2.0}), Block("section", coefficients)) for coefficients in SECTIONS.values()]
+    controllers = [Controller("x", own, rate, precision=precision) for own in blocks]
+    page = page_on(context, tmp_path, frfs, controllers[0], WANTED)
+    found = [differences(check(frfs, C, WANTED), asked(page, C)) for C in controllers]
+    page.close()
+    assert found == [[]] * 5
+
+
+def on_the_bench(gain: float, notch_hz: float) -> Controller:
+    parts = ls.gain(gain), ls.lead_lag(1.0, 50.0), ls.notch(notch_hz, 0.1, 0.6), ls.low_pass(400.0, 1.0)
+    return ls.controller(*parts, rate_hz=2500.0, loop="motor")
+
+
 @pytest.mark.parametrize("percent", [1.5, None])
 def test_the_detuning_margin_moves_with_the_controller(percent: float | None, context: Any, tmp_path: Path) -> None:
     """Where it is required, with its intervals from draws, and of a plant with a fit; and where it is only told."""
     P, R, _ = shaped_cases.bench()
     fits = (ls.fit(P, "rational", numerator=2, denominator=4, delay=True),) if percent else ()
     R = replace(R, detuning_percent=percent)
-    made = [
-        ls.controller(
-            ls.gain(gain), ls.lead_lag(1.0, 50.0), ls.notch(hz, 0.1, 0.6), ls.low_pass(400.0, 1.0),
-            rate_hz=2500.0, loop="motor",
-        )
-        for gain, hz in ((12.0, 77.5), (10.0, 77.5), (11.0, 79.0), (9.0, 75.0))
-    ]  # fmt: skip
+    made = [on_the_bench(*x) for x in ((12.0, 77.5), (10.0, 77.5), (11.0, 79.0), (9.0, 75.0))]
     file = tmp_path / "shape.html"
     file.write_bytes(page_of([shaped([P], made[0], R, fits)], "test"))
     page = page_in_browser.opened(context, file)

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from threading import Thread
@@ -18,6 +19,8 @@ import shaped_cases
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
+from loopshape.data.block import Block
+from loopshape.data.controller import Controller
 from loopshape.io.controllers import write_controllers
 from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
@@ -304,6 +307,46 @@ CONTRAST = """(() => {
     ['none', 'none-bg']]
   const found = pairs.map(([a, b]) => [of(a), of(b)].sort((x, y) => y - x)).map(([a, b]) => (a + 0.05) / (b + 0.05))
   probe.remove(); return found })()"""
+
+
+def test_masks_limits_of_single_points_pid_and_sections_are_shown_and_kept(browser: Any, tmp_path: Path) -> None:
+    light, heavy = (
+        replace(x, operating_point={"load_kg": m}) for x, m in zip(shaped_cases.plants("lag"), (1.0, 3.0), strict=True)
+    )
+    section = Block("section", {"n0": 1.0, "n1": 0.01, "n2": 0.0, "d0": 1.0, "d1": 0.001, "d2": 0.0})
+    pid = Block("pid", {"gain": 2.0, "fi_hz": 0.5, "fd_hz": 30.0, "ff_hz": 250.0})
+    C = Controller("x", (pid, section), shaped_cases.RATE_HZ)
+    heavier = ls.AtPoints(
+        {"load_kg": (2.0, 4.0)}, {"phase_margin_deg": 70.0}, (ls.Mask("S", ((0.5, -6.0), (9.0, 6.0))),)
+    )
+    mask = ls.Mask("S", ((0.5, -12.0), (6.0, 3.0)))
+    R = ls.Requirements("x", phase_margin_deg=30.0, masks=(mask,), at=(heavier,), integrators=0, unstable_poles=0)
+    context = browser.new_context(accept_downloads=True)
+    page = page_in_browser.opened(context, ls.shape([light, heavy], C, R, tmp_path / "limits.html"))
+    page.locator("#requirements", has_text="|S| over its mask").wait_for()
+    page.locator("#requirements", has_text="≥ 70 ° at this operating point").wait_for()
+    page.locator(".blocks", has_text="(1 + 0.01 s + 0 s²) / (1 + 0.001 s + 0 s²)").wait_for()
+    assert page.get_by_label("n0 of block 2", exact=False).count() == 0
+    x, y = handle(page, "D")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 40, y)
+    page.mouse.up()
+    page_in_browser.until(page, "loopshape.state.controller.blocks[0].parameters.fd_hz > 33")
+    made = saved(page, "controller", tmp_path)
+    assert ls.read_controllers(made)[0].blocks[1].parameters == section.parameters
+    again = ls.read_requirements(saved(page, "requirements", tmp_path))[0]
+    assert (again.masks, again.at, repr(again)) == (R.masks, R.at, repr(R))
+    text = (tmp_path / "requirements.toml").read_text().replace("[6.0, 3.0]", "[0.1, 3.0]")
+    (tmp_path / "bad.toml").write_text(text)
+    page.set_input_files("#file", tmp_path / "bad.toml")
+    page.locator(
+        "#said", has_text="the mask on |S| are two pairs [Hz, dB] at least, with frequencies that rise"
+    ).wait_for()
+    page.get_by_role("button", name="remove the requirement |S| over its mask").click()
+    page_in_browser.until(page, "loopshape.design.requirements.masks.length === 0")
+    assert not page.errors
+    context.close()
 
 
 def test_operating_points_may_have_names_of_their_own(tmp_path: Path) -> None:

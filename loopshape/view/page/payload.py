@@ -19,7 +19,7 @@ from loopshape.data.block import BLOCK_KINDS
 from loopshape.data.controller import Controller
 from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.frf import FRF
-from loopshape.data.limits_over import MASKED
+from loopshape.data.limits_over import MASKED, AtPoints
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import LIMITS, Objective, Requirements
@@ -32,12 +32,9 @@ from loopshape.loop import between, detuning, holes, margins, obstacles, samplin
 from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.prediction import fit_of
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.verdict import loops_of, outside_warnings
 
 FORMAT = "loopshape-shape/1"
-#: kinds of blocks that the page can draw and move
-SHAPED = ("gain", "lead_lag", "notch", "low_pass_1", "low_pass_2", "pi")
-NOT_JUDGED = "masks and limits of single operating points are not judged on this page; check judges them"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +74,8 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "format": FORMAT,
         "version": version,
         "title": title,
-        "limits": [json_ready(limit) for limit in LIMITS if limit.name not in MASKED],
-        "blocks": {kind: list(BLOCK_KINDS[kind].parameters) for kind in SHAPED},
+        "limits": [json_ready(limit) for limit in LIMITS],
+        "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
         "loops": [_loop(one) for one in loops],
@@ -145,9 +142,8 @@ def _state(seed: int) -> dict[str, str]:
 
 
 def _loop(one: Shaped) -> dict[str, Any]:
-    loops, notes = loops_of(one.frfs, one.controller, one.judged(one.requirements), one.fits)
-    if one.requirements.masks or one.requirements.at:
-        notes = (*notes, NOT_JUDGED)
+    wished = one.judged(one.requirements)
+    loops, notes = loops_of(one.frfs, one.controller, wished, one.fits)
     return {
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
@@ -159,7 +155,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
         "certificate": certificate_words(one.verdict),
-        "notes": list(notes),
+        "notes": [*notes, *outside_warnings(wished, loops)],
     }
 
 
@@ -167,11 +163,16 @@ def _requirements(wished: Requirements) -> dict[str, Any]:
     """What is required as its file has it; what is not asked for is left out."""
     kept = [f.name for f in fields(wished) if f.name not in ("structure", "objective", "masks", "at", *MASKED)]
     out = {name: getattr(wished, name) for name in kept}
+    out |= {name: getattr(wished, name) for name in MASKED if getattr(wished, name)}  # 0 goes without saying
     out |= {"masks": wished.masks} if wished.masks else {}
-    out |= {"at": [{"where": x.where, **x.limits, "masks": x.masks} for x in wished.at]} if wished.at else {}
+    out |= {"at": [_at_points(x) for x in wished.at]} if wished.at else {}
     out |= {} if wished.objective == Objective() else {"objective": _table(wished.objective)}
     out |= {"structure": [_template(one) for one in wished.structure]} if wished.structure else {}
     return {name: json_ready(value) for name, value in out.items() if value is not None}
+
+
+def _at_points(one: AtPoints) -> dict[str, Any]:
+    return {"where": one.where, **one.limits} | ({"masks": one.masks} if one.masks else {})
 
 
 def _template(block: Any) -> dict[str, Any]:
@@ -209,6 +210,7 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
     recipe = recipe_of(raw)
     return {
         "name": name,
+        "operating_point": dict(raw.operating_point),
         "f": _packed(loop.frequency_hz),
         "P": _packed(loop.plant.siso),
         "raw": _packed(raw.siso),

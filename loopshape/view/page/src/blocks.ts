@@ -1,7 +1,7 @@
 // The controller's blocks: numbers to type, locks, order, and what each costs at the crossover.
 
 import type { Controller, Kind } from "./controller";
-import { KIND_NAMES, PARAMETER_NAMES, newBlock, parameterRefusal, type Design, type DesignBlock } from "./design";
+import { KIND_NAMES, NEW_KINDS, PARAMETER_NAMES, newBlock, parameterRefusal, type Design, type DesignBlock } from "./design";
 import { button, el, numberField, shown, written } from "./dom";
 import { costAt } from "./handles";
 
@@ -23,7 +23,7 @@ export class BlockList {
     private readonly change: (blocks: DesignBlock[], goesOn: boolean, words?: string) => string | null,
     private readonly crossover: () => number,
   ) {
-    const kinds = Object.entries(KIND_NAMES).map(([kind, name]) => el("option", { value: kind }, name));
+    const kinds = NEW_KINDS.map((kind) => el("option", { value: kind }, KIND_NAMES[kind]));
     this.kind.append(...kinds);
     this.kind.value = "notch";
     const add = button("Add block", "add a block of this kind", () => this.add());
@@ -63,11 +63,13 @@ export class BlockList {
     const cost = el("span", { class: "cost" });
     this.cards.push({ fields, cost });
     const where = `block ${k + 1}, ${KIND_NAMES[block.kind]}`;
-    const parts = Object.keys(block.parameters).map((name) => {
+    const names = block.kind === "section" ? [] : Object.keys(block.parameters);
+    const parts: HTMLElement[] = names.map((name) => {
       const field = this.field(block, k, name, where);
       fields.set(name, field);
       return el("span", { class: "parameter" }, el("label", { for: field.id }, PARAMETER_NAMES[name]), field, this.lock(block, k, name, where));
     });
+    if (block.kind === "section") parts.push(el("p", { class: "quiet" }, sectionWords(block.parameters)));
     const on = el("input", { type: "checkbox", id: `on-${k}`, change: () => this.edit(k, { off: !block.off }) });
     on.checked = !block.off;
     const head = el(
@@ -118,6 +120,12 @@ export class BlockList {
     const { blocks } = this.design();
     this.change(blocks.filter((_, i) => i !== k), false, `${KIND_NAMES[blocks[k].kind]} removed`);
   }
+}
+
+/** A section's coefficients, which come from a file and stay. */
+function sectionWords(p: Record<string, number>): string {
+  const sum = (part: string): string => ["", " s", " s²"].map((s, k) => `${shown(p[`${part}${k}`])}${s}`).join(" + ");
+  return `(${sum("n")}) / (${sum("d")}), s in rad/s`;
 }
 
 const signed = (value: number): string => `${value >= 0 ? "+" : "−"}${Math.abs(value).toFixed(1)}`;

@@ -2,7 +2,7 @@
 
 import { clip, geometric, rint, TWO_PI, zeros, type Complex, type Real } from "./arrays";
 
-export type Kind = "gain" | "lead_lag" | "notch" | "low_pass_1" | "low_pass_2" | "pi";
+export type Kind = "gain" | "lead_lag" | "notch" | "low_pass_1" | "low_pass_2" | "pi" | "pid" | "section";
 
 export interface Block {
   kind: Kind;
@@ -43,7 +43,41 @@ export function section({ kind, parameters: p }: Block): Section {
       return [[1, 0, 0], quadratic(p.f_hz, p.damping)];
     case "pi":
       return [[TWO_PI * p.f_hz, 1, 0], [0, 1, 0]];
+    case "pid":
+      return pid(p);
+    case "section":
+      return [[p.n0, p.n1, p.n2], [p.d0, p.d1, p.d2]];
   }
+}
+
+function pid(p: Record<string, number>): Section {
+  const [integral, tame, derivative] = [TWO_PI * p.fi_hz, 1 / (TWO_PI * p.ff_hz), 1 / (TWO_PI * p.fd_hz)];
+  return [[p.gain * integral, p.gain * (1 + integral * tame), p.gain * (tame + derivative)], [0, 1, tame]];
+}
+
+/** Poles of a block at s = 0, below zero of zeros there. */
+function integratorsOf(block: Block): number {
+  const [num, den] = section(block).map((p) => Math.max(p.findIndex((c) => c !== 0), 0));
+  return den - num;
+}
+
+/** A section without the integral term of its partial fractions; 1 where it is nothing else. */
+function bounded([num, den]: Section): Section {
+  if (den[0] !== 0) return [num, den];
+  const rest: Polynomial = [0, den[1] !== 0 ? num[1] - (num[0] * den[2]) / den[1] : 0, num[2]];
+  const one: Polynomial = [1, 0, 0];
+  const lowered = (p: Polynomial): Polynomial => (den[1] !== 0 ? [p[1], p[2], 0] : [p[2], 0, 0]);
+  return rest.some((c) => c !== 0) ? [lowered(rest), lowered(den)] : [one, one];
+}
+
+/** Why a section cannot run, in words; null where it can. */
+export function sectionRefusal([num, den]: Section): string | null {
+  const degree = (p: Polynomial): number => p.reduce((top, c, k) => (c !== 0 ? k : top), 0);
+  if (!num.some(Boolean) || !den.some(Boolean)) return "a section needs a numerator and a denominator";
+  if (degree(num) > degree(den)) return "a section with more zeros than poles cannot run (it is improper)";
+  if (num[0] === 0 && den[0] === 0) return "a section has a zero and a pole at s = 0";
+  const rest = den.slice(den.findIndex((c) => c !== 0), degree(den) + 1);
+  return rest.every((c) => c * rest[0] > 0) ? null : "a section of a controller must be stable";
 }
 
 function tustinConstant(c: Controller): number {
@@ -58,12 +92,11 @@ function warped(c: Controller, f: Real): Real {
   return f.map((x) => k * Math.tan((0.5 * TWO_PI * x) / c.rate_hz));
 }
 
-/** Response of blocks in series at s = j w. */
-export function series(blocks: readonly Block[], w: Real): Complex {
+/** Response of sections in series at s = j w. */
+function series(sections: readonly Section[], w: Real): Complex {
   const out = zeros(w.length);
   out.re.fill(1);
-  for (const block of blocks) {
-    const [num, den] = section(block);
+  for (const [num, den] of sections) {
     for (let k = 0; k < w.length; k++) {
       const square = w[k] * w[k];
       multiply(out, k, num[0] - square * num[2], w[k] * num[1]);
@@ -86,7 +119,7 @@ function divide(z: Complex, k: number, re: number, im: number): void {
 
 /** Response (n,) of the controller as it runs, with its delay and added hold. */
 export function response(c: Controller, f: Real): Complex {
-  const own = c.precision === "double" ? series(c.blocks, warped(c, f)) : cascade(biquads(c), f, c.rate_hz);
+  const own = c.precision === "double" ? series(c.blocks.map(section), warped(c, f)) : cascade(biquads(c), f, c.rate_hz);
   if (!c.computation_delay_s && !c.added_hold) return own;
   for (let k = 0; k < f.length; k++) {
     const late = c.computation_delay_s + (c.added_hold ? 0.5 / c.rate_hz : 0);
@@ -111,7 +144,7 @@ export function responseOn(c: Controller, f: Real): Complex {
 
 /** One block's response as it runs, for what it costs and for its handles. */
 export function blockResponse(c: Controller, block: Block, f: Real): Complex {
-  return series([block], warped(c, f));
+  return series([section(block)], warped(c, f));
 }
 
 function cascade(sections: number[][], f: Real, rate_hz: number): Complex {
@@ -135,7 +168,11 @@ function cascade(sections: number[][], f: Real, rate_hz: number): Complex {
 /** Discrete sections b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule, rounded to the precision. */
 export function biquads(c: Controller): number[][] {
   const k = tustinConstant(c);
-  return c.blocks.map((block) => tustin(section(block), k).map((value) => rounded(value, c.precision)));
+  return c.blocks.map((block) => {
+    const row = tustin(section(block), k).map((value) => rounded(value, c.precision));
+    if (integratorsOf(block) === 1 && section(block)[1][2] !== 0) row[4] = -1 - row[3]; // the integrator stays at z = 1
+    return row;
+  });
 }
 
 function tustin([num, den]: Section, k: number): number[] {
@@ -163,17 +200,22 @@ export function refusal(c: Controller): string | null {
   for (const [k, row] of biquads(c).entries()) {
     const where = `block ${k + 1} (${c.blocks[k].kind})`;
     if (row.some((value) => value < -limit || value >= limit)) return `a coefficient of ${where} does not fit ${c.precision}`;
-    const [b0, b1, b2, a1, a2] = row;
-    if (!b0 && !b1 && !b2) return `${where} lets nothing pass in ${c.precision}: use a finer precision`;
-    if (c.blocks[k].kind === "pi" && b0 + b1 === 0) return `${where} loses its integrator in ${c.precision}`;
-    if (c.blocks[k].kind !== "pi" && !(Math.abs(a2) < 1 && Math.abs(a1) < 1 + a2)) {
-      return `${where} has a pole on or outside the unit circle in ${c.precision}: use a finer precision`;
-    }
+    const why = roundedRefusal(c.blocks[k], row);
+    if (why) return `${where} ${why} in ${c.precision}: use a finer precision`;
   }
   return null;
 }
 
-export const integrators = (c: Controller): number => c.blocks.filter((block) => block.kind === "pi").length;
+function roundedRefusal(block: Block, [b0, b1, b2, a1, a2]: number[]): string | null {
+  const outside = "has a pole on or outside the unit circle";
+  if (!b0 && !b1 && !b2 && section(block)[0].some(Boolean)) return "lets nothing pass";
+  if (integratorsOf(block) <= 0) return Math.abs(a2) < 1 && Math.abs(a1) < 1 + a2 ? null : outside;
+  if (b0 + b1 + b2 === 0) return "loses its integrator";
+  return integratorsOf(block) === 1 && !(Math.abs(a2) < 1) ? outside : null;
+}
+
+/** Poles at s = 0, less zeros there. */
+export const integrators = (c: Controller): number => c.blocks.reduce((sum, block) => sum + integratorsOf(block), 0);
 
 /** Centres and half widths in Hz of the controller's oscillatory poles as it runs. */
 export function poles(c: Controller): [number, number][] {
@@ -201,7 +243,7 @@ const bandwidths = new WeakMap<Controller, number>();
 
 function bandwidthOf(c: Controller): number {
   const f = geometric(1e-6 * c.rate_hz, 0.4999 * c.rate_hz, 360);
-  const own = series(c.blocks.filter((block) => block.kind !== "pi"), warped(c, f));
+  const own = series(c.blocks.map((block) => bounded(section(block))), warped(c, f));
   const size = own.re.map((re, k) => Math.log(Math.hypot(re, own.im[k])));
   const most = size.reduce((a, b) => Math.max(a, b), -Infinity);
   const room = size.map((value) => value - (most - 0.5 * Math.log(2)));

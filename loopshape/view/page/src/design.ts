@@ -1,7 +1,8 @@
 // What a person designs: blocks that may be switched off and locked, and what is required; as text and back.
 
 import type { Block, Controller, Kind } from "./controller";
-import { refusal } from "./controller";
+import { refusal, section, sectionRefusal } from "./controller";
+import { limitsOver, MASKED } from "./limits";
 import type { Payload, PlantLoop, Requirements } from "./payload";
 import { readToml, tomlText, Whole, type Table, type Toml } from "./toml";
 
@@ -23,19 +24,30 @@ export const KIND_NAMES: Record<Kind, string> = {
   low_pass_1: "low-pass, order 1",
   low_pass_2: "low-pass, order 2",
   pi: "PI (integrator)",
+  pid: "PID",
+  section: "section",
 };
+
+/** Kinds that the page adds; a section comes from a file. */
+export const NEW_KINDS = (Object.keys(KIND_NAMES) as Kind[]).filter((kind) => kind !== "section");
 
 export const PARAMETER_NAMES: Record<string, string> = {
   gain: "gain",
   f_hz: "corner [Hz]",
   f1_hz: "zero [Hz]",
   f2_hz: "pole [Hz]",
+  fi_hz: "integral corner [Hz]",
+  fd_hz: "derivative corner [Hz]",
+  ff_hz: "filter corner [Hz]",
   damping: "damping",
   damping1: "zero damping",
   damping2: "pole damping",
 };
 
-export const designBlock = (block: Block): DesignBlock => ({ ...block, parameters: { ...block.parameters }, off: false, locked: [] });
+/** A block of a design; the coefficients of a section are not shaped by hand. */
+export function designBlock({ kind, parameters }: Block): DesignBlock {
+  return { kind, parameters: { ...parameters }, off: false, locked: kind === "section" ? Object.keys(parameters) : [] };
+}
 
 export function designOf(controller: Controller, requirements: Requirements): Design {
   return { ...controller, blocks: controller.blocks.map(designBlock), requirements: { ...requirements } };
@@ -56,6 +68,8 @@ export function newBlock(kind: Kind, hz: number): DesignBlock {
     low_pass_1: { f_hz: 5 * hz },
     low_pass_2: { f_hz: 5 * hz, damping: 0.7 },
     pi: { f_hz: hz / 10 },
+    pid: { gain: 1, fi_hz: hz / 10, fd_hz: 2 * hz, ff_hz: 10 * hz },
+    section: { n0: 1, n1: 0, n2: 0, d0: 1, d1: 0, d2: 0 },
   };
   const round = (x: number): number => Number(x.toPrecision(3));
   const parameters = Object.fromEntries(Object.entries(made[kind]).map(([key, value]) => [key, round(value)]));
@@ -64,10 +78,11 @@ export function newBlock(kind: Kind, hz: number): DesignBlock {
 
 /** Why a parameter may not have a value, in words; null where it may. */
 export function parameterRefusal(name: string, value: number): string | null {
-  if (!Number.isFinite(value)) return `${PARAMETER_NAMES[name]} must be a number`;
-  if (Math.abs(value) > (name.endsWith("_hz") ? 1e9 : 1e100)) return `${PARAMETER_NAMES[name]} is too large`;
-  if (name === "gain" || value > 0 || (name === "damping1" && value === 0)) return null;
-  return `${PARAMETER_NAMES[name]} must be positive`;
+  const shown = PARAMETER_NAMES[name] ?? name;
+  if (!Number.isFinite(value)) return `${shown} must be a number`;
+  if (Math.abs(value) > (name.endsWith("_hz") ? 1e9 : 1e100)) return `${shown} is too large`;
+  if (name === "gain" || /^[nd]\d$/.test(name) || value > 0 || (name === "damping1" && value === 0)) return null;
+  return `${shown} must be positive`;
 }
 
 function blockTable({ kind, parameters }: Block): Record<string, number | string | Whole> {
@@ -125,7 +140,7 @@ function blockOf(payload: Payload, given: Toml): Block {
   const { kind: word, order, ...parameters } = given;
   const kind = word === "low_pass" ? `low_pass_${String(order ?? "?")}` : String(word);
   const wanted = Object.hasOwn(payload.blocks, kind) && (word === "low_pass" || order === undefined) ? payload.blocks[kind] : null;
-  if (!wanted) return refuse(`a block of kind ${String(word)} is not known: use gain, lead_lag, notch, pi, or low_pass with order 1 or 2`);
+  if (!wanted) return refuse(`a block of kind ${String(word)} is not known: use gain, lead_lag, notch, pi, pid, section, or low_pass with order 1 or 2`);
   const names = Object.keys(parameters);
   if (names.length !== wanted.length || !wanted.every((name) => name in parameters)) {
     return refuse(`a ${kind} block has the parameters ${wanted.join(", ")}, and not ${names.join(", ") || "none"}`);
@@ -135,7 +150,9 @@ function blockOf(payload: Payload, given: Toml): Block {
     const why = typeof value === "number" ? parameterRefusal(name, value) : `${name} must be a number`;
     if (why) return refuse(`${why} (${kind} block)`);
   }
-  return { kind: kind as Kind, parameters: Object.fromEntries(wanted.map((name) => [name, parameters[name] as number])) };
+  const made = { kind: kind as Kind, parameters: Object.fromEntries(wanted.map((name) => [name, parameters[name] as number])) };
+  const why = kind === "section" ? sectionRefusal(section(made)) : null;
+  return why ? refuse(why) : made;
 }
 
 function loopTables(table: Table, format: string): Table[] {
@@ -176,7 +193,7 @@ function readController(payload: Payload, loop: PlantLoop, table: Table): Contro
 function readRequirements(payload: Payload, loop: PlantLoop, table: Table): Requirements {
   const own = loopTables(table, "loopshape-requirements/1").find((one) => one.name === loop.name);
   if (!own) return refuse(`the file has no requirements of loop ${loop.name}`);
-  const { name: _, ...rest } = own;
+  const { name: _, masks, at, ...rest } = own;
   for (const limit of payload.limits) {
     const value = rest[limit.name];
     if (value !== undefined && typeof value !== "number") refuse(`${limit.name} must be a number`);
@@ -187,8 +204,13 @@ function readRequirements(payload: Payload, loop: PlantLoop, table: Table): Requ
       refuse(`${key} differs from that of this page, and the plant's lines depend on it: make the page anew with this file`);
     }
   }
-  return { ...rest, loop: loop.name };
+  return { ...rest, ...limitsOver({ masks, at }, atPoints(payload)), loop: loop.name };
 }
+
+const OF_ALL_POINTS = ["controller_bandwidth_hz", "detuning_percent", ...MASKED];
+
+/** Names of the limits that may differ from operating point to operating point. */
+const atPoints = ({ limits }: Payload): string[] => limits.map(({ name }) => name).filter((name) => !OF_ALL_POINTS.includes(name));
 
 /** A design changed by the text of a file, whichever of the two kinds it is. */
 export function withFile(payload: Payload, loop: PlantLoop, design: Design, text: string): { design: Design; what: string } {
@@ -214,7 +236,9 @@ export function fromAddress(word: string, payload: Payload): Design | null {
       const wanted = payload.blocks[block.kind];
       if (!wanted.every((name) => parameterRefusal(name, block.parameters[name]) === null)) return null;
       if (!Array.isArray(block.locked)) return null;
+      if (block.kind === "section" && sectionRefusal(section(block))) return null;
     }
+    limitsOver(design.requirements, atPoints(payload));
     return typeof design.requirements.loop === "string" && refusal(controllerOf(design)) === null ? design : null;
   } catch {
     return null;

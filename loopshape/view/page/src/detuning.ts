@@ -8,6 +8,7 @@ import { sumsOf, type Dense, type Draws } from "./dense";
 import { followed, judgedLines, type Loop, type Plant } from "./loop";
 import { aboveHz, LOGARITHMS, PLAIN, type Interval, type Margins } from "./margins";
 import type { Constants, Limit, Requirements } from "./payload";
+import { readerOf, type Reader } from "./limits";
 import * as kernel from "./reading";
 import { countUnstable } from "./stability";
 
@@ -46,8 +47,7 @@ export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements:
 
 function detuningOf(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Detuning | null {
   if (!m.stability || m.stability.outcome === "undecided" || loop.f.length < 2) return null;
-  const from = requirements.control_high_frequency_from_hz;
-  const moved = new Moved(loop, drawn, typeof from === "number" ? from : Infinity);
+  const moved = new Moved(loop, drawn, readerOf(requirements));
   if (moved.reading(0).poles === null) return null;
   const search = new Search(loop, m, requirements, limits, moved);
   if (m.stability.outcome === "unstable") {
@@ -86,7 +86,7 @@ class Moved {
   constructor(
     private readonly loop: Loop,
     plant: Plant,
-    private readonly fromHz: number,
+    private readonly reader: Reader,
   ) {
     const { point, controller } = loop;
     const dense = followed(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
@@ -173,7 +173,7 @@ class Moved {
     const belowC = this.belowP && control.response(controller, this.belowF.map((x) => x * by));
     const led = belowC && this.belowP ? times(belowC, this.belowP) : null;
     const aboveC2 = kernel.squares(control.response(controller, aboveF));
-    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, this.fromHz);
+    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, this.reader);
     const poles = (L: Complex): number | null =>
       countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg);
     this.last = { percent, lines: { grid, C, poles } };
@@ -390,7 +390,7 @@ function shiftsOf(loop: Loop, required: number | null): number[] {
   const c = loop.plant.source.constants.detuning;
   const farther = (near: Real, more: number[]): number[] => [...near, ...more.filter((x) => x > near[near.length - 1] + 1e-9)];
   if (required === null) return farther(even(c.warned, Math.round(c.warned / c.coarse)), c.fewer);
-  const sharpest = Math.min(...seenDampings(loop), sharpestNotch(loop.controller));
+  const sharpest = Math.min(...seenDampings(loop), sharpestOf(loop.controller));
   const last = Math.max(required, c.warned);
   const near = even(last, Math.ceil(last / clip(50 * sharpest, c.finest, c.fine)));
   return farther(union(near, Float64Array.of(required)), c.outer);
@@ -408,8 +408,8 @@ function seenDampings({ point, controller, plant }: Loop): number[] {
   }).map(({ damping }) => damping);
 }
 
-/** Least damping of the controller's blocks; 1 without. */
-function sharpestNotch({ blocks }: Controller): number {
-  const found = blocks.flatMap(({ parameters: p }) => [p.damping, p.damping1, p.damping2]);
-  return Math.min(1, ...found.filter((x) => x > 0));
+/** Least damping of the controller's sections, of numerators and denominators; 1 without. */
+function sharpestOf({ blocks }: Controller): number {
+  const parts = blocks.flatMap((block) => control.section(block)).filter((p) => p[0] * p[2] > 0);
+  return Math.min(1, ...parts.map((p) => Math.abs(p[1]) / (2 * Math.sqrt(p[0] * p[2]))).filter((x) => x > 0));
 }

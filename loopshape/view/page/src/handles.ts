@@ -19,11 +19,15 @@ export function handlesOf(blocks: DesignBlock[], gainHz: number): Handle[] {
     const p = block.parameters;
     const add = (name: string, hz: number, label: string): number => out.push({ block: k, name, hz, label });
     if (block.kind === "gain") add("gain", gainHz, "K");
-    else if (block.kind === "lead_lag") {
+    else if (block.kind === "pid") {
+      add("fi_hz", p.fi_hz, "I");
+      add("fd_hz", p.fd_hz, "D");
+      add("ff_hz", p.ff_hz, "F");
+    } else if (block.kind === "lead_lag") {
       add("f1_hz", p.f1_hz, "z");
       add("f2_hz", p.f2_hz, "p");
     } else if (block.kind === "notch") add("f1_hz", p.f1_hz, "N");
-    else add("f_hz", p.f_hz, block.kind === "pi" ? "I" : "L");
+    else if (block.kind !== "section") add("f_hz", p.f_hz, block.kind === "pi" ? "I" : "L");
   });
   return out;
 }
@@ -49,14 +53,15 @@ export function dragged(from: DesignBlock, name: string, hz: number, upDb: numbe
       damping1: p.damping1 * fromDb(upDb),
     });
   }
+  if (from.kind === "pid") return set(from, { [name]: hz, gain: p.gain * fromDb(upDb) });
   if (from.kind === "low_pass_2") return set(from, { f_hz: hz, damping: p.damping * fromDb(-upDb) });
   return set(from, { [name]: hz });
 }
 
-/** A block widened by a factor: both dampings of a notch, the distance of a lead's corners, another's damping. */
+/** A block widened by a factor: both dampings of a notch, the distance of a lead's corners, a PID's gain, another's damping. */
 export function widened(block: DesignBlock, factor: number): DesignBlock {
   const p = block.parameters;
-  if (block.kind === "gain") return set(block, { gain: p.gain * factor });
+  if (block.kind === "gain" || block.kind === "pid") return set(block, { gain: p.gain * factor });
   if (block.kind === "notch") return set(block, { damping1: p.damping1 * factor, damping2: p.damping2 * factor });
   if (block.kind === "low_pass_2") return set(block, { damping: p.damping * factor });
   if (block.kind !== "lead_lag") return set(block, { f_hz: p.f_hz * factor });

@@ -8,14 +8,15 @@ import {
   type DesignBlock,
 } from "./design";
 import { button, download, el, shown } from "./dom";
+import { quantityOf, requirementsAt } from "./limits";
 import { unitCrossings } from "./margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
 import { stepOf, type Step } from "./step";
 import { badge, RequirementTable } from "./table";
-import { Engine, verdictOn, type Found } from "./verdict";
+import { Engine, type Found } from "./verdict";
 import type { Trace } from "./views";
-import { highFrom, Pool, workHere, type Worked } from "./work";
+import { Pool, workHere, type Worked } from "./work";
 import { worstOf } from "./worst";
 
 class Page {
@@ -104,6 +105,7 @@ class Page {
       design: () => this.design,
       controller: () => this.controller,
       requirements: () => this.design.requirements,
+      required: (point) => requirementsAt(this.design.requirements, this.loop.points[point].operating_point),
       change: (blocks, goesOn) => this.changeBlocks(blocks, goesOn),
       ended: () => this.histories[this.current].close(),
       crossover: () => this.crossover(),
@@ -260,10 +262,6 @@ class Page {
     return made;
   }
 
-  private get fromHz(): number | null {
-    return highFrom(this.design.requirements);
-  }
-
   private crossover(): number {
     const trace = this.traces[this.worst];
     return (trace && unitCrossings(trace.f, trace.L)[0]) ?? 0;
@@ -286,6 +284,7 @@ class Page {
     const requirements = { ...this.design.requirements };
     if (value === null) delete requirements[name];
     else requirements[name] = value;
+    if (value === null && requirements.masks) requirements.masks = requirements.masks.filter((mask) => quantityOf(mask) !== name);
     if (name === "control_high_frequency_db") {
       if (value === null) delete requirements.control_high_frequency_from_hz;
       else requirements.control_high_frequency_from_hz ??= Number((0.1 * this.design.rate_hz).toPrecision(3));
@@ -398,10 +397,11 @@ class Page {
   private update(): void {
     const controller = this.controller;
     this.traces = this.traced(controller);
-    const estimates = this.engines[this.current].estimates(controller, this.fromHz);
-    if (!this.settled) this.found = verdictOn(this.payload.limits, this.design.requirements, estimates);
+    const engine = this.engines[this.current];
+    const { requirements } = this.design;
+    if (!this.settled) this.found = engine.verdict(requirements, engine.estimates(controller, requirements));
     this.worst = worstOf(this.found as Found);
-    this.pool.ask({ loop: this.current, controller, requirements: this.design.requirements });
+    this.pool.ask({ loop: this.current, controller, requirements });
     this.show();
     this.timings.picture.push(performance.now() - this.changedAt);
     this.intervalsFrom ??= this.changedAt;
@@ -434,7 +434,7 @@ class Page {
     else this.intervalsFrom = null;
     const now = { controller: this.controller, requirements: this.design.requirements };
     if (JSON.stringify([worked.controller, worked.requirements]) !== JSON.stringify([now.controller, now.requirements])) return;
-    this.found = verdictOn(this.payload.limits, this.design.requirements, worked.margins);
+    this.found = this.engines[this.current].verdict(this.design.requirements, worked.margins);
     this.worst = worstOf(this.found);
     this.settled = true;
     this.detuned = worked.detuned;
@@ -485,9 +485,9 @@ class Page {
     const engine = this.engines[this.current];
     const { requirements } = this.design;
     const margins = Array.from({ length: engine.size }, (_, k) =>
-      engine.detuned(k, controller, requirements, engine.settled(k, controller, this.fromHz)),
+      engine.detuned(k, controller, requirements, engine.settled(k, controller, requirements)),
     );
-    return verdictOn(this.payload.limits, requirements, margins);
+    return engine.verdict(requirements, margins);
   }
 
   /** Where the handles of the Bode plot stand on it, in pixels, by their letters. */
@@ -503,7 +503,7 @@ class Page {
 }
 
 const KEYS =
-  "On the Bode plot drag a handle (z zero, p pole, N notch, L low-pass, I integrator, K gain); the wheel above a handle widens it." +
+  "On the Bode plot drag a handle (z zero, p pole, N notch, L low-pass, K gain, I integrator, D and F derivative and filter of a PID); the wheel above a handle widens it." +
   " Keyboard: arrow keys in a number change it by 1 %, with Shift by 10 %, with Alt by 0.1 %; on a plot left and right move the cursor," +
   " up and down choose the operating point, + and − zoom, 0 shows all. Ctrl+Z and Ctrl+Y undo and redo. Files may be dropped on the page.";
 

@@ -4,6 +4,7 @@ import { clip, db, geometric, placeIn, type Complex, type Real } from "./arrays"
 import * as control from "./controller";
 import { sumsOf, type Draws } from "./dense";
 import type { Detuning } from "./detuning";
+import { MASKED, type Reader } from "./limits";
 import { readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
@@ -16,6 +17,12 @@ export const PLAIN: Record<string, number> = {
   control_peak_db: kernel.CONTROL_DB,
   control_high_frequency_db: kernel.CONTROL_HIGH_DB,
   process_peak_db: kernel.PROCESS_DB,
+  sensitivity_mask_db: kernel.MASK_S,
+  complementary_mask_db: kernel.MASK_T,
+  control_mask_db: kernel.MASK_CS,
+  process_mask_db: kernel.MASK_PS,
+  loop_mask_db: kernel.MASK_L,
+  loop_floor_db: kernel.FLOOR_L,
 };
 export const LOGARITHMS: Record<string, number> = {
   modulus_margin: kernel.LN_MODULUS,
@@ -53,13 +60,12 @@ export interface Margins {
 }
 
 /** Margins of a loop; with draws they are freed of bias and have intervals. */
-export function margins(loop: Loop, fromHz: number | null): Margins {
+export function margins(loop: Loop, reader: Reader): Margins {
   const [first, ...others] = readings(loop);
-  const from = fromHz ?? Infinity;
-  const { found, at } = nominal(loop, first, from);
-  const own = withIntervals(loop, first, found, from, true);
+  const { found, at } = nominal(loop, first, reader);
+  const own = withIntervals(loop, first, found, reader, true);
   for (const other of others) {
-    const its = withIntervals(loop, other, nominal(loop, other, from).found, from, true);
+    const its = withIntervals(loop, other, nominal(loop, other, reader).found, reader, true);
     own.low = own.low.map((value, k) => Math.min(value, its.low[k]));
     own.high = own.high.map((value, k) => Math.max(value, its.high[k]));
   }
@@ -67,7 +73,7 @@ export function margins(loop: Loop, fromHz: number | null): Margins {
   const values = fields(own.value);
   const intervals: Record<string, Interval> = {};
   if (first.draws) {
-    for (const name of Object.keys(values)) {
+    for (const name of Object.keys(low).filter((one) => one in high)) {
       intervals[name] = [Math.min(low[name], high[name]), Math.max(low[name], high[name])];
     }
   }
@@ -76,7 +82,7 @@ export function margins(loop: Loop, fromHz: number | null): Margins {
   return {
     values,
     intervals,
-    bounds: bounds(loop, first, found, from),
+    bounds: bounds(loop, first, found, reader),
     at_hz: places(at, first.f[0]),
     crossings_hz: unitCrossings(first.f, first.L),
     phase_crossings_hz: axisCrossings(first.f, first.L),
@@ -88,12 +94,12 @@ export function margins(loop: Loop, fromHz: number | null): Margins {
 
 const grids = new WeakMap<Judged, kernel.Grid>();
 
-function gridOf(loop: Loop, j: Judged, fromHz: number): kernel.Grid {
+function gridOf(loop: Loop, j: Judged, reader: Reader): kernel.Grid {
   const known = grids.get(j);
   if (known) return known;
   const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
   const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
-  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, fromHz);
+  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, reader);
   grids.set(j, made);
   return made;
 }
@@ -116,9 +122,9 @@ export function aboveHz(last: number, rate_hz: number): Real {
   return made;
 }
 
-function nominal(loop: Loop, j: Judged, fromHz: number, bounded = true): kernel.Reading {
+function nominal(loop: Loop, j: Judged, reader: Reader, bounded = true): kernel.Reading {
   const out = kernel.freshReading();
-  kernel.read(gridOf(loop, j, fromHz), j.L.re, j.L.im, bounded, out);
+  kernel.read(gridOf(loop, j, reader), j.L.re, j.L.im, bounded, out);
   return out;
 }
 
@@ -128,10 +134,10 @@ interface Ends {
   high: Float64Array;
 }
 
-function withIntervals(loop: Loop, j: Judged, found: Float64Array, fromHz: number, bounded: boolean): Ends {
+function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reader, bounded: boolean): Ends {
   if (!j.draws) return { value: found, low: found, high: found };
   if (drowned(j, j.draws)) return { value: found, low: found.map(() => -Infinity), high: found.map(() => Infinity) };
-  const grid = gridOf(loop, j, fromHz);
+  const grid = gridOf(loop, j, reader);
   const drawn = readingsOf(grid, j, j.draws)[bounded ? "bounded" : "open"];
   const reference = kernel.freshReading();
   kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
@@ -184,15 +190,15 @@ function drowned(j: Judged, draws: Draws): boolean {
 }
 
 /** How good the quantities may be that what lies above the last line bounds (`_bounds`). */
-function bounds(loop: Loop, j: Judged, found: Float64Array, fromHz: number): Record<string, number> {
-  const best = nominal(loop, j, fromHz, false).found;
+function bounds(loop: Loop, j: Judged, found: Float64Array, reader: Reader): Record<string, number> {
+  const best = nominal(loop, j, reader, false).found;
   const out: Record<string, number> = {};
   for (const [name, k] of Object.entries(BANDWIDTHS)) {
     if (found[k] === Math.log(j.f[j.f.length - 1])) out[name] = Infinity;
   }
   const bounded = found.map((value, k) => (value === best[k] ? 0 : 1));
   if (!bounded.some(Boolean)) return out;
-  const { low, high } = withIntervals(loop, j, best, fromHz, false);
+  const { low, high } = withIntervals(loop, j, best, reader, false);
   const better = best.map((value, k) =>
     bounded[k] ? (value > found[k] ? Math.max(low[k], high[k]) : Math.min(low[k], high[k])) : NaN,
   );
@@ -202,7 +208,9 @@ function bounds(loop: Loop, j: Judged, found: Float64Array, fromHz: number): Rec
 
 function fields(columns: Float64Array): Record<string, number> {
   const out: Record<string, number> = {};
-  for (const [name, k] of Object.entries(PLAIN)) out[name] = columns[k];
+  for (const [name, k] of Object.entries(PLAIN)) {
+    if (columns[k] > -Infinity || !MASKED.includes(name)) out[name] = columns[k];
+  }
   for (const [name, k] of Object.entries(LOGARITHMS)) out[name] = Math.exp(columns[k]);
   out.sensitivity_peak_db = -db(Math.exp(columns[kernel.LN_MODULUS]));
   for (const [name, most] of Object.entries(MOST)) if (Number.isFinite(out[name])) out[name] = clip(out[name], 0, most);

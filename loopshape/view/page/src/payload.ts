@@ -2,6 +2,7 @@
 
 import { complexOf, halvesOf, realOf, type Complex, type Real } from "./arrays";
 import type { Controller } from "./controller";
+import type { AtPoints, Mask, OperatingPoint } from "./limits";
 import type { State } from "./random";
 
 export interface Limit {
@@ -64,10 +65,11 @@ export interface StepConstants {
   longest: number;
 }
 
-export type Requirements = Record<string, unknown> & { loop: string };
+export type Requirements = Record<string, unknown> & { loop: string; masks?: Mask[]; at?: AtPoints[] };
 
 interface RawPoint {
   name: string;
+  operating_point: OperatingPoint;
   f: string;
   P: string;
   raw: string;
@@ -134,6 +136,7 @@ export interface Hidden {
 /** One operating point: a measured plant, smoothed, and everything that does not depend on the controller. */
 export interface Point {
   name: string;
+  operating_point: OperatingPoint;
   f: Real;
   P: Complex;
   raw: Complex;
@@ -183,7 +186,6 @@ export interface Raw {
   title: string;
   limits: Limit[];
   blocks: Record<string, string[]>;
-  requirement_keys: string[];
   constants: Constants;
   random: { smoothing: State; between: State };
   loops: RawLoop[];

@@ -2,6 +2,7 @@
 
 import type { Complex, Real } from "./arrays";
 import type { Draws } from "./dense";
+import { weights, type Reader } from "./limits";
 
 /** What a column of a reading holds. */
 export const GAIN_DB = 0;
@@ -17,20 +18,31 @@ export const LN_DISK = 9;
 export const PROCESS_DB = 10;
 export const LN_SENSITIVITY_HZ = 11;
 export const LN_COMPLEMENTARY_HZ = 12;
-export const COLUMNS = 13;
+/** By how much |S|, |T|, |CS|, |PS| and |L| exceed their masks, and a floor exceeds |L|, in the order of the masks' rows. */
+export const MASK_S = 13;
+export const MASK_T = 14;
+export const MASK_CS = 15;
+export const MASK_PS = 16;
+export const MASK_L = 17;
+export const FLOOR_L = 18;
+export const COLUMNS = 19;
 const DB = 10 / Math.LN10;
 const DEG = 180 / Math.PI;
 const TINY = 1e-300;
-const LARGEST = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB];
+const OVER_MASKS = [MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L];
+const LARGEST = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, ...OVER_MASKS];
 const RISING = [LN_BANDWIDTH_HZ, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ];
 
-/** Frequencies of the lines with |C|² on them, and the largest |C|² above the last: of all, and where it counts as high. */
+/** Frequencies of the lines with |C|² on them, and the largest |C|² above the last: of all, and where it counts as high.
+ * Masks weigh squared magnitudes on the lines; above the last one `over` has what the largest of them comes to. */
 export interface Grid {
   f: Real;
   c2: Real;
   fromHz: number;
   most: Peak;
   mostHigh: Peak;
+  masks: Real[] | null;
+  over: Peak[];
 }
 
 interface Peak {
@@ -38,8 +50,8 @@ interface Peak {
   hz: number;
 }
 
-/** A grid; `aboveF` and `aboveC2` go on above the last line, and |CS| counts as high from a frequency on. */
-export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, fromHz: number): Grid {
+/** A grid; `aboveF` and `aboveC2` go on above the last line. */
+export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz, masks }: Reader): Grid {
   const most = { size: -1, hz: NaN };
   const mostHigh = { size: -1, hz: NaN };
   for (let i = 0; i < aboveF.length; i++) {
@@ -47,7 +59,19 @@ export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, fromHz: n
       if (aboveC2[i] > peak.size) Object.assign(peak, { size: aboveC2[i], hz: aboveF[i] });
     }
   }
-  return { f, c2, fromHz, most, mostHigh };
+  return { f, c2, fromHz, most, mostHigh, masks: weights(masks, f), over: largestOver(weights(masks, aboveF), aboveF, aboveC2) };
+}
+
+/** Above the last line, the largest weight of each quantity, with what |C|² adds to it. */
+function largestOver(masks: Real[] | null, f: Real, c2: Real): Peak[] {
+  return (masks ?? []).map((row, quantity) => {
+    const peak = { size: 0, hz: NaN };
+    row.forEach((weight, i) => {
+      const size = weight * [1, 1, c2[i], 1 / Math.max(c2[i], TINY), 1, 1][quantity];
+      if (size > peak.size) Object.assign(peak, { size, hz: f[i] });
+    });
+    return peak;
+  });
 }
 
 export function squares(C: Complex): Real {
@@ -77,12 +101,13 @@ export function read(grid: Grid, re: Real, im: Real, bounded: boolean, out: Read
 
 /** What the lines alone tell, magnitudes squared; gives |L| on the last one. */
 function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
-  const { f, c2, fromHz } = grid;
+  const { f, c2, fromHz, masks } = grid;
   const { found, at } = out;
   const n = f.length;
   found.fill(Infinity);
   at.fill(NaN);
   for (const column of RISING) found[column] = -Infinity;
+  for (const column of OVER_MASKS) found[column] = -Infinity;
   let complementary = -Infinity, control = -Infinity, high = -Infinity, process = -Infinity;
   let disk = Infinity, modulus = Infinity;
   let atT = 0, atC = 0, atH = 0, atP = 0, atD = 0, chord = 0, chordShare = 0;
@@ -119,6 +144,7 @@ function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
       disk = disk2;
       atD = k;
     }
+    if (masks) overMasks(masks, k, f[k], s2, t2, c2[k], size, out);
     if (k > 0) {
       // squared distance of the chord from -1
       const stepX = x - lastX;
@@ -166,6 +192,29 @@ function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
   return Math.sqrt(beforeSize);
 }
 
+/** Squared excess of each response over its masks at the k-th frequency, and of the floor over |L|. */
+function overMasks(masks: Real[], k: number, hz: number, s2: number, t2: number, c2: number, l2: number, out: Reading): void {
+  over(out, MASK_S, s2, masks[0][k], hz);
+  over(out, MASK_T, t2, masks[1][k], hz);
+  over(out, MASK_CS, c2 * s2, masks[2][k], hz);
+  over(out, MASK_PS, t2 / Math.max(c2, TINY), masks[3][k], hz);
+  over(out, MASK_L, l2, masks[4][k], hz);
+  over(out, FLOOR_L, 1 / Math.max(l2, TINY), masks[5][k], hz);
+}
+
+function over(out: Reading, column: number, size2: number, weight: number, hz: number): void {
+  if (weight > 0) note(out, column, size2 * weight, hz, true);
+}
+
+/** Above the last line, where |L| stays below `last`: the worst that may be, or the best where not `bounded`. */
+function overMasksAbove({ over: most }: Grid, last: number, bounded: boolean, out: Reading): void {
+  const room = Math.max(1 - last, 1e-9);
+  const s2 = 1 / (bounded ? room : 1 + last) ** 2;
+  const [t2, l2, least2] = bounded ? [(last / room) ** 2, last ** 2, 0] : [0, 0, last ** 2];
+  const sizes = [s2, t2, s2, t2, l2, 1 / Math.max(least2, TINY)];
+  most.forEach(({ size, hz }, quantity) => over(out, OVER_MASKS[quantity], sizes[quantity], size, hz));
+}
+
 function place(out: Reading, column: number, value: number, where: number): void {
   out.found[column] = value;
   out.at[column] = where;
@@ -179,6 +228,7 @@ function ended(grid: Grid, last: number, bounded: boolean, out: Reading): void {
     }
     above(grid, last, out);
   } else aboveAtBest(grid, Math.min(last, 1), out);
+  overMasksAbove(grid, bounded ? last : Math.min(last, 1), bounded, out);
   finish(out.found);
 }
 

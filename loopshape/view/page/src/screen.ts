@@ -5,6 +5,7 @@ import type { Controller } from "./controller";
 import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
 import { dragged, handlesOf, widened, type Handle } from "./handles";
+import { masksOn, type Mask } from "./limits";
 import { axisCrossings, unitCrossings } from "./margins";
 import type { FitModel, Requirements } from "./payload";
 import { coloursOf, Plot, type Axis } from "./plot";
@@ -18,6 +19,8 @@ export interface Asked {
   design: () => Design;
   controller: () => Controller;
   requirements: () => Requirements;
+  /** What is required at one operating point. */
+  required: (point: number) => Requirements;
   change: (blocks: DesignBlock[], goesOn: boolean) => void;
   ended: () => void;
   crossover: () => number;
@@ -169,7 +172,7 @@ export class Screen {
     const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
     if (!this.hold) {
       // axes stand still while something is dragged on them
-      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis(sizes, this.shown));
+      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis([...sizes, ...this.masks().map(({ points }) => Float64Array.from(points, ([, level]) => level))], this.shown));
       this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
     }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
@@ -228,7 +231,7 @@ export class Screen {
   }
 
   private required(name: string): number | null {
-    const value = this.asked.requirements()[name];
+    const value = this.asked.required(this.front)[name];
     return typeof value === "number" ? value : null;
   }
 
@@ -240,6 +243,7 @@ export class Screen {
       return;
     }
     plot.level(0, { colour: ink, width: 1, dash: [6, 3] });
+    this.maskGuides(plot);
     const names: Partial<Record<Response, string>> = {
       S: "sensitivity_peak_db", T: "complementary_peak_db", CS: "control_peak_db", PS: "process_peak_db",
     };
@@ -250,6 +254,23 @@ export class Screen {
     const from = this.required("control_high_frequency_from_hz");
     if (this.shown === "CS" && high !== null && from !== null) {
       plot.curve({ x: [from, plot.x.high], y: [high, high] }, { colour: limit, width: 1.6, dash: [5, 3] });
+    }
+  }
+
+  private masks(): Mask[] {
+    return masksOn(this.asked.requirements(), this.shown);
+  }
+
+  /** Masks of the response that is shown: those of the point in front with their forbidden side tinted, others dashed. */
+  private maskGuides(plot: Plot): void {
+    const { limit } = plot.colours;
+    const here = masksOn(this.asked.required(this.front), this.shown);
+    for (const mask of this.masks()) {
+      const [x, y] = [mask.points.map(([hz]) => hz), mask.points.map(([, level]) => level)];
+      const edge = mask.sense === "at_least" ? plot.y.low : plot.y.high;
+      const own = here.includes(mask);
+      if (own) plot.fill({ x: [...x, x[x.length - 1], x[0]], y: [...y, edge, edge] }, limit, 0.08);
+      plot.curve({ x, y }, { colour: limit, width: 1.6, dash: own ? [] : [5, 3] });
     }
   }
 

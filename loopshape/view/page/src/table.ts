@@ -1,6 +1,7 @@
 // The table of requirements: what is required, the worst case with its interval, slack and verdict; and stability.
 
 import { button, el, numberField, shown } from "./dom";
+import { MASKED, requirementsAt } from "./limits";
 import type { Margins } from "./margins";
 import { STABILITY, worstReach } from "./detuning";
 import type { Limit, Requirements } from "./payload";
@@ -25,7 +26,9 @@ export interface Known {
 
 interface Cells {
   row: HTMLTableRowElement;
-  required: HTMLInputElement;
+  /** Where what all operating points share is typed; null where some alone are limited so. */
+  required: HTMLInputElement | null;
+  own: HTMLElement;
   found: HTMLTableCellElement;
   slack: HTMLTableCellElement;
   where: HTMLButtonElement;
@@ -40,6 +43,7 @@ export class RequirementTable {
   private readonly detuning = el("p", { class: "stability", id: "detuning" });
   private readonly adder = el("select", { id: "add-requirement" });
   private readonly cells = new Map<string, Cells>();
+  private shape = "";
 
   constructor(
     private readonly limits: Limit[],
@@ -57,13 +61,18 @@ export class RequirementTable {
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
   show(requirements: Requirements, found: Found, known: Known, before: Found | null): void {
-    const asked = this.limits.filter((limit) => typeof requirements[limit.name] === "number");
-    if (asked.map((x) => x.name).join() !== [...this.cells.keys()].join()) this.rebuild(asked, requirements);
+    const everywhere = requirementsAt({ ...requirements, at: [] }, {});
+    const asked = this.limits.filter((limit) => found.rows.some((row) => row.quantity === limit.name));
+    const shape = asked.map(({ name }) => `${name} ${name in everywhere}`).join();
+    if (shape !== this.shape) this.rebuild(asked, everywhere);
+    this.shape = shape;
     for (const limit of asked) {
       const row = found.rows.find((one) => one.quantity === limit.name);
       const cells = this.cells.get(limit.name);
       if (!row || !cells) continue;
-      if (document.activeElement !== cells.required) cells.required.value = String(row.wished);
+      const common = everywhere[limit.name];
+      if (cells.required && document.activeElement !== cells.required) cells.required.value = String(common);
+      cells.own.textContent = row.wished === common ? "" : `${signOf(limit)} ${shown(row.wished)} ${unit(limit)} at this operating point`;
       this.fill(limit, row, cells, limit.name === DETUNING ? known.detuned : known.settled, before?.rows.find((one) => one.quantity === limit.name) ?? null);
     }
     this.stability.replaceChildren(...this.stabilityWords(found, known.settled));
@@ -94,28 +103,31 @@ export class RequirementTable {
     this.cells.clear();
     this.body.replaceChildren();
     for (const limit of asked) {
-      const required = numberField(`required ${limit.label}`, requirements[limit.name] as number, (value, goesOn) => {
-        if (!Number.isFinite(value)) return `${limit.label} must be a number`;
-        this.change(limit.name, value, goesOn);
-        return null;
-      });
+      const required = typeof requirements[limit.name] === "number" ? this.field(limit, requirements[limit.name] as number) : null;
       const cells: Cells = {
-        row: el("tr"), required, found: el("td", { class: "number" }), slack: el("td", { class: "number" }),
+        row: el("tr"), required, own: el("small"), found: el("td", { class: "number" }), slack: el("td", { class: "number" }),
         where: button("", "show", () => this.choose(...cells.place), { class: "link" }), place: [0, null], outcome: el("td"),
       };
-      const sign = limit.sense === "at_least" ? "≥" : "≤";
       const gone = button("×", `remove the requirement ${limit.label}`, () => this.change(limit.name, null, false), { class: "plain" });
       cells.row.append(
         el("th", { scope: "row" }, limit.label),
-        el("td", { class: "required" }, `${sign} `, required, ` ${unit(limit)}`),
-        cells.found, cells.slack, el("td", {}, cells.where), cells.outcome, el("td", {}, gone),
+        el("td", { class: "required" }, ...(required ? [`${signOf(limit)} `, required, ` ${unit(limit)}`] : []), cells.own),
+        cells.found, cells.slack, el("td", {}, cells.where), cells.outcome, el("td", {}, required && gone),
       );
       this.body.append(cells.row);
       this.cells.set(limit.name, cells);
     }
-    const rest = this.limits.filter((limit) => !asked.includes(limit));
+    const rest = this.limits.filter(({ name }) => !(name in requirements) && !MASKED.includes(name));
     const options = rest.map((limit) => el("option", { value: limit.name }, limit.label));
     this.adder.replaceChildren(el("option", { value: "" }, "choose …"), ...options);
+  }
+
+  private field(limit: Limit, value: number): HTMLInputElement {
+    return numberField(`required ${limit.label}`, value, (wanted, goesOn) => {
+      if (!Number.isFinite(wanted)) return `${limit.label} must be a number`;
+      this.change(limit.name, wanted, goesOn);
+      return null;
+    });
   }
 
   /** What a requirement starts from when it is added. */
@@ -158,5 +170,7 @@ export class RequirementTable {
 }
 
 const DETUNING = "detuning_percent";
+
+const signOf = (limit: Limit): string => (limit.sense === "at_least" ? "≥" : "≤");
 
 const unit = (limit: Limit): string => (limit.unit === "1" ? "" : limit.unit === "deg" ? "°" : limit.unit);

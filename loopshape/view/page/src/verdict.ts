@@ -3,6 +3,7 @@
 import type { Controller } from "./controller";
 import { Source } from "./dense";
 import { withDetuning, worstReach } from "./detuning";
+import { readerOf, requirementsAt } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
 import type { Limit, Payload, PlantLoop, Requirements } from "./payload";
@@ -73,13 +74,15 @@ export function wishedOf(requirements: Requirements, limit: Limit): number | nul
   return typeof value === "number" ? value : null;
 }
 
-export function verdictOn(limits: Limit[], requirements: Requirements, found: Margins[]): Found {
+/** A row a limit, at the worst of the operating points that are limited so; `asked` is what is required at each. */
+export function verdictOn(limits: Limit[], asked: Requirements[], found: Margins[]): Found {
   const rows: Row[] = [];
   for (const limit of limits) {
-    const wished = wishedOf(requirements, limit);
-    if (wished === null) continue;
-    const each = found.map((m, point) => rowAt(limit, wished, point, m));
-    rows.push(each.reduce((worst, row) => (worse(row, worst) ? row : worst)));
+    const each = found.flatMap((m, point) => {
+      const wished = wishedOf(asked[point], limit);
+      return wished === null ? [] : [rowAt(limit, wished, point, m)];
+    });
+    if (each.length) rows.push(each.reduce((worst, row) => (worse(row, worst) ? row : worst)));
   }
   const stable = found.map((m) => m.stability?.outcome ?? "undecided");
   const outcomes: Outcome[] = rows.map((row) => row.outcome);
@@ -107,20 +110,31 @@ export class Engine {
   }
 
   /** Estimates at every operating point, without bias, intervals and stability: what a drag shows at once. */
-  estimates(controller: Controller, fromHz: number | null): Margins[] {
-    return this.quick.map((plant) => margins(new Loop(plant, controller), fromHz));
+  estimates(controller: Controller, requirements: Requirements): Margins[] {
+    const asked = this.asked(requirements);
+    return this.quick.map((plant, k) => margins(new Loop(plant, controller), readerOf(asked[k])));
+  }
+
+  /** What is required at each operating point. */
+  asked(requirements: Requirements): Requirements[] {
+    return this.loop.points.map((point) => requirementsAt(requirements, point.operating_point));
+  }
+
+  /** The verdict on margins at all operating points. */
+  verdict(requirements: Requirements, found: Margins[]): Found {
+    return verdictOn(this.payload.limits, this.asked(requirements), found);
   }
 
   /** One operating point as Python's check reads it. */
-  settled(index: number, controller: Controller, fromHz: number | null): Margins {
+  settled(index: number, controller: Controller, requirements: Requirements): Margins {
     const loop = new Loop(this.drawn[index], controller);
-    return { ...margins(loop, fromHz), stability: closedLoopStability(loop), settled: true };
+    return { ...margins(loop, readerOf(this.asked(requirements)[index])), stability: closedLoopStability(loop), settled: true };
   }
 
   /** The same with its detuning margin, which takes longest. */
   detuned(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
     const loop = new Loop(this.quick[index], controller);
-    return withDetuning(loop, this.drawn[index], m, requirements, this.payload.limits);
+    return withDetuning(loop, this.drawn[index], m, this.asked(requirements)[index], this.payload.limits);
   }
 
   get size(): number {

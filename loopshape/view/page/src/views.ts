@@ -55,6 +55,7 @@ export function frequencyAxis(traces: Trace[], label: string): Axis {
   return { low: low / 1.08, high: high * 1.08, log: true, label };
 }
 
+/** dB of curves, and of limits that are drawn among them. */
 export function sizeAxis(curves: Real[], name: string): Axis {
   const [low, high] = range(curves, 10, 40, -120, 120);
   return { low, high, log: false, label: `|${name}| [dB]`, ticks: high - low > 100 ? 20 : 10 };

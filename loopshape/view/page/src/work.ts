@@ -35,12 +35,6 @@ export interface Worked extends Asked {
   detuned: boolean;
 }
 
-/** Where |CS| counts as high, null where nothing is said of it. */
-export function highFrom(requirements: Requirements): number | null {
-  const value = requirements.control_high_frequency_from_hz;
-  return typeof value === "number" ? value : null;
-}
-
 /** What runs in a worker: the newest task is done, those that it overtook are not; a margin at a time between messages. */
 export function workHere(scope: DedicatedWorkerGlobalScope): void {
   let start: Start | null = null;
@@ -59,8 +53,7 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
     [current, next] = [task, null];
     const engine = engineOf(task.loop, payload);
     const points: [number, Margins][] = [];
-    const from = highFrom(task.requirements);
-    for (let k = start.share; k < engine.size; k += start.of) points.push([k, engine.settled(k, task.controller, from)]);
+    for (let k = start.share; k < engine.size; k += start.of) points.push([k, engine.settled(k, task.controller, task.requirements)]);
     scope.postMessage({ id: task.id, detuned: false, points } satisfies Answer);
     setTimeout(() => detune(engine, task, points, 0), 0);
   };
