@@ -125,7 +125,7 @@ class Page {
     );
   }
 
-  /** What had to be assumed of the plant, and what is not judged here. */
+  /** What had to be assumed of the plant. */
   private notes(): HTMLElement {
     return el("ul", { class: "quiet", id: "notes" }, ...this.loop.notes.map((note) => el("li", {}, note)));
   }
