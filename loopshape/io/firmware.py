@@ -258,13 +258,15 @@ def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
     pairs = [z for z in zeros if z.imag > 0.0]
     lags = sorted((p.real for p in poles if not p.imag and p != 0.0), reverse=True)
     integrators = sum(p == 0.0 for p in poles)
-    if any(z.real >= 0.0 for z in zeros) or integrators > 1 or (integrators and not real) or len(lags) < 2 * len(pairs):
+    if any(z.real >= 0.0 for z in zeros) or integrators > 1:
         raise WrongUseError(
             "the law of a firmware's controller does not come apart into blocks",
             f"zeros at {', '.join(f'{z / TWO_PI:.3g}' for z in zeros)} Hz",
-            "less I or D makes its zeros real",
+            "less I or D moves its zeros to the left half plane",
         )  # fmt: skip
-    made = [Block("pi", {"f_hz": float(hz(-real.pop(0)))})] if integrators else []
+    made = [Block("pi", {"f_hz": float(hz(-real.pop(0)))})] if integrators and real else []
+    if integrators and not real:
+        made.append(_pair_over_an_integrator(pairs.pop(0), lags.pop(0)))
     for z in pairs:
         p, q = lags.pop(0), lags.pop(0)
         size = float(np.sqrt(p * q))
@@ -280,20 +282,38 @@ def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
     return [*made, *(Block("low_pass_1", {"f_hz": float(hz(-p))}) for p in lags)]
 
 
+def _pair_over_an_integrator(zero: complex, lag: float) -> Block:
+    """A complex pair of zeros over an integrator and a lag, 1 at high frequency: what much I and D come to."""
+    top, bottom = (abs(zero) ** 2, -2.0 * zero.real, 1.0), (0.0, -lag, 1.0)
+    size = -lag * TWO_PI
+    values = {f"{part}{k}": float(c / size) for part, row in (("n", top), ("d", bottom)) for k, c in enumerate(row)}
+    return Block("section", values)
+
+
+def _derivative_corner_hz(blocks: list[Block]) -> float | None:
+    """Where the derivative of a rate controller rolls off: its lead's upper corner, its section's pole; None without."""
+    for p in (block.parameters for block in blocks):
+        if "f2_hz" in p:
+            return p["f2_hz"]
+        if p.get("d2"):
+            return float(hz(p["d1"] / p["d2"]))
+    return None
+
+
 def parameters_of(controller: Controller, firmware: str) -> dict[str, float]:
     """Parameters of a controller of a gain, an integrator and a lead, whose loop is called after its axis.
 
-    The lead's upper corner becomes the derivative's filter. Refuses other blocks: filters are set by their own names.
+    The lead's upper corner becomes the derivative's filter. Integrator and lead may be one section (complex zeros). Refuses other blocks: filters are set by their own names.
     """
     kind, rate = _kind(firmware, controller.loop), controller.rate_hz
     blocks = [block for block in controller.blocks if block.kind != "gain"]
-    if sorted(block.kind for block in blocks) not in (["lead_lag", "pi"], ["pi"], ["lead_lag"], []):
+    if sorted(block.kind for block in blocks) not in (["lead_lag", "pi"], ["pi"], ["lead_lag"], ["section"], []):
         raise WrongUseError(
-            f"a rate controller of {firmware} is a gain, pi and one lead_lag",
+            f"a rate controller of {firmware} is a gain, pi and one lead_lag, or a gain and one section",
             ", ".join(block.kind for block in controller.blocks), "leave filters out and set them by their own names",
         )  # fmt: skip
-    lead = next((block.parameters for block in blocks if block.kind == "lead_lag"), None)
-    pole = 0.0 if lead is None else (1.0 - np.pi * lead["f2_hz"] / rate) / (1.0 + np.pi * lead["f2_hz"] / rate)
+    corner_hz = _derivative_corner_hz(blocks)
+    pole = 0.0 if corner_hz is None else (1.0 - np.pi * corner_hz / rate) / (1.0 + np.pi * corner_hz / rate)
     a = 1.0 - float(pole)
     z = np.exp(1j * np.array([0.01, 0.3, 1.1]))
     integral = 1.0 / (rate * (z - 1.0)) * (1.0 if kind.forward else z)
@@ -315,7 +335,7 @@ def parameters_of(controller: Controller, firmware: str) -> dict[str, float]:
     }
     cutoff = (
         {}
-        if lead is None or a == 1.0
+        if corner_hz is None or a == 1.0
         else {kind.named(kind.derivative[0], controller.loop): a * rate / (TWO_PI * (1.0 - a))}
     )
     return found | {name: float(value) for name, value in cutoff.items()}

@@ -177,6 +177,20 @@ def test_the_command_makes_a_controller_file_and_export_writes_its_parameters_ba
     assert back == pytest.approx({name: PX4[name] for name in back}, rel=1e-6)
 
 
+@pytest.mark.parametrize("integral", [0.2, 0.9, 5.0, 30.0])
+def test_much_integral_makes_the_zeros_complex_and_the_answers_stay_the_firmware_s(integral):
+    law = {"MC_ROLLRATE_P": 0.15, "MC_ROLLRATE_I": integral, "MC_ROLLRATE_D": 0.003, "IMU_DGYRO_CUTOFF": 30.0}
+    total, before, slope, want = 0.0, 0.0, Alpha(30.0), []
+    for x in E:
+        d, before = slope((x - before) / T), x
+        want.append(0.15 * x + 0.003 * d + total)
+        total += integral * x * T
+    C = controller_of(law, "px4", "roll", RATE_HZ)
+    assert ("section" in {block.kind for block in C.blocks}) == (integral > 2.0)  # zeros meet at about P^2/(4 D)
+    np.testing.assert_allclose(step(C, E), want, rtol=0.0, atol=1e-9 * np.abs(want).max())
+    assert parameters_of(C, "px4") == pytest.approx(law, rel=1e-6)
+
+
 def test_a_filter_that_changes_in_flight_is_named():
     (said,) = left_out(BETAFLIGHT | {"dyn_notch_count": 3.0, "rpm_filter_harmonics": 0.0}, "betaflight", "yaw")
     assert "dyn_notch_count = 3" in said
@@ -187,8 +201,8 @@ def test_a_filter_that_changes_in_flight_is_named():
 def test_what_is_no_rate_controller_is_refused(tmp_path):
     with pytest.raises(WrongUseError, match="MC_ROLLRATE_I is a number"):
         controller_of({"MC_ROLLRATE_P": 0.1}, "px4", "roll", RATE_HZ)
-    with pytest.raises(WrongUseError, match="zeros real"):
-        controller_of(PX4 | {"MC_ROLLRATE_I": 5.0}, "px4", "roll", RATE_HZ)
+    with pytest.raises(WrongUseError, match="left half plane"):
+        controller_of(PX4 | {"MC_ROLLRATE_I": 500.0, "MC_ROLLRATE_D": 0.0}, "px4", "roll", RATE_HZ)
     for word in ("BIQUAD", "PT9"):
         with pytest.raises(WrongUseError, match="PT1"):
             controller_of(BETAFLIGHT | {"dterm_lpf1_type": word}, "betaflight", "yaw", RATE_HZ)
