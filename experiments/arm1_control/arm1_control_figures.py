@@ -41,7 +41,7 @@ def draw_printed(rows: Sequence[tuple[str, str, float, Loop, Any]]) -> Figure:
             size.semilogx(loop.frequency_hz, db(loop.S), color=colour, linewidth=1.0, label=PRINTED[place])
         _nichols_axes(nichols)
         _sensitivity_axes(size)
-        nichols.set_title(f"table 5.1, {words}", loc="left")
+        nichols.set_title(f"controller: {words}", loc="left")
     figure.axes[0].set_ylabel("open loop |L| [dB]")
     figure.axes[2].set_ylabel("|S| [dB]")
     figure.legend(*figure.axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=2)
@@ -98,7 +98,7 @@ def draw_loops(columns: Sequence[Judged], words: Sequence[str]) -> Figure:
     keys = [Line2D([], [], color=c, label=f"{p:g} bar") for p, c in colours.items()]
     keys += [Line2D([], [], color="black", linestyle=d, label=f"{t:g} deg, both sides") for t, d in DASHES.items()]
     figure.legend(handles=keys, loc="outside lower center", ncols=5)
-    head(figure, "Figures 5.3 and 5.4 on simulated arms: the angle loop at 24 equilibria",
+    head(figure, "The angle loop under the source's controller at 24 equilibria, simulated arms",
          "shaded: the source's span of bandwidth; red: its limit of |S|")  # fmt: skip
     return figure
 
@@ -129,7 +129,7 @@ def draw_pressure(arms: Sequence[Judged]) -> Figure:
     keys += [Line2D([], [], color="black", linestyle=d, label=a.arm.label)
              for a, d in zip(arms, ("-", (0, (4, 2))), strict=True)]  # fmt: skip
     figure.legend(handles=keys, loc="outside lower center", ncols=4)
-    head(figure, "Figures H.1, 5.5 and H.2 on simulated arms: the pressure loop under table 5.2",
+    head(figure, "The pressure loop under the source's controller, simulated arms",
          "dotted grey: first crossing at the bandwidth that the source prints; red: its limit of |S|")  # fmt: skip
     return figure
 
@@ -138,18 +138,18 @@ def _pressure_axes(size: Axes, angle: Axes, sensitivity: Axes, nichols: Axes) ->
     for ax in (size, angle):
         frequency_axis(ax, LOW_HZ, HIGH_HZ)
     size.set_ylabel(r"|$p_{AB}$ / $z_p$| [dB re 1 bar/V]")
-    size.set_title("figure H.1", loc="left")
+    size.set_title("plant: magnitude", loc="left")
     angle.set_ylabel("phase [deg]")
     angle.set_ylim(-225.0, 0.0)
     angle.set_yticks([-180.0, -90.0, 0.0])
     _sensitivity_axes(sensitivity)
     sensitivity.axvline(value("table_5_2.bandwidth"), color=QUIET, linestyle=":", linewidth=1.0)
     sensitivity.set_ylabel("|S| [dB]")
-    sensitivity.set_title("figure 5.5", loc="left")
+    sensitivity.set_title("sensitivity", loc="left")
     _nichols_axes(nichols)
     nichols.set_xlim(-360.0, 0.0)
     nichols.set_ylabel("open loop |L| [dB]")
-    nichols.set_title("figure H.2", loc="left")
+    nichols.set_title("open loop", loc="left")
 
 
 @styled()
@@ -172,7 +172,7 @@ def draw_steps(every: Sequence[Moved], printed: Mapping[str, tuple[Array, Array]
     bottom.set_ylabel(r"$p_{AB}$ [bar]")
     bottom.set_xlabel("time [s]")
     figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    head(figure, "Counterpart of figure 5.6: steps of angle and pressure, and an infeasible setpoint at the end")
+    head(figure, "Steps of angle and pressure, and an infeasible setpoint at the end")
     return figure
 
 
@@ -197,5 +197,5 @@ def draw_tracking(every: Sequence[Moved]) -> Figure:
         ax.set_ylabel(label)
     pressure.set_xlabel("time [s]")
     figure.legend(*angle.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    head(figure, "Counterpart of figure 5.7: a third-order profile of the angle at a constant pressure of 1 bar")
+    head(figure, "A third-order profile of the angle at a constant pressure of 1 bar")
     return figure

@@ -45,7 +45,7 @@ def draw_frfs(arms: Sequence[Sequence[Found]]) -> Figure:
     keys = [Line2D([], [], color=c, label=f"{p:g} bar") for p, c in colours.items()]
     keys += [Line2D([], [], color="black", linestyle=d, label=f"{t:g} deg, both sides") for t, d in DASHES.items()]
     figure.legend(handles=keys, loc="outside lower center", ncols=5)
-    head(figure, "Figure 4.13 on the simulated arm: the angle's response at 24 equilibria", "trusted lines only")
+    head(figure, "The response of the angle at 24 equilibria, simulated arms", "trusted lines only")
     return figure
 
 
@@ -116,7 +116,7 @@ def _published(ax: Axes, key: str) -> None:
 
 
 @styled()
-def draw_sensitivity(arms: Sequence[Found], words: str, published: Mapping[str, str]) -> Figure:
+def draw_sensitivity(arms: Sequence[Found], published: Mapping[str, str]) -> Figure:
     """FRF, spectra and coherence as in the source's figures, with its two fitted curves beside ours."""
     figure = new_figure(2, 2, (7.0, 5.4), sharex=True)
     size, power, angle, coherent = figure.axes
@@ -138,7 +138,7 @@ def draw_sensitivity(arms: Sequence[Found], words: str, published: Mapping[str, 
     for ax in (power, coherent):
         frequency_axis(ax, LOW_HZ, HIGH_HZ, label=ax is coherent)
     theta, p = arms[0].point
-    title = f"Counterpart of {words}: sensitivity analysis at ({theta:g} deg, {p:g} bar)"
+    title = f"The angle's response from its sensitivity at ({theta:g} deg, {p:g} bar)"
     head(figure, title, f"spectra: {arms[0].arm.label}; shaded: band that the source's text trusts at (0 deg, 1 bar)")
     return figure
 

@@ -119,12 +119,12 @@ def draw(settings: Mapping[str, Any], full: Mapping[str, list[Found]]) -> None:
     write_bytes_whole(FIGURES / "frfs.png", png(draw_frfs(pair)))
     write_bytes_whole(FIGURES / "maps.png", png(draw_maps(pair)))
     places = {
-        "upright": ("figures 4.12 and 4.14", {"measured": "figure_4_12", "simulated": "figure_4_14"}),
-        "wide": ("figure 4.15", {"measured": "figure_4_15.measured", "simulated": "figure_4_15.simulated"}),
+        "upright": {"measured": "figure_4_12", "simulated": "figure_4_14"},
+        "wide": {"measured": "figure_4_15.measured", "simulated": "figure_4_15.simulated"},
     }
-    for point, (words, published) in places.items():
+    for point, published in places.items():
         mine = [next(f for f in fs if f.name == settings["points"][point]) for fs in pair]
-        write_bytes_whole(FIGURES / f"{point}.png", png(draw_sensitivity(mine, words, published)))
+        write_bytes_whole(FIGURES / f"{point}.png", png(draw_sensitivity(mine, published)))
 
 
 def write(name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

@@ -16,8 +16,8 @@ _ROWS = (
     ("theta1 [deg]", "theta1_rad"), ("p_C [bar]", "p_c_bar"), ("theta2 [deg]", "theta2_rad"), ("p_A [bar]", "p_a_bar"),
 )  # fmt: skip
 _WORDS = {
-    "joint-1": ("figure_5_11", "Figure 5.11 on the simulated arm: steps of theta1 and p_C"),
-    "joint-2": ("figure_5_12", "Figure 5.12 on the simulated arm: steps of theta2 and p_A"),
+    "joint-1": ("figure_5_11", "Steps of theta1 and p_C, simulated arm of two joints"),
+    "joint-2": ("figure_5_12", "Steps of theta2 and p_A, simulated arm of two joints"),
 }
 
 

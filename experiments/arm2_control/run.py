@@ -238,6 +238,9 @@ def several_rows(name: str, verdict: Verdict, sets: dict[str, list[Controller]])
     return rows
 
 
+TABLES = {"theta1": "table 5.4", "theta2": "table 5.5"}
+
+
 def pages(
     found: Sequence[Measured],
     printed: dict[str, Controller],
@@ -248,22 +251,13 @@ def pages(
     for loop, page, chart in (("theta1", "figure_5_9", "figure_h_8"), ("theta2", "figure_5_10", "figure_h_9")):
         loops, _ = loops_of(plants(found, loop), printed[loop], wished[loop])
         verdict = verdicts[f"source's {loop}"]
-        table = {"theta1": "table 5.4", "theta2": "table 5.5"}[loop]
+        under = f"{loop} under the source's controller ({TABLES[loop]}), simulated arm"
         drawn = {
-            page: entitled(loop_page(loops, wished[loop], verdict=verdict), f"{spoken(page)}: {loop} under {table}"),
-            chart: entitled(
-                nichols(loops, wished[loop], verdict=verdict).figure,
-                f"{spoken(chart)}: open loop of {loop} under {table}",
-            ),
+            page: entitled(loop_page(loops, wished[loop], verdict=verdict), under),
+            chart: entitled(nichols(loops, wished[loop], verdict=verdict).figure, f"Open loop of {under}"),
         }
         for name, figure in drawn.items():
             write_bytes_whole(FIGURES / f"{name}.png", png(figure))
-
-
-def spoken(name: str) -> str:
-    """ "Figure 5.9 on the simulated arm" of "figure_5_9"."""
-    _, chapter, number = name.split("_")
-    return f"Figure {chapter.upper()}.{number} on the simulated arm"
 
 
 def write(name: str, columns: Sequence[str], rows: Sequence[Sequence]) -> None:

@@ -39,8 +39,8 @@ def draw_maps(maps: Maps) -> Figure:
     """Figures 4.7 and 4.8, and the same of the analytical stiffness."""
     figure = new_figure(2, 2, (7.0, 7.4))
     titles = (
-        ("figure 4.7: fitted", "figure 4.8: fitted"),
-        ("figure 4.10's map: analytical", "its inverse: analytical"),
+        ("angle, fitted stiffness", "pressures, fitted stiffness"),
+        ("angle, analytical stiffness", "pressures, analytical stiffness"),
     )
     for k, (name, row) in enumerate(zip(maps, titles, strict=True)):
         grid, theta, angles, sums, p_a, p_b = maps[name]
@@ -87,8 +87,8 @@ def draw_points(points: Rows) -> Figure:
     left.add_patch(box)
     left.set(xlim=(-48, 48), ylim=(0.35, 2.0), xlabel="$\\theta_2$ [deg]", ylabel="$p_{AB}$ [bar]")
     right.set(xlim=(0.1, 1.25), ylim=(0.1, 1.25), xlabel="$p_A$ [bar]", ylabel="$p_B$ [bar]", aspect="equal")
-    left.set_title("figure 4.9: at the fitted arm's pressures")
-    right.set_title("figures 4.9, 4.10: what holds the setpoints")
+    left.set_title("where the fitted arm's pressures lead")
+    right.set_title("pressures that hold the setpoints")
     legend_points(figure)
     head(figure, "The 24 setpoints: fitted and analytical stiffness")
     return figure
@@ -206,7 +206,7 @@ def draw_decoupling(maps: Maps) -> Figure:
     total = grid[:, None] + grid[None, :]
     left.contour(grid, grid, total, np.arange(0.8, 2.0, 0.2), colors=["0.7"], linewidths=0.8)
     left.set(xlabel="$p_A$ [bar]", ylabel="$p_B$ [bar]", aspect="equal")
-    left.set_title("figure 5.1: $\\theta_2$ (colours), $p_{AB}$ (grey)")
+    left.set_title("$\\theta_2$ (colours), $p_{AB}$ (grey)")
     right.set(xlabel="$\\theta_2$ [deg]", ylabel="off 90 deg [deg]", xlim=(-30, 30), ylim=(0, 45))
     right.set_title("how far from square they cross")
     right.legend(loc="upper center")

@@ -47,7 +47,7 @@ def draw_plant(frfs: Sequence[FRF], fits: Sequence[Fit], linears: Sequence[Linea
     handles, labels = figure.axes[0].get_legend_handles_labels()
     handles += [figure.axes[0].plot([], [], color=QUIET, linestyle=(0, (4, 2)), linewidth=0.7)[0]]
     figure.legend(handles, [*labels, "linearisation"], loc="outside lower center", ncols=5)
-    head(figure, "Figure H.3's plant on the simulated arm: theta1/z_theta1 of joint 1 alone at six working points")
+    head(figure, "Joint 1 alone: the response theta1/z_theta1 of the simulated arm at six working points")
     return figure
 
 

@@ -206,10 +206,10 @@ def swing_row(name: str, of: Controller, found: tuple[float, float]) -> list:
 
 
 TITLES = {
-    "figure_h_3": "Figure H.3 on the simulated arm: joint 1 alone under table H.1",
-    "figure_h_4": "Figure H.4 on the simulated arm: open loop of joint 1 alone under table H.1",
-    "tuned": "Joint 1 alone under table H.1's structure, tuned on the simulated arm",
-    "tuned_nichols": "Open loop of joint 1 alone under table H.1's structure, tuned on the simulated arm",
+    "figure_h_3": "Joint 1 alone under the source's controller (table H.1), simulated arm",
+    "figure_h_4": "Open loop of joint 1 alone under the source's controller (table H.1), simulated arm",
+    "tuned": "Joint 1 alone, the same structure tuned on the simulated arm",
+    "tuned_nichols": "Open loop of joint 1 alone, the same structure tuned on the simulated arm",
 }
 
 

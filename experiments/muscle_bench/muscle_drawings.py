@@ -66,9 +66,7 @@ def _grid(ax: Axes, found: Found, words: Mapping[str, Any]) -> None:
     ax.plot(reference[:, 1], reference[:, 0], ".", color=LIMIT, label="muscles 1, 2, 3, 5")
     left = np.array(found.left)
     ax.plot(left[:, 0], 1e3 * left[:, 1], "x", color=QUIET, label="left out here")
-    ax.set(
-        xlim=(0.25, 1.5), ylim=(140, 232), xlabel="p [bar]", ylabel="length [mm]", title="figure 4.4: working points"
-    )
+    ax.set(xlim=(0.25, 1.5), ylim=(140, 232), xlabel="p [bar]", ylabel="length [mm]", title="working points")
     ax.legend(loc="upper right", ncols=2)
 
 
@@ -139,7 +137,7 @@ def all_points(found: Found, words: Mapping[str, Any], folder: Path) -> None:
     handles = {label: line for ax in figure.axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     order = [f"{p:g} bar" for p in pressures]
     figure.legend([handles[k] for k in order], order, loc="outside lower center", ncols=8, columnspacing=1.0)
-    head(figure, f"Figure G.2: responses at the {len(found.points)} working points, closed valves (gauge gas law)")
+    head(figure, f"Responses at the {len(found.points)} working points, closed valves (gauge gas law)")
     write_bytes_whole(folder / "all_points.png", png(figure))
 
 
@@ -165,7 +163,7 @@ def five_points(found: Found, folder: Path) -> None:
     figure.axes[5].set_ylabel("phase [deg]")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     note = "Table 4.1's muscle on a bench that measures k, and with closed valves; dashed: what the source prints."
-    head(figure, "Figure G.3: five lengths at 0.9 bar, with k + j 2π f d fitted to 10 Hz (thin)", note)
+    head(figure, "Five lengths at 0.9 bar, with k + j 2π f d fitted to 10 Hz (thin)", note)
     write_bytes_whole(folder / "five_points.png", png(figure))
 
 

@@ -83,7 +83,7 @@ def surfaces(found: Found, words: Mapping[str, Any], folder: Path) -> None:
     for ax in figure.axes[6:]:
         ax.set_xlabel("length [mm]")
     note = "The bench is table 4.1's muscle, valves closed, gauge gas law; white points are not measured."
-    head(figure, "Stiffness, damping and their models at the working points (figures 4.6, G.5, G.6, G.7)", note)
+    head(figure, "Stiffness, damping and their models at the working points", note)
     write_bytes_whole(folder / "surfaces.png", png(figure))
 
 
@@ -152,7 +152,7 @@ def closed_air_beside(found: Found, folder: Path) -> None:
     note = (
         "Left: lines isothermal, bands up to adiabatic. Right: the source's own force law would be read as far stiffer."
     )
-    head(figure, "Figure G.3's stiffnesses at 0.9 bar, and what a bench with closed valves should find", note)
+    head(figure, "Stiffness at 0.9 bar: printed, and what a bench with closed valves should find", note)
     write_bytes_whole(folder / "closed_air.png", png(figure))
 
 
@@ -179,7 +179,7 @@ def rounding(found: Found, folder: Path) -> None:
     )
     middle.legend()
     _taylor(right)
-    head(figure, "What the printed digits of table 4.1 are worth, and appendix E.4's series")
+    head(figure, "What the printed digits of the fitted stiffness are worth, and its series")
     write_bytes_whole(folder / "rounding.png", png(figure))
 
 
@@ -229,5 +229,5 @@ def beside(words: Mapping[str, Any], folder: Path) -> None:
     note = (
         "Grey: where the source measured; right of the line existing models hold, it says, and its own is extrapolated."
     )
-    head(figure, "Models of the muscle beside each other, slopes at constant pressure (appendices E.1 to E.3)", note)
+    head(figure, "Models of the muscle beside each other, slopes at constant pressure", note)
     write_bytes_whole(folder / "models_beside.png", png(figure))

@@ -29,9 +29,9 @@ def draw_records(found: Found) -> Figure:
     """Figures 4.16 to 4.18 as the source lays them out: pressures, angle, input."""
     figure = new_figure(3, 3, (7.0, 5.6), sharex=True)
     shown = (
-        ("figure-4-16", "figure 4.16: opposite"),
-        ("figure-4-17", "figure 4.17: A shut"),
-        ("figure-4-18-wide", "figure 4.18: alike"),
+        ("figure-4-16", "opposite pressures"),
+        ("figure-4-17", "muscle A shut"),
+        ("figure-4-18-wide", "equal pressures"),
     )
     for column, (name, title) in enumerate(shown):
         record(figure.axes[column::3], found.replays[name])
@@ -83,7 +83,7 @@ def draw_shut(found: Found) -> Figure:
         angle.plot(trace.time_s, trace.theta2_deg, color=colour, linestyle=dash)
         mine = [(row[2], row[3]) for row in found.rise if row[0] == name]
         rate.plot(*np.array(mine, dtype=float).T, "o", color=colour, linestyle=dash, label=label)
-    pressure.set(title="figure 4.17: rise of $p_A$", xlabel="time [s]", ylabel="rise [mbar]")
+    pressure.set(title="rise of $p_A$, muscle A shut", xlabel="time [s]", ylabel="rise [mbar]")
     angle.set(title="its angle", xlabel="time [s]", ylabel="$\\theta_2$ [deg]")
     rate.set(title="at 190 mm, by the formula", xlabel="$p_A$ [bar]", ylabel="rise [mbar/mm]", ylim=(0, None))
     figure.legend(*rate.get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -113,7 +113,7 @@ def draw_falling(found: Found, s: dict) -> Figure:
         dash, label = LAWS[name]
         right.plot(trace.time_s, trace.theta2_deg, color=colour, linestyle=dash, label=label)
     right.set(xlabel="time [s]", ylabel="$\\theta_2$ [deg]", xlim=(4.0, 7.0), ylim=(-20, 60))
-    right.set_title("figure 4.18 under three gas laws")
+    right.set_title("equal pressures, three gas laws")
     right.legend(loc="upper left")
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=7.5)
     head(figure, "The arm falls because its muscles push, not because gravity pulls")

@@ -29,7 +29,7 @@ def examples(found: dict[str, Any]) -> Figure:
     """Figures 3.3, C.6 and C.7."""
     figure = new_figure(2, 2, (7.0, 5.0), height_ratios=(2.0, 2.2))
     for ax, (name, words) in zip(
-        figure.axes[:2], (("figure_3_3", "figure 3.3"), ("figure_c_6", "figure C.6")), strict=True
+        figure.axes[:2], (("figure_3_3", "first example"), ("figure_c_6", "second example")), strict=True
     ):
         e = found["examples"][name]
         ax.plot(e["t"], e["threshold"], color=QUIET, linewidth=0.6, label="threshold $v_{th}$")
@@ -46,7 +46,7 @@ def examples(found: dict[str, Any]) -> Figure:
     for (low, high, x, y, _), ax, colour in zip(found["saturation"], (left, left, right, right), COLOURS, strict=False):
         ax.plot(x, y, color=colour, label=f"from {low:g} to {high:g}")
     for ax in (left, right):
-        ax.set_title("figure C.7: saturations")
+        ax.set_title("saturations")
         ax.set_xlabel("x [1]")
         ax.set_ylim(-2.0, 2.0)
         ax.legend(loc="upper left")

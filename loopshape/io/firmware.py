@@ -291,7 +291,7 @@ def _pair_over_an_integrator(zero: complex, lag: float) -> Block:
 
 
 def _derivative_corner_hz(blocks: list[Block]) -> float | None:
-    """Where the derivative of a rate controller rolls off: its lead's upper corner, its section's pole; None without."""
+    """Where the derivative of a rate controller rolls off: a lead's upper corner, a section's pole; None without."""
     for p in (block.parameters for block in blocks):
         if "f2_hz" in p:
             return p["f2_hz"]
@@ -303,7 +303,8 @@ def _derivative_corner_hz(blocks: list[Block]) -> float | None:
 def parameters_of(controller: Controller, firmware: str) -> dict[str, float]:
     """Parameters of a controller of a gain, an integrator and a lead, whose loop is called after its axis.
 
-    The lead's upper corner becomes the derivative's filter. Integrator and lead may be one section (complex zeros). Refuses other blocks: filters are set by their own names.
+    The lead's upper corner becomes the derivative's filter. Integrator and lead may be one section (complex zeros).
+    Refuses other blocks: filters are set by their own names.
     """
     kind, rate = _kind(firmware, controller.loop), controller.rate_hz
     blocks = [block for block in controller.blocks if block.kind != "gain"]
