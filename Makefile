@@ -34,7 +34,7 @@ test: $(STAMP) ## run the tests
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(WORKERS) tests  # libraries add no threads
 
 LONG ?= long
-test-long: $(STAMP) ## run the tests of minutes: kills, damaged files, bad lines; LONG="long and not hour" for what CI runs
+test-long: $(STAMP) ## run the tests of minutes: draws by the hundred, kills, damaged files, bad lines; LONG="long and not hour" for what CI runs
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(WORKERS) -m "$(LONG)" tests
 
 # Old libraries warn of newer ones: there a warning is no failure.

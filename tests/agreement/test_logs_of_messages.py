@@ -150,6 +150,7 @@ def test_a_draft_of_a_dataflash_log_takes_the_roll_axis(tmp_path):
     assert rule["unit"] == "deg/s"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", [".mcap", ".bag", ".db3", ".bin"])
 def test_damaged_logs_of_messages_end_in_a_sentence(tmp_path, ending):
     for module in ("mcap", "rosbags", "pymavlink"):

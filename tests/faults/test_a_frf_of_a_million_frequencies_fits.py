@@ -53,6 +53,7 @@ def written(folder, n):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("frequencies", "most_bytes"),
     [(100_000, 200_000_000), pytest.param(1_000_000, 1_600_000_000, marks=(pytest.mark.long, pytest.mark.hour))],

@@ -28,7 +28,7 @@ WRITING = (
 AFTER = {"tune": "controller.toml", "predict": "prediction.npz", "check --save-verdict": "verdict.json"}
 QUICK = (("import --replace", 4), ("frf otherwise", 2), ("check --save-verdict", 5), ("measure", 9), ("tune", 1))
 CALLS = ("replace", "fsync", "open", "close", "write", "unlink")
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,8 @@ import pytest
 from loopshape.io.run_folder import finished
 from loopshape.io.verify import verify
 
+pytestmark = pytest.mark.long
+
 STUDY = """
 format = "loopshape-study/1"
 rig = "simulated"

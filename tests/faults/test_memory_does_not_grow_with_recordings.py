@@ -50,6 +50,7 @@ def many(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_verify(many):
     in_a_child(BEFORE, "assert all(f.sound is not False for f in verify(folder))", MOST_BYTES, many)
 

@@ -39,6 +39,7 @@ def executed(program, first, count):
     return [int(word) for word in made.stdout.split()]
 
 
+@pytest.mark.long
 def test_no_execution_moves_an_unarmed_machine_or_swallows_a_vent(fuzzed):
     count, frames, arms, vents = executed(fuzzed, 1, 20_000)
     assert count == 20_000

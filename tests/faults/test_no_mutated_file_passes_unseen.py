@@ -56,7 +56,7 @@ CHECKED = (
 WORDS = ("map.toml", "require.toml", "controller.toml", "several.toml", "both.toml", "study.toml", "campaign.toml")
 QUICK, ALL = 4, 1358
 LONG = {file: range(QUICK, QUICK + (ALL - QUICK * len(READ) + k) // len(READ)) for k, file in enumerate(READ)}
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
 
 class TooLate(BaseException):

@@ -27,7 +27,7 @@ excites = "theta2"
 realisations = {RECORDINGS}
 excitation = {{ kind = "multisine", f_low_hz = 2.0, f_high_hz = 9.0, period_s = 1.0, ramp_s = 0.1, amplitude_deg = 1 }}
 """
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
 
 @pytest.fixture(scope="module")

@@ -64,6 +64,7 @@ def files(whole, tmp_path):
     return tmp_path / "work"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize(("file", "name"), PAIRS)
 def test_what_is_no_file_is_refused_at_once(files, file, name):

@@ -19,6 +19,8 @@ from loopshape.cli import main
 from loopshape.io.frfs import read_frfs
 from loopshape.io.run_folder import read_run
 
+pytestmark = pytest.mark.long
+
 CHAIN = ("import --replace", "frf", "fit", "tune", "check", "report", "plan", "export", "verify")
 NO_TEXT = "\udcff\udcfe"  # bytes of another encoding, as Python has them
 NAMES = ("nö±χ²", "a\nb", NO_TEXT)

@@ -103,6 +103,7 @@ def test_two_processes_give_the_same_to_the_last_bit(campaign, alone):
     assert content(out) == content(alone)
 
 
+@pytest.mark.long
 def test_a_campaign_that_was_killed_goes_on_to_the_same_result(campaign, alone):
     out = campaign.parent / "killed"
     process = subprocess.Popen(command(campaign, out, "--workers", "1"), stderr=subprocess.PIPE)
@@ -123,6 +124,7 @@ def workers_of(pid):
     return [int(c) for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
 def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, alone):
     out = campaign.parent / "robbed"

@@ -87,6 +87,7 @@ def test_a_bad_line_gives_the_truth_or_nothing(tmp_path, expected, kind):
     print(kind, dict(found))
 
 
+@pytest.mark.long
 def test_all_at_once(tmp_path, expected):
     shares = dict.fromkeys(KINDS, 0.01) | {"lie": 0.0}
     found = Counter()

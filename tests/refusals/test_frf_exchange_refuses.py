@@ -33,6 +33,7 @@ def no(path, *words, stated=SURE, error=LoopshapeError):
         assert word in str(caught.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("to", ["mat", "csv", "uff"])
 @pytest.mark.parametrize("size", [(1, 1), (2, 2)])
 def test_damaged_files_never_give_a_traceback(tmp_path, to, size):

@@ -78,6 +78,7 @@ def by_another(run, line):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "line", ["start_run(run, HEADER)", "add_recording(run, recording('b'))", "replace_run(run, HEADER)"]
 )
@@ -256,6 +257,7 @@ def of_session(session):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 @pytest.mark.parametrize(("how", "code"), [("ctrl-c", 130), ("terminate", 130), ("killed", -9)])
 def test_however_a_campaign_ends_no_process_is_left_and_nothing_finished_is_lost(files, how, code):
@@ -343,6 +345,7 @@ def test_a_worker_whose_parent_goes_with_an_answer_unread_ends_without_a_word():
     assert worker.exitcode == 0
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_a_campaign_in_a_sentence(files):
     def little_room():
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))

@@ -44,6 +44,8 @@ from loopshape.model.arm.arm1 import Arm1
 from loopshape.rig.effects import asked
 from loopshape.rig.simulated import plan
 
+pytestmark = pytest.mark.long
+
 #: examples of each test, by what is broken; together some 6 000
 EXAMPLES = {
     "run.toml words": 300, "run.toml bytes": 400, "study words": 500, "study bytes": 200, "target words": 300,

@@ -82,6 +82,7 @@ def mutations():
     return b"".join(mutated(rng, known[k]) for k in pick)
 
 
+@pytest.mark.long
 def test_both_decoders_take_the_same_frames_of_mutations(mutations):
     in_c, bad_c = frames_of_c(mutations)
     in_python, bad_python = frames_of_python(mutations)

@@ -35,6 +35,7 @@ def measured(rng, relative, drift=1.0, own=None):
     return checked(check([frf], own, WISHED), own, [frf])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("relative", [0.02, 0.05])
 def test_a_loop_measured_again_is_seldom_called_changed(relative):
     rng, trials = np.random.default_rng(7), 50

@@ -30,6 +30,7 @@ def drawn(rng, points, truth=None):
     return made
 
 
+@pytest.mark.long
 def test_chance_alone_is_called_a_change_in_one_comparison_out_of_20():
     rng, trials = np.random.default_rng(1), 2000
     alarms = 0

@@ -88,6 +88,7 @@ def test_a_start_on_the_real_axis_is_as_unsure_as_the_first_line(noise):
     assert "stable" not in outcomes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("std", "decided"), [(0.06, 1.0), (0.1, 0.85), (0.17, 0.0), (0.25, 0.0)])
 @pytest.mark.parametrize("shared", [1, 6])
 def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std, decided, shared):
@@ -136,6 +137,7 @@ def scattered(plant, f_hz, width_hz, rng):
     return frf_of(LINES, P, 0.003 * np.abs(P))
 
 
+@pytest.mark.long
 def test_lines_that_scatter_all_along_more_than_their_variance_says_are_counted_where_that_is_far_from_minus_one():
     rng, width_hz = np.random.default_rng(4), 0.15
     for _ in range(8):
@@ -148,6 +150,7 @@ def test_lines_that_scatter_all_along_more_than_their_variance_says_are_counted_
             assert found.unstable_poles == by_roots(plant, gain), (f_hz, gain, found.reason)
 
 
+@pytest.mark.long
 def test_among_such_lines_resonances_are_counted_or_left_open_or_sharper_than_the_answer_says():
     rng, decided = np.random.default_rng(8), 0
     for _ in range(5):

@@ -71,6 +71,7 @@ def test_resonances_that_encircle_minus_one_are_counted_though_no_line_meets_the
     assert stepped_over >= 6  # what the bare count of these lines makes of them
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.02, 0.05])
 def test_with_noise_they_are_counted_or_left_open_with_their_gap_to_measure(noise):
     rng, open_ones = np.random.default_rng(1), 0

@@ -84,6 +84,7 @@ def test_a_nonlinear_plant_under_noise_is_no_feedback():
     assert np.mean(probabilities(make, 400) < 0.01) <= 0.025
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["controller_input", "plant_input"])
 @pytest.mark.parametrize("excitation", [white, prbs, sweep, multisine])
 def test_sensor_noise_that_was_fed_back_is_found(place, excitation):

@@ -116,6 +116,7 @@ def shared(covariance, i, j):
     return np.max(np.abs(covariance[:, i, j]) / np.sqrt(np.real(covariance[:, i, i] * covariance[:, j, j])))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_the_covariance_is_that_of_repeated_runs(place):
     # whitened by the predicted covariance, the error of vec(P), columns stacked, has covariance 1 on average
@@ -136,6 +137,7 @@ def test_the_covariance_is_that_of_repeated_runs(place):
     assert shared(predicted, 0, 2) > 0.3  # P_11 and P_12 share y_1's noise: a diagonal would not do
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_variance_has_the_place_of_its_element(place):
     run = runs(place, [white(1, 1, 6000), white(2, 1, 6000)], 0.05, 1)[0]

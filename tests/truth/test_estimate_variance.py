@@ -18,6 +18,8 @@ from loopshape.data.excitation import BandNoise, Multisine, Sweep
 from loopshape.identify.averages import POOLED
 from loopshape.identify.settings import Settings
 
+pytestmark = pytest.mark.long
+
 RECORDS = 200
 SWEEPS = 60  # these take a hundred times as long to estimate
 SAMPLES = 16000

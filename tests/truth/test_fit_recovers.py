@@ -78,6 +78,7 @@ def known(request):
     return repeated(structure, model, 0.02), truth
 
 
+@pytest.mark.long
 def test_parameters_are_recovered_and_intervals_hold_95_percent(known):
     # 300 fits know a share of 0.95 to 0.0126; 0.91 to 0.985 is three of these, for up to five parameters
     fits, truth = known
@@ -91,6 +92,7 @@ def test_parameters_are_recovered_and_intervals_hold_95_percent(known):
     np.testing.assert_allclose(stated / spread, 1.0, atol=0.15)  # 300 fits know a spread to 4 %
 
 
+@pytest.mark.long
 def test_the_right_structure_is_accepted(known):
     # size at 1 %, signs at 1 %: 0.98 of 300, known to 0.008
     fits, _ = known
@@ -156,6 +158,7 @@ def test_fits_to_hann_lines_need_their_overlap(known):
         assert accepted < 0.5
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(
     f_hz=st.floats(0.8, 14.0),
@@ -185,11 +188,13 @@ def test_a_resonance_outside_the_lines_is_found_from_its_flank(f_hz):
     assert found["f_hz"].value == pytest.approx(f_hz, abs=4.0 * found["f_hz"].std)
 
 
+@pytest.mark.long
 def test_third_order_converges_from_ten_percent_of_noise():
     fits = repeated(ThirdOrder(), ARM, 0.1, 40)
     assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
 
 
+@pytest.mark.long
 def test_rational_converges_from_ten_percent_of_noise():
     w = TWO_PI * 4.0
     model = TransferFunction(1000.0 * np.array([1.0, 0.04 * w, w * w]), [1.0, 0.03 * W, W * W, 0.0])
@@ -328,6 +333,7 @@ def test_orders_of_a_rational_are_chosen_right():
     assert fit_best(frf_of(G + circular(rng, std), std), candidates).structure == "rational 2/3 with 1 at zero"
 
 
+@pytest.mark.long
 def test_modes_are_the_zeros_and_poles_with_intervals_that_hold():
     w1, w2 = TWO_PI * 4.0, TWO_PI * 7.0
     model = TransferFunction([1.0, 0.04 * w1, w1**2], np.polymul([1.0, 0.06 * w2, w2**2], [1.0, TWO_PI, 0.0]))

@@ -51,6 +51,7 @@ def test_an_undecided_band_says_what_would_decide_it():
     assert verdict(matrix_frf(k, error=0.25 / np.sqrt(more), seed=2)).verdict == "decoupled"
 
 
+@pytest.mark.long
 def test_the_forecast_is_about_right():
     k, asked = coupled_by(-23.0), []
     for seed in range(40):
@@ -75,6 +76,7 @@ def test_a_plant_on_the_limit_is_found_coupled_in_few_bands_and_decoupled_in_non
 
 
 # a rate of 10 % is found out by 150 draws in 98 % of cases
+@pytest.mark.long
 @pytest.mark.parametrize("draws", [150, pytest.param(300, marks=(pytest.mark.long, pytest.mark.hour))])
 def test_lines_that_overlap_do_not_find_couplings_that_are_none(draws):
     # errors under a Hann window: each line shares with its neighbours
@@ -90,6 +92,7 @@ def test_lines_that_overlap_do_not_find_couplings_that_are_none(draws):
     assert coupled / draws <= 0.05
 
 
+@pytest.mark.long
 def test_many_lines_alone_are_no_coupling():
     # 800 lines just below the limit: line by line 2.5 % exceed it by chance, the band must not
     f = np.arange(1, 801) * 0.01

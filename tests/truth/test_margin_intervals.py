@@ -62,12 +62,14 @@ def test_the_loop_is_the_one_of_the_question():
     assert TRUTH.sensitivity_peak_db == pytest.approx(8.4, abs=0.05)
 
 
+@pytest.mark.long
 def test_lines_at_face_value_are_biased_by_what_the_issue_says(runs):
     std, raw, _ = runs
     if std > 0.02:
         assert median(raw, "sensitivity_peak_db") - TRUTH.sensitivity_peak_db > (0.5 if std == 0.05 else 1.4)
 
 
+@pytest.mark.long
 def test_medians_are_true(runs):
     _, _, found = runs
     for name in DB:
@@ -75,6 +77,7 @@ def test_medians_are_true(runs):
     assert median(found, "phase_margin_deg") == pytest.approx(TRUTH.phase_margin_deg, abs=1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*DB, "phase_margin_deg", *RELATIVE])
 def test_intervals_hold_the_truth_as_often_as_they_say(runs, name):
     _, _, found = runs
@@ -83,6 +86,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(runs, name):
     assert 105 <= inside <= 120  # binomial, 120 runs of 0.95: less than 105 once in 2000; 0.88 and less is told by it
 
 
+@pytest.mark.long
 def test_intervals_are_as_wide_as_the_scatter_of_what_they_hold(runs):
     _, _, found = runs
     for name in DB:
@@ -91,6 +95,7 @@ def test_intervals_are_as_wide_as_the_scatter_of_what_they_hold(runs):
         assert 1.5 < half / spread < 2.7, name  # 1.96 of normal errors
 
 
+@pytest.mark.long
 def test_crossings_have_intervals(runs):
     _, _, found = runs
     hits = [low <= TRUTH.crossings_hz[0] <= high for m in found for low, high in m.crossing_intervals_hz[:1]]

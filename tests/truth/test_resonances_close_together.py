@@ -110,6 +110,7 @@ def test_the_same_scatter_beside_minus_one_leaves_the_count_open():
     assert closed_loop_stability(scattered(at - 1.0, at + 1.0, limit / 1.1)).outcome == "undecided"
 
 
+@pytest.mark.long
 def test_resonances_drawn_close_together_are_never_counted_wrong():
     decided = 0
     for seed in range(24):

@@ -110,6 +110,7 @@ def test_an_unstable_loop_has_no_step(gain: float) -> None:
     assert predict_step(exact_fit(arm()), hot, draws=0) is None
 
 
+@pytest.mark.long
 def test_intervals_of_predicted_steps_cover_the_truth() -> None:
     rng, f = np.random.default_rng(5), 0.1 * np.arange(1, 151)
     truth = predict_step(exact_fit(arm()), NEW, draws=0)
