@@ -127,7 +127,7 @@ def _listed(key: str, sentences: Sequence[str]) -> str:
 
 def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, ...], dict[str, float]]:
     """All signals of the most frequent length, and the numbers that stand alone."""
-    found, scalars = [], {}
+    found, scalars, units = [], {}, source.units()
     for k, name in enumerate(source.names[:_MOST_COLUMNS]):
         if layout is not None and layout.shape.header:
             k = layout.names.index(name)
@@ -143,7 +143,7 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
         if values.size == 1 and values.dtype.kind in "biuf":
             scalars[name] = float(values.ravel()[0])
         elif values.dtype.kind in "biuf":
-            found += _signals(source, layout, name, k, np.asarray(values, dtype=float))
+            found += _signals(source, layout, name, k, np.asarray(values, dtype=float), units.get(name, ""))
     lengths = Counter(c.values.size for c in found)
     if not lengths or max(lengths) < 2:
         raise UnreadableInputError(
@@ -191,9 +191,10 @@ def _trimmed(column: Column) -> Column:
     return replace(column, values=np.nan_to_num(column.values))
 
 
-def _signals(source: Source, layout: TextLayout | None, name: str, k: int, values: Array) -> list[Column]:
-    """An array's signals: itself, or its columns or rows, whichever are fewer."""
-    label, unit = _label(layout, name, k)
+def _signals(source: Source, layout: TextLayout | None, name: str, k: int, values: Array, stated: str) -> list[Column]:
+    """An array's signals: itself, or its columns or rows, whichever are fewer, in the unit that the format states."""
+    label, named = _label(layout, name, k)
+    unit = stated or named
     if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):
         place = Place(None, k + 1) if source.numbered else Place(name)
         return [Column(label, place, unit, values.ravel())]

@@ -34,6 +34,13 @@ def mdf_array(path: Path, name: str) -> np.ndarray:
         return np.asarray(signal.timestamps if name.startswith(TIME_OF) else signal.samples)
 
 
+def mdf_units(path: Path) -> dict[str, str]:
+    """The unit that each channel states, and s of the times; "" where a channel states none."""
+    names = mdf_names(path)
+    with _opened(path) as file, reading(path, "MDF", Exception):
+        return {n: "s" if n.startswith(TIME_OF) else str(file.get_channel_unit(n) or "") for n in names}
+
+
 def _is_master(file: Any, places: Any) -> bool:
     group, channel = places[0]
     return file.masters_db.get(group) == channel

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -18,12 +18,12 @@ from loopshape.io.dataflash import read_dataflash
 from loopshape.io.files import reading, short
 from loopshape.io.growth import check_growth, check_zip
 from loopshape.io.mat5 import read_mat5
-from loopshape.io.mdf4 import mdf_array, mdf_names
+from loopshape.io.mdf4 import TIME_OF, mdf_array, mdf_names, mdf_units
 from loopshape.io.messages import read_bag, read_mcap
 from loopshape.io.plain_arrays import read_json_arrays, read_wav
 from loopshape.io.spool import Spool
 from loopshape.io.tables import TableColumns
-from loopshape.io.tdms import read_tdms
+from loopshape.io.tdms import read_tdms, tdms_units
 from loopshape.io.ulog import read_ulog
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
@@ -60,7 +60,8 @@ class Place:
 class Source:
     """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ...
 
-    `long` gives those that are too long to be loaded, and None for others.
+    `long` gives those that are too long to be loaded, and None for others; `stated` the units that the format's own
+    fields state.
     """
 
     path: Path
@@ -69,6 +70,7 @@ class Source:
     numbered: bool = False
     long: Callable[[str], LongSignal | None] = lambda name: None
     stamps: Callable[[str, str], Array] | None = None
+    stated: Callable[[], Mapping[str, str]] = dict
 
     def signal(self, place: Place) -> Signal:
         """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
@@ -87,6 +89,10 @@ class Source:
                 f"it holds {short(', '.join(self.names), 400)}" + self._hint(),
             )
         return _pick(_numbers(self.path, place.name, self.load(place.name)), place, self.path.name)
+
+    def units(self) -> dict[str, str]:
+        """The units that the format states, by name; stamps that a format brings itself are in s."""
+        return {name: "s" for name in self.names if name.startswith(TIME_OF)} | dict(self.stated())
 
     def _stamps(self, name: str, clock: str) -> Array:
         if self.stamps is None:
@@ -158,10 +164,11 @@ def open_source(
         table = TableColumns(path)
         return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
     if name.endswith(_MDF):
-        return Source(path, mdf_names(path), lambda name: mdf_array(path, name))
+        return Source(path, mdf_names(path), lambda name: mdf_array(path, name), stated=lambda: mdf_units(path))
     if (whole := _WHOLE.get(path.suffix.lower())) is not None:
         arrays = whole(path)
-        return Source(path, tuple(arrays), arrays.__getitem__)
+        stated = (lambda: tdms_units(path)) if path.suffix.lower() == ".tdms" else dict
+        return Source(path, tuple(arrays), arrays.__getitem__, stated=stated)
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
         f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_WHOLE))}",
