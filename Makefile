@@ -40,7 +40,7 @@ test-long: $(STAMP) ## run the tests of minutes: draws by the hundred, kills, da
 # Old libraries warn of newer ones: there a warning is no failure.
 SHORT = -m pytest $(WORKERS) -m short -o filterwarnings=default -W ignore --timeout 600 tests
 EXTRAS = -e '.[uff,mdf,ulog,tdms,ros,fmu,mujoco,cluster,serial]'
-RUNNER = pytest pytest-timeout pytest-xdist hypothesis markdown-it-py
+RUNNER = pytest pytest-timeout pytest-xdist hypothesis markdown-it-py mcap-protobuf-support
 UV := $(BIN)/uv --quiet --no-python-downloads
 
 test-oldest: $(STAMP) ## a short part of the tests on the lowest versions that pyproject allows, in .venv-oldest

@@ -1,8 +1,9 @@
 """Logs of messages: MCAP, and bags of ROS 1 and 2 (extra `ros`: mcap, rosbags).
 
 A signal is `TOPIC.FIELD`, of inner fields `TOPIC.outer.inner`, of short lists `TOPIC.FIELD[0]`. The stamps of a topic
-are `time of TOPIC`, in s since the first message: its `header.stamp` where every message bears one that rises, else the
-time of logging. Messages of MCAP are JSON, ROS 1 or CDR (ROS 2); topics in other encodings are left out.
+are `time of TOPIC`, in s since the first message: its `header.stamp` or `timestamp` where every message bears one that
+rises, else the time of logging. Messages of MCAP are JSON, protobuf, ROS 1 or CDR (ROS 2); topics in other encodings
+are left out.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ def _decoder(path: Path, schema: Any, encoding: str) -> Callable[[bytes], Any] |
     """How messages of a channel are read; None for encodings that are not known."""
     if encoding == "json":
         return json.loads
+    if encoding == "protobuf" and schema is not None and schema.encoding == "protobuf":
+        return _protobuf(path, schema)
     if encoding not in ("cdr", "ros1") or schema is None:
         return None
     try:
@@ -64,6 +67,31 @@ def _decoder(path: Path, schema: Any, encoding: str) -> Callable[[bytes], Any] |
     store.register(get_types_from_msg(schema.data.decode(), kind))
     read = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
     return lambda data: read(data, kind)
+
+
+def _protobuf(path: Path, schema: Any) -> Callable[[bytes], Any]:
+    """Messages of a type that the log itself describes (a `FileDescriptorSet`), as nested tables."""
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    except ImportError:
+        raise _missing(path) from None
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    return lambda data: _table(kind.FromString(data))
+
+
+def _table(message: Any) -> dict[str, Any]:
+    """Each field with its value, also zeros, which protobuf does not send; a message that is not there is left out."""
+    rows = {}
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
+        if field.message_type is None:
+            rows[field.name] = list(value) if field.is_repeated else value
+        elif not field.is_repeated and message.HasField(field.name):
+            rows[field.name] = _table(value)
+    return rows
 
 
 def read_bag(path: Path) -> dict[str, np.ndarray]:
@@ -86,7 +114,7 @@ def read_bag(path: Path) -> dict[str, np.ndarray]:
 
 def _missing(path: Path) -> UnreadableInputError:
     return UnreadableInputError(
-        f"{path.name} is a log of messages, which needs mcap and rosbags", path.suffix,
+        f"{path.name} is a log of messages, which needs mcap, protobuf and rosbags", path.suffix,
         "install them: pip install 'loopshape[ros]'",
     )  # fmt: skip
 
@@ -145,10 +173,11 @@ def _numbers(message: Any, outer: str, depth: int) -> Iterator[tuple[str, float]
 
 
 def _stamp(message: Any) -> int | None:
-    """`header.stamp` in ns, None without one."""
-    stamp = dict(_items(dict(_items(message)).get("header")))
-    inner = dict(_items(stamp.get("stamp")))
-    whole, part = inner.get("sec", inner.get("secs")), inner.get("nanosec", inner.get("nsec", inner.get("nsecs")))
+    """`header.stamp` or `timestamp` in ns, None without one."""
+    own = dict(_items(message))
+    inner = dict(_items(dict(_items(own.get("header"))).get("stamp", own.get("timestamp"))))
+    whole = next((inner[name] for name in ("sec", "secs", "seconds") if name in inner), None)
+    part = next((inner[name] for name in ("nanosec", "nsec", "nsecs", "nanos") if name in inner), None)
     if not isinstance(whole, int | np.integer) or not isinstance(part, int | np.integer) or whole <= 0:
         return None
     return int(whole) * 1_000_000_000 + int(part)
