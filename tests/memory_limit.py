@@ -21,6 +21,7 @@ _QUIET = {
     "OMP_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve addresses that they do not use
     "MALLOC_ARENA_MAX": "1",
+    "MALLOC_MMAP_THRESHOLD_": "65536",  # what is given back is given back, as of arrays of gigabytes
 }
 
 

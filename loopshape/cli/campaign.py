@@ -227,22 +227,33 @@ def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> R
 
 
 def _merge(out: Path, planned: _Planned) -> int:
-    """Join the recordings of all parts in the runs of a whole campaign, and remove the parts."""
-    from loopshape.io.campaigns import parts, remove_parts, write_index
+    """Join the recordings of all parts in the runs of a whole campaign, then remove the parts."""
+    from loopshape.io.campaigns import refuse_parts_at_work, remove_parts
+    from loopshape.io.run_folder import finished
+
+    refuse_parts_at_work(out)
+    lacking = [machine for machine in planned.machines if not finished(out / machine.name).issuperset(planned.names)]
+    made = _joined(out, planned, lacking) if lacking else 0
+    remove_parts(out)
+    return made
+
+
+def _joined(out: Path, planned: _Planned, lacking: Iterable[Machine]) -> int:
+    """Join the parts' recordings of machines that lack some; gives how many."""
+    from loopshape.io.campaigns import parts, write_index
     from loopshape.io.run_folder import adopt, finished
 
     folders = parts(out)
     for folder in folders:
         write_index(folder, planned.machines)  # refuses another campaign's
     made = 0
-    for machine in planned.machines:
+    for machine in lacking:
         run = _run(machine.study, machine.name, planned.plant, planned.origin)
         have = finished(out / machine.name)
         entries = _gathered([folder / machine.name for folder in folders], out / machine.name, run, have)
         adopt(out / machine.name, run, entries, planned.names)
         made += len(entries)
         _refuse_incomplete(machine.name, finished(out / machine.name), planned.names)
-    remove_parts(folders)
     return made
 
 

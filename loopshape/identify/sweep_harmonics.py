@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import hilbert
 
+from loopshape.core.stretches import AT_ONCE
 from loopshape.core.units import Array, ComplexArray
 from loopshape.identify.local_models import Fits, Shape, solve, window_moments
+from loopshape.identify.long_transforms import low_lines, quadrature
 
 #: highest harmonic looked for
 HIGHEST = 12
@@ -48,8 +49,8 @@ class Harmonics:
 def harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: float) -> Harmonics:
     """The harmonics in lines [low, high] of z (nf, 2 + m), an instrument's transform, 1 and answers.
 
-    `instrument` (n,) is the sweep over time, from line `lowest` on: harmonic m begins at m times that. One that
-    resonances or noise may explain as well is left where it is.
+    `instrument` (n,) is the sweep over time, from line `lowest` on: harmonic m begins at m times that. It is used up.
+    A harmonic that resonances or noise may explain as well is left where it is.
     """
     inputs = _inputs(instrument, low, high)
     middle, half = _windows(low, high)
@@ -84,19 +85,34 @@ def _times(j: int, lists: list[list[int]]) -> int:
 
 
 def _inputs(instrument: Array, low: int, high: int) -> ComplexArray:
-    """Transforms (HIGHEST - 1, lines) of the sweep at 2, 3, ... times its phase, up to Nyquist."""
-    analytic = hilbert(instrument - instrument.mean())
-    size, phase = np.abs(analytic), np.unwrap(np.angle(analytic))
-    del analytic
-    step = np.gradient(phase)
+    """Transforms (HIGHEST - 1, lines) of a sweep, which is used up, at 2, 3, ... times its phase, up to Nyquist."""
+    size, phase, most = _analytic(instrument)
     found = np.empty((HIGHEST - 1, high + 1 - low), dtype=complex)
+    wave = instrument
     for m in range(2, HIGHEST + 1):
-        wave = m * phase
+        np.multiply(m, phase, out=wave)
         np.cos(wave, out=wave)
         wave *= size
-        wave[m * step >= np.pi] = 0.0
-        found[m - 2] = np.fft.rfft(wave)[low : high + 1]
+        wave[most < m] = 0.0
+        found[m - 2] = low_lines(wave, high)[low:]
     return found
+
+
+def _analytic(x: Array) -> tuple[Array, Array, np.ndarray]:
+    """Amplitude (n,) and phase (n,) in rad of a sweep over time, and its highest harmonic (n,) below Nyquist.
+
+    The sweep's mean is taken from it in place.
+    """
+    x -= x.mean()
+    y = quadrature(x)
+    size = np.hypot(x, y)
+    phase = np.arctan2(y, x, out=y)
+    most = np.empty(phase.size, dtype=np.int8)
+    for start in range(0, phase.size, AT_ONCE):
+        first, stop = max(start - 1, 0), min(start + AT_ONCE, phase.size)
+        step = np.gradient(np.unwrap(phase[first : stop + 1]))[start - first : stop - first]
+        most[start:stop] = np.where(step * HIGHEST < np.pi, HIGHEST, np.ceil(np.pi / np.maximum(step, 0.1)) - 1.0)
+    return size, phase, most
 
 
 def _windows(low: int, high: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,12 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.stretches import Signal
+from loopshape.core.stretches import AT_ONCE, Signal
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.averages import smoothed
 from loopshape.identify.local_models import Fits, influences, solve, window_moments
+from loopshape.identify.long_transforms import low_lines
 from loopshape.identify.settings import Settings
 from loopshape.identify.sweep_harmonics import harmonics
 from loopshape.identify.sweep_windows import HALVES, HEARD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
@@ -53,8 +54,8 @@ def by_sweep(
             f"{low_hz:.3g} to {high_hz:.3g} Hz with lines {unit:.3g} Hz apart",
             "record longer, or sweep a wider band",
         )
-    z, scale, sweep = _transforms(signals, instrument, n, high)
-    nonlinear = harmonics(z, sweep, low, high, low_hz / unit)
+    z, scale = _transforms(signals, instrument, n, high)
+    nonlinear = harmonics(z, np.array(instrument[:n]), low, high, low_hz / unit)
     z[low : high + 1, 2:] -= nonlinear.added
     chosen, transient = choose(z, lines, low, high, outputs)
     response, covariance, power, freedom = _estimated(z, lines, chosen, transient, 1.0 - nonlinear.share[lines - low])
@@ -79,24 +80,32 @@ def by_sweep(
     )
 
 
-def _transforms(signals: Sequence[Signal], instrument: Signal, n: int, high: int) -> tuple[ComplexArray, Array, Array]:
+def _transforms(signals: Sequence[Signal], instrument: Signal, n: int, high: int) -> tuple[ComplexArray, Array]:
     """Transforms up to line `high` (high + 1, 2 + m) of instrument, 1 and signals without their trends, each to unit
-    power, by what they were divided, and the instrument's first `n` samples for `harmonics`."""
+    power, and by what they were divided."""
     z, scale = np.ones((high + 1, 2 + len(signals)), dtype=complex), np.ones(2 + len(signals))
-    sweep = np.asarray(instrument[:n])
-    for k, x in ((0, sweep), *enumerate(signals, start=2)):
-        whole = np.fft.rfft(_without_trend(np.asarray(x[:n])))
-        scale[k] = np.sqrt(np.vdot(whole, whole).real / whole.size)
-        z[:, k] = whole[: high + 1] / scale[k]
-    return z, scale, sweep
+    for k, signal in ((0, instrument), *enumerate(signals, start=2)):
+        x = _without_trend(np.asarray(signal[:n]))
+        scale[k] = np.sqrt(_line_power(x))
+        z[:, k] = low_lines(x, high) / scale[k]
+    return z, scale
+
+
+def _line_power(x: Array) -> float:
+    """Mean square of the lines 0 to n // 2 of the transform of x (n,), by Parseval."""
+    nyquist = x[::2].sum() - x[1::2].sum() if x.size % 2 == 0 else 0.0
+    return float(0.5 * (x.size * (x @ x) + x.sum() ** 2 + nyquist**2) / (x.size // 2 + 1))
 
 
 def _without_trend(x: Array) -> Array:
     """x (n,) without its mean and straight trend: what this takes from the sweep's own answer is smooth over lines."""
-    t = np.arange(x.size) - 0.5 * (x.size - 1)
     x = x - x.mean()
-    t *= (t @ x) / (t @ t)
-    x -= t
+    middle = 0.5 * (x.size - 1)
+    parts = [slice(start, min(start + AT_ONCE, x.size)) for start in range(0, x.size, AT_ONCE)]
+    moment = sum(float((np.arange(part.start, part.stop) - middle) @ x[part]) for part in parts)
+    slope = moment / (middle * (middle + 1.0) * x.size / 3.0)  # the sum of squared distances from the middle
+    for part in parts:
+        x[part] -= slope * (np.arange(part.start, part.stop) - middle)
     return np.asarray(x)
 
 

@@ -21,6 +21,7 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.data.campaign import Campaign, Machine, Part
 from loopshape.io.files import PART, inside, reading, short, write_text_whole, write_whole
+from loopshape.io.held import alone
 from loopshape.io.study import read_study
 from loopshape.io.words import read_words
 
@@ -115,8 +116,7 @@ def _index_there(folder: Path) -> list[list[str]]:
 
 def parts(folder: Path) -> list[Path]:
     """Folders of a campaign's parts in order; refuses none, parts of different divisions, and missing ones."""
-    with reading(folder, "a campaign's folder"):
-        found = [match for path in folder.iterdir() if (match := _PART_FOLDER.fullmatch(path.name))]
+    found = _part_folders(folder)
     divisions = sorted({int(match[2]) for match in found})
     if len(divisions) != 1:
         raise WrongUseError(
@@ -128,6 +128,12 @@ def parts(folder: Path) -> list[Path]:
     if missing := [part.name for part in wanted if not (folder / part.name).is_dir()]:
         raise WrongUseError("parts of the campaign are missing", short(", ".join(missing)), "record or copy them")
     return [folder / part.name for part in wanted]
+
+
+def _part_folders(folder: Path) -> list[re.Match[str]]:
+    """The names of parts in a campaign's folder."""
+    with reading(folder, "a campaign's folder"):
+        return [match for path in folder.iterdir() if (match := _PART_FOLDER.fullmatch(path.name))]
 
 
 def same_file(source: Path, target: Path) -> None:
@@ -143,7 +149,15 @@ def _copy(source: Path, part: Path) -> None:
     shutil.copyfile(source, part)
 
 
-def remove_parts(folders: Iterable[Path]) -> None:
-    """Remove the folders of parts that were merged."""
-    for folder in folders:
-        shutil.rmtree(folder)
+def refuse_parts_at_work(folder: Path) -> None:
+    """Refuse a campaign of which another process is recording a part."""
+    for match in _part_folders(folder):
+        with alone(folder / match[0]):
+            pass
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove the folders of parts, which were merged; refuses one that another process is writing."""
+    for match in _part_folders(folder):
+        with alone(folder / match[0]):
+            shutil.rmtree(folder / match[0])

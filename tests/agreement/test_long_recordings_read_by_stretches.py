@@ -11,7 +11,7 @@ from loopshape.core.stretches import LongSignal, extent
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.run import Run
-from loopshape.identify import faults
+from loopshape.identify import faults, long_transforms
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.io import sources, tables
@@ -53,6 +53,8 @@ def by_stretches(monkeypatch):
         monkeypatch.setattr(stretches, "LONG", 5000)
         for module in (stretches, tables, sources, faults):
             monkeypatch.setattr(module, "AT_ONCE", 4096)
+        monkeypatch.setattr(long_transforms, "PART", 1500)
+        monkeypatch.setattr(long_transforms, "SHARE", 100)
         monkeypatch.setattr(sources, "LONG", 5000)
         monkeypatch.setattr(tables, "LONG", 5000)
         monkeypatch.setattr(sources, "LONG_TEXT", 1000)
@@ -136,6 +138,7 @@ def test_a_sweep_of_a_long_recording_is_estimated_as_one_that_is_held_whole(tmp_
     assert held.method == read.method
     assert np.array_equal(read.frequency_hz, held.frequency_hz)
     assert np.allclose(read.response, held.response, rtol=1e-9)
+    assert np.allclose(read.variance, held.variance, rtol=1e-6)
 
 
 def test_a_value_that_is_no_number_is_named_by_its_row(tmp_path, by_stretches):

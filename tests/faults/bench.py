@@ -9,6 +9,7 @@ import numpy as np
 from commands import said_by
 
 from loopshape.io import seen
+from loopshape.rig import many
 
 MAP = """
 format = "loopshape-map/1"
@@ -80,10 +81,17 @@ def in_a_child(work):
     return text, os.WEXITSTATUS(status) if os.WIFEXITED(status) else None
 
 
+def one_by_one(work, jobs, _processes):
+    """A campaign's jobs in this process: a fork of one with threads cannot start others."""
+    for job in jobs:
+        yield job, work(job)()
+
+
 def command(words, before=lambda: None):
-    """Run a command in a fork, after `before` was done there."""
+    """Run a command in a fork, after `before` was done there; of campaigns all but their processes."""
 
     def work():
+        many.by_processes = one_by_one
         seen._noted, seen._alone = None, 0  # a process of its own has read nothing yet
         before()
         return said_by(words)

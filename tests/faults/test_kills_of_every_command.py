@@ -8,6 +8,8 @@ import os
 import random
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -16,13 +18,15 @@ import pytest
 from bench import command
 from wide_bench import commands, prepare
 
+from loopshape.io.run_folder import read_run
 from loopshape.io.verify import verify
 
-#: commands that write, but for campaigns, whose workers have a test of their own
+#: commands that write
 WRITING = (
     "import another", "import --replace", "import a third", "frf otherwise", "fit otherwise", "tune", "predict",
     "report", "figures", "export", "import-frf", "import-frf --replace", "check --matrix --junit",
     "check --save-verdict", "export-controller", "export-excitation", "measure", "simulate",
+    "campaign", "campaign --merge",
 )  # fmt: skip
 #: before these a command is given that leaves another file in the place of its own
 AFTER = {"tune": "controller.toml", "predict": "prediction.npz", "check --save-verdict": "verdict.json"}
@@ -124,7 +128,7 @@ def is_old_or_new(folder, before, after):
     assert {Path(name).name for name in missing} <= waiting, missing
     if "run.toml" in waiting:  # neither the old run nor the new one, until the same call puts it in order
         return
-    for run in folder.glob("*/run.toml"):
+    for run in [*folder.glob("*/run.toml"), *folder.glob("*/d*/run.toml")]:
         assert [one for one in verify(run.parent) if one.sound is False and one.what != "FRFs"] == []  # yet to be made
 
 
@@ -163,3 +167,70 @@ def test_kills_at_random_times(place, undisturbed):
     while kills < 30:
         name = rng.choice(WRITING)
         kills += kill_and_go_on(name, place, undisturbed, lambda: killed_after(rng.uniform(0.0, 0.25)))
+
+
+def children_of(pid):
+    """The processes that a process started: a campaign's workers, and what multiprocessing keeps beside them."""
+    try:
+        return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+
+
+def gone(pid):
+    """Whether a process ended, whoever is to hear of it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def wait_until(is_so):
+    until = time.monotonic() + 60.0
+    while not is_so():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def finished_tables(out):
+    """When each table that a run lists was written."""
+    runs = [toml.parent for toml in out.rglob("run.toml")]
+    tables = [run / recording.info.file for run in runs for recording in read_run(run).recordings]
+    return {table: table.stat().st_mtime_ns for table in tables}
+
+
+def through_kills(words, out, kills, rng, environment):
+    """Give a command until it ends by itself, with up to so many kills before; gives how many there were."""
+    for count in range(kills + 1):
+        before = finished_tables(out)
+        process = subprocess.Popen([sys.executable, "-m", "loopshape.cli.main", *map(str, words)], env=environment)
+        try:
+            assert process.wait(rng.uniform(0.0, 4.0) if count < kills else 120.0) == 0
+        except subprocess.TimeoutExpired:
+            children = children_of(process.pid)
+            process.kill()
+            process.wait()
+            wait_until(lambda children=children: all(map(gone, children)))
+        after = {table: table.stat().st_mtime_ns for table in before if table.exists()}
+        assert after.items() <= before.items()  # what was finished is not made again
+        if process.returncode == 0:
+            return count
+    raise AssertionError(words)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
+@pytest.mark.parametrize("kills", [1, pytest.param(40, marks=pytest.mark.hour)])
+def test_campaigns_and_their_workers_at_random_times(kills, whole, tmp_path):
+    rng, there = random.Random(15), 0
+    campaign = ("campaign", whole / "more_draws.toml", "--quiet", "--workers", "2", "--out")
+    environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
+    (tmp_path / "temporary").mkdir()
+    assert command((*campaign, tmp_path / "true")).code == 0
+    while there < kills:
+        out = tmp_path / f"out{there}"
+        merged = there > 0 and rng.random() < 0.5
+        for more in (("--part", "1/2"), ("--part", "2/2"), ("--merge",)) if merged else ((),):
+            there += through_kills((*campaign, out, *more), out, min(3, kills - there), rng, environment)
+        assert tree(out) == tree(tmp_path / "true")
+        assert list(out.rglob(".*")) == list((tmp_path / "temporary").iterdir()) == []

@@ -9,6 +9,12 @@ from memory_limit import in_a_child
 from pyarrow.csv import WriteOptions, write_csv
 from scipy.signal import lfilter
 
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
+from loopshape.identify.long_transforms import SHARE
+from loopshape.io.run_folder import write_run
+
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
 AT_A_TIME = 1_000_000
@@ -51,6 +57,22 @@ cross_spectra([np.ones(64)] * 3, 16, 8)
 IMPORT = "import_run(file, given, out, Output(False, True))"
 FRF = "estimate_and_report(out, Output(False, True), figures=False, settings={'resolution_hz': RESOLUTION})"
 
+SWEEPS = """
+from loopshape.core import stretches
+from loopshape.identify import long_transforms, sweep_harmonics, sweeps
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.io import tables
+from loopshape.io.run_folder import read_run
+folder, long_transforms.SHARE = Path(sys.argv[1]), int(sys.argv[2])
+stretches.LONG, tables.KEPT_BYTES, long_transforms.PART = 100_000, 10_000_000, 50_000
+stretches.AT_ONCE = tables.AT_ONCE = sweep_harmonics.AT_ONCE = sweeps.AT_ONCE = 1 << 16
+def estimated(run):
+    run = read_run(run)
+    return estimate_frf(run.recordings[0], run.loop("axis"))
+estimated(folder / "short")
+"""
+SWEPT_BYTES = 60.0  # of memory a row
+
 
 def recorded(folder, rows):
     """A CSV of 3 columns of so many rows of noise through a loop, and its map."""
@@ -74,6 +96,26 @@ def test_minutes_in_the_memory_of_seconds(tmp_path, long_rows):
     given = (*files, long_rows, 10_000_000, 1 << 16)
     in_a_child(BEFORE, IMPORT, 110_000_000, *given, timeout_s=200.0)
     in_a_child(BEFORE, FRF.replace("RESOLUTION", "10.0"), 110_000_000, *given, timeout_s=200.0)
+
+
+def swept(folder, rows):
+    """A run of one sweep of 1 to 80 Hz at 1 kHz, one way."""
+    t, growth = np.arange(rows) / 1000.0, np.log(80.0) * 1000.0 / rows
+    n = np.sin(2.0 * np.pi / growth * np.expm1(growth * t))
+    y = lfilter([0.0, 0.1], [1.0, -0.9], n) + 0.001 * np.random.default_rng(4).standard_normal(rows)
+    info = RecordingInfo("r.parquet", "sweep", "controller_input", excites="axis")
+    recording = Recording(info, 1000.0, {"n_v": n, "u_v": n - 0.1 * y, "y_m": y})
+    write_run(folder, Run(1000.0, (LoopSetup("axis", None, "n_v", "u_v", "y_m", None),), (recording,)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [SHARE, pytest.param(1, marks=pytest.mark.xfail(strict=True))])
+def test_a_long_sweep_in_a_small_multiple_of_one_of_its_columns(tmp_path, share):
+    """Transforms made whole (a share of 1), which must fail, take half as much again and more."""
+    rows = 1_500_000
+    swept(tmp_path / "long", rows)
+    swept(tmp_path / "short", 40_000)
+    in_a_child(SWEEPS, "estimated(folder / 'long')", SWEPT_BYTES * rows, tmp_path, share)
 
 
 @pytest.mark.long

@@ -13,7 +13,8 @@ from loopshape.io.run_folder import write_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
-RATE_HZ, ROWS, RECORDINGS = 1000.0, 160_000, 50  # 4 MB each, 200 MB in all
+RATE_HZ = 1000.0
+SIZES = [(50, 160_000), (100, 80_000)]  # recordings, rows of each: 200 MB in all
 MOST_BYTES = 90_000_000
 
 BEFORE = """
@@ -31,22 +32,23 @@ estimate_frf(run.recordings[0], run.loop("a"), settings)
 """
 
 
-@pytest.fixture(scope="module")
-def many(tmp_path_factory):
+@pytest.fixture(scope="module", params=SIZES, ids="{0[0]} recordings of {0[1]} rows".format)
+def many(request, tmp_path_factory):
+    recordings, rows = request.param
     rng = np.random.default_rng(0)
-    u = rng.integers(-500, 500, ROWS) / 100.0
-    y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[:ROWS]
+    u = rng.integers(-500, 500, rows) / 100.0
+    y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[:rows]
     folder = tmp_path_factory.mktemp("many") / "run"
     loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
-    recordings = tuple(
+    every = tuple(
         Recording(
-            RecordingInfo(f"r{k:02d}.parquet", "noise", "reference", excites="a"),
+            RecordingInfo(f"r{k:03d}.parquet", "noise", "reference", excites="a"),
             RATE_HZ,
             {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
         )
-        for k in range(RECORDINGS)
+        for k in range(recordings)
     )
-    write_run(folder, Run(rate_hz=RATE_HZ, loops=(loop,), recordings=recordings))
+    write_run(folder, Run(rate_hz=RATE_HZ, loops=(loop,), recordings=every))
     return folder
 
 
@@ -57,5 +59,5 @@ def test_verify(many):
 
 @pytest.mark.long
 def test_looking_at_signals_and_estimating(many):
-    work = "check_recordings(run)\nfor r in run.recordings: estimate_frf(r, run.loop('a'), settings)"
+    work = "check_recordings(run)\nfrfs = [estimate_frf(r, run.loop('a'), settings) for r in run.recordings]"
     in_a_child(BEFORE, work, MOST_BYTES, many)

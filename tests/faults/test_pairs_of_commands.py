@@ -28,14 +28,21 @@ QUICK = [
     ("import another", "import another"), ("verify", "import --replace"), ("gap", "import --replace"),
 ]  # fmt: skip
 
-#: of the commands that read or write other folders; `campaign` starts processes, which a fork of this one cannot
+#: of the commands that read or write other folders
 WIDE = [
     ("measure", "measure otherwise"), ("measure otherwise", "measure"), ("simulate", "simulate otherwise"),
     ("import-frf", "import-frf --replace"), ("import-frf --replace", "import-frf of two"),
     ("interaction", "frf --matrix"), ("interaction", "import a third"), ("check --matrix", "frf --matrix"),
     ("check --matrix --junit", "import a third"), ("frf --matrix", "import a third"), ("gap", "measure"),
-    ("check --save-verdict", "tune"), ("check --baseline", "check --save-verdict"),
+    ("check --save-verdict", "tune"), ("check --baseline", "check --save-verdict"), ("campaign", "campaign of more"),
+    ("campaign of more", "frf of a machine"), ("campaign --merge", "campaign --part"),
 ]  # fmt: skip
+
+#: campaigns among themselves, and beside what reads or writes one of their runs
+CAMPAIGNS = ("campaign", "campaign of more", "campaign --part", "campaign --merge")
+OF_A_MACHINE = ("frf of a machine", "verify a machine", "figures of a machine", "import into a machine")
+SEVERAL = [(one, other) for one in CAMPAIGNS for other in CAMPAIGNS + OF_A_MACHINE]
+SEVERAL += [(one, other) for one in OF_A_MACHINE for other in ("campaign", "campaign --merge")]
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +90,8 @@ def state(folder):
     run = folder / "run"
     paths = [run / "run.toml", run / "fits.json", folder / "controller.toml", folder / "prediction.npz"]
     paths += [folder / "verdict.json", folder / "several.xml", *run.glob("*.parquet"), *run.glob("frf/*.npz")]
-    for name in ("two", "measured", "simulated", "theirs"):
-        paths += [p for p in (folder / name).rglob("*") if p.suffix in (".toml", ".parquet", ".npz")]
+    for name in ("two", "measured", "simulated", "theirs", "many", "parts"):
+        paths += [p for p in (folder / name).rglob("*") if p.suffix in (".toml", ".parquet", ".npz", ".csv")]
     return {str(p.relative_to(folder)): sha256(p.read_bytes()).hexdigest() for p in paths if p.exists()}
 
 
@@ -150,6 +157,14 @@ def between_reading_and_writing(steps):
 @pytest.mark.parametrize(("first", "second"), QUICK + WIDE)
 def test_a_command_between_anothers_reading_and_writing(place, first, second):
     check_pair(place, first, second, between_reading_and_writing(gates(place, first)))
+
+
+@pytest.mark.long
+@pytest.mark.hour
+@pytest.mark.parametrize(("first", "second"), SEVERAL)
+def test_a_campaign_at_every_step_of_another_command(place, first, second):
+    for at in range(1, len(gates(place, first)) + 1):
+        check_pair(place, first, second, at)
 
 
 @pytest.mark.long

@@ -1,10 +1,13 @@
 """The bench with two coupled loops, studies, a campaign, kept verdicts and FRFs of others beside it."""
 
 from functools import partial
+from unittest import mock
 
 import bench
 import numpy as np
 from bench import said_by
+
+from loopshape.rig import many
 
 LOOP = """
 [[loop]]
@@ -68,8 +71,12 @@ def prepare(folder):
     (folder / "both.toml").write_text(CONTROLLERS)
     (folder / "study.toml").write_text(STUDY.format(seed=1))
     (folder / "other_study.toml").write_text(STUDY.format(seed=2))
-    (folder / "campaign.toml").write_text(CAMPAIGN.format(draws=2))
-    (folder / "more_draws.toml").write_text(CAMPAIGN.format(draws=3))
+    for draws, name in enumerate(("one_draw", "campaign", "more_draws"), start=1):
+        (folder / f"{name}.toml").write_text(CAMPAIGN.format(draws=draws))
+    with mock.patch.object(many, "by_processes", bench.one_by_one):
+        made(folder, "campaign", folder / "one_draw.toml", "--out", folder / "many", "--quiet")
+        for part in ("1/2", "2/2"):
+            made(folder, "campaign", folder / "campaign.toml", "--out", folder / "parts", "--quiet", "--part", part)
     for kind in ("csv", "mat", "uff"):
         made(folder, "export", folder / "run", "--to", kind, "--out", folder / "given")
     made(folder, *commands(folder)["check --save-verdict"])
@@ -98,7 +105,7 @@ def recorded(excited):
 
 def commands(folder):
     """Words of the bench's commands and of these."""
-    run, two, out = folder / "run", folder / "two", partial(folder.joinpath)
+    run, two, out, machine = folder / "run", folder / "two", partial(folder.joinpath), folder / "many" / "d000000"
     study, require, controller = folder / "study.toml", folder / "require.toml", folder / "controller.toml"
     several = (two, "--require", out("several.toml"), "--no-figures")
     simulated = ("--out", out("simulated"))
@@ -110,8 +117,14 @@ def commands(folder):
         "measure otherwise": ("measure", out("other_study.toml"), "--out", out("measured"), "--quiet"),
         "simulate": ("simulate", study, *simulated, "--json"),
         "simulate otherwise": ("simulate", study, *simulated, "--effect", "loop_delay=1", "--json"),
-        "campaign": ("campaign", out("campaign.toml"), "--out", out("many"), "--workers", "1", "--quiet"),
-        "campaign of more": ("campaign", out("more_draws.toml"), "--out", out("many"), "--workers", "1", "--quiet"),
+        "campaign": ("campaign", out("campaign.toml"), "--out", out("many"), "--quiet"),
+        "campaign of more": ("campaign", out("more_draws.toml"), "--out", out("many"), "--quiet"),
+        "campaign --part": ("campaign", out("campaign.toml"), "--out", out("parts"), "--quiet", "--part", "2/2"),
+        "campaign --merge": ("campaign", out("campaign.toml"), "--out", out("parts"), "--quiet", "--merge"),
+        "import into a machine": ("import", out("a.csv"), "--map", out("other.toml"), "--out", machine, "--replace"),
+        "frf of a machine": ("frf", machine, "--no-figures"),
+        "figures of a machine": ("figures", machine),
+        "verify a machine": ("verify", machine, "--json"),
         "import-frf": (*frf, out("given", "a.axis.csv"), "--recording", "theirs", "--json"),
         "import-frf --replace": (*frf, out("given", "a.axis.mat"), "--recording", "theirs", "--replace", "--json"),
         "import-frf of two": (*frf, out("given", "a.axis.uff"), "--recording", "third", "--relative-std", "0.01"),

@@ -157,6 +157,15 @@ def our_arm2() -> Callable[[], object]:
     return go
 
 
+def lanes() -> None:
+    """Print what several arms in the lanes of one vector loop in C gain over the plain C arm."""
+    from lanes_workload import table
+
+    with tempfile.TemporaryDirectory() as folder:
+        for one in table(Path(folder)):
+            line(*one)
+
+
 def batch(threads: int) -> Callable[[], object]:
     """Eight arms through the plant, recordings and all."""
     from loopshape.model.arm.arm1 import Arm1
@@ -262,6 +271,7 @@ def main() -> None:
     line("  plain C (-O3), same workload", SECONDS / peer, f"simulated s/s, ours {peer / ours:.2f} of it")
     line("  all 21 effects on", SECONDS / effects, f"simulated s/s, {nominal / effects:.2f} of the nominal arm's")
     two_joints()
+    lanes()
     one, two = interleaved(batch(1), batch(2), 3)
     line("8 recordings through the plant, 1 thread", 8 * SECONDS / one, "simulated s/s")
     line("  2 threads", 8 * SECONDS / two, f"simulated s/s, {one / two:.2f} times as fast")
@@ -322,8 +332,11 @@ def runs() -> None:
     taken, most, reading, least = importing()
     line("import of a CSV file of 3 million rows", taken, f"s of one core, {taken / reading:.1f} times reading it")
     line("  its memory", most, f"MB; reading it {least:.0f} MB")
-    few, many = megabytes(60), megabytes(120)
-    line("frf of 60 recordings of 4 MB, memory", few, f"MB; of 120 {many:.0f} MB")
+    for rows in (160_000, 480_000):
+        least, most = megabytes(60, rows), megabytes(120, rows)
+        for what, few, many in zip(("verify", "frf"), least, most, strict=True):
+            text = f"{what} of 60 recordings of {24e-6 * rows:.1f} MB, memory"
+            line(text, few, f"MB; of 120 {many:.0f} MB, {many / few:.3f} times")
 
 
 def campaign() -> None:

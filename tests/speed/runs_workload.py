@@ -1,4 +1,4 @@
-"""Import of a CSV file beside reading it, and memory of `frf` on runs of few and of many recordings."""
+"""Import of a CSV file beside reading it, and memory of `verify` and `frf` by number and size of recordings."""
 
 from __future__ import annotations
 
@@ -49,21 +49,28 @@ def importing() -> tuple[float, float, float, float]:
         return *ours, *spent(["-c", READING, str(folder / "r.csv")])
 
 
-def megabytes(recordings: int) -> float:
-    """Most memory of `frf` on a run of so many recordings of 4 MB."""
+def written(folder: Path, recordings: int, rows: int) -> Path:
+    """A run of so many recordings of so many rows, three columns each."""
     rng = np.random.default_rng(0)
-    u = rng.integers(-500, 500, 160_000) / 100.0
+    u = rng.integers(-500, 500, rows) / 100.0
     y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[: u.size]
     loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
     every = tuple(
         Recording(
-            RecordingInfo(f"r{k:02d}.parquet", "noise", "reference", excites="a"),
+            RecordingInfo(f"r{k:03d}.parquet", "noise", "reference", excites="a"),
             1000.0,
             {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
         )
         for k in range(recordings)
     )
+    write_run(folder, Run(rate_hz=1000.0, loops=(loop,), recordings=every))
+    return folder
+
+
+def megabytes(recordings: int, rows: int) -> tuple[float, float]:
+    """Most memory of `verify` and of `frf` on a run of so many recordings of so many rows."""
     with tempfile.TemporaryDirectory() as name:
-        write_run(Path(name) / "run", Run(rate_hz=1000.0, loops=(loop,), recordings=every))
-        words = ["frf", str(Path(name) / "run"), "--resolution-hz", "1", "--no-figures"]
-        return spent(["-m", "loopshape.cli.main", *words])[1]
+        run = str(written(Path(name) / "run", recordings, rows))
+        given = (["verify", run], ["frf", run, "--resolution-hz", "1", "--no-figures"])
+        verified, estimated = (spent(["-m", "loopshape.cli.main", *words])[1] for words in given)
+    return verified, estimated
