@@ -332,9 +332,9 @@ def runs() -> None:
     taken, most, reading, least = importing()
     line("import of a CSV file of 3 million rows", taken, f"s of one core, {taken / reading:.1f} times reading it")
     line("  its memory", most, f"MB; reading it {least:.0f} MB")
-    for rows in (160_000, 480_000):
-        least, most = megabytes(60, rows), megabytes(120, rows)
-        for what, few, many in zip(("verify", "frf"), least, most, strict=True):
+    for rows in (160_000, 320_000):
+        some, twice = megabytes(60, rows), megabytes(120, rows)
+        for what, few, many in zip(("verify", "frf"), some, twice, strict=True):
             text = f"{what} of 60 recordings of {24e-6 * rows:.1f} MB, memory"
             line(text, few, f"MB; of 120 {many:.0f} MB, {many / few:.3f} times")
 
