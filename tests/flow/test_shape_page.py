@@ -370,14 +370,15 @@ def test_the_page_loads_nothing_and_is_small(file: Path) -> None:
     assert len(text) < 300_000
 
 
-def test_the_script_is_built_from_its_sources(tmp_path: Path) -> None:
+def test_the_scripts_are_built_from_their_sources(tmp_path: Path) -> None:
     tools = SOURCES / "node_modules" / ".bin"
     if shutil.which("node") is None or not (tools / "esbuild").exists():
         pytest.skip("no node, or no node_modules: run npm ci in loopshape/view/page")
     command = json.loads((SOURCES / "package.json").read_text())["scripts"]["build"].split()
-    command = [str(tools / "esbuild"), *command[1:-1], f"--outfile={tmp_path / 'shape.js'}"]
+    command = [str(tools / "esbuild"), *command[1:-1], f"--outdir={tmp_path}"]
     subprocess.run(command, cwd=SOURCES, check=True, capture_output=True, timeout=60)
-    assert (tmp_path / "shape.js").read_bytes() == (SOURCES / "shape.js").read_bytes(), "npm run build makes it anew"
+    for name in ("shape.js", "report.js"):
+        assert (tmp_path / name).read_bytes() == (SOURCES / name).read_bytes(), "npm run build makes it anew"
     typed_well = subprocess.run([tools / "tsc", "--noEmit"], cwd=SOURCES, capture_output=True, text=True, timeout=60)
     assert not typed_well.stdout
 

@@ -9,6 +9,8 @@ from hashlib import sha256
 from html import escape as _escape
 from typing import Any
 
+import numpy as np
+
 #: elements without content or end tag
 VOID = frozenset({"meta", "img", "br", "hr", "input", "col", "link"})
 #: what XML and HTML cannot hold, and what reorders the text around it (bidirectional overrides)
@@ -83,3 +85,10 @@ def json_block(identity: str, data: Mapping[str, Any]) -> Markup:
     for sign in "<>&":
         words = words.replace(sign, f"\\u{ord(sign):04x}")
     return tag("script", Markup(words), type="application/json", id=identity)
+
+
+def packed(values: np.ndarray) -> str:
+    """float64 or complex128, least byte first, as base64."""
+    whole = np.ascontiguousarray(values)
+    kind = "<c16" if np.iscomplexobj(whole) else "<f8"
+    return b64encode(whole.astype(kind).tobytes()).decode("ascii")

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from importlib.resources import files
+from typing import Any
 
+from loopshape.core.json_ready import json_ready
 from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMIT_OF
+from loopshape.data.requirements import LIMIT_OF, LIMITS
 from loopshape.data.run_report import CheckedLoop, RunReport
 from loopshape.data.verdict import Verdict
 from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
-from loopshape.view.html.plots import BANDS_AT_ONCE, Plots
-from loopshape.view.html.traces import REACH_OF, Trace, embedded, loop_traces, plant_traces
+from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
+from loopshape.view.html.traces import Trace, loop_traces, plant_traces
 from loopshape.view.html.words import WORDS
+from loopshape.view.page.page import resource
 
 _READ = (
     "Point at a curve, or tap it: all plots of the loop mark the same frequency, and its values stand below. With the"
-    " keyboard: left and right go from frequency to frequency, up and down from one operating point to the next. The"
-    " legend hides and shows operating points."
+    " keyboard: left and right go from frequency to frequency, up and down from one operating point to the next, + and -"
+    " zoom, 0 shows all; with the mouse drag to move, turn the wheel with Ctrl to zoom. The legend hides and shows"
+    " operating points."
 )
 
 
@@ -32,22 +36,24 @@ def page(report: RunReport) -> str:
         tag("nav", tag("ul", *links), aria_label="Sections"),
         tag("main", *(_section(*one) for one in sections)),
         tag("footer", tag("p", f"Made by loopshape {report.versions.get('loopshape', '')}, {report.date}.")),
-        json_block("report-data", {"reach_of": REACH_OF, "loops": [embedded(traces) for _, traces in plotted]}),
-        tag("script", Markup(_resource("report.js"))),
+        json_block("report-data", _data(plotted)),
+        tag("script", Markup(resource("report.js"))),
     ]
     html = tag("html", _head(report), tag("body", *body), lang="en")
     return f"<!DOCTYPE html>\n{html}\n"
 
 
-def _resource(name: str) -> str:
-    """Style or script that is shipped with the package."""
-    return files("loopshape.view.html").joinpath(name).read_text(encoding="utf-8")
+def _data(plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> dict[str, Any]:
+    """What the script draws."""
+    loops = [loop_data(*one) for one in plotted]
+    return {"limits": json_ready(LIMITS), "bands_at_once": BANDS_AT_ONCE, "loops": loops}
 
 
 def _head(report: RunReport) -> Markup:
     """The report's title and style, and a policy under which it shows its own pictures."""
     title = f"{WORDS[report.outcome]} · {report.name} · loopshape report"
-    return head(title, _resource("report.css"), _resource("report.js"), "img-src data:")
+    style = files("loopshape.view.html").joinpath("report.css").read_text(encoding="utf-8")
+    return head(title, style, resource("report.js"), "img-src data:")
 
 
 def _header(report: RunReport) -> Markup:
@@ -114,25 +120,11 @@ def _plots(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[T
     plants = [one.frfs[0] for one in report.checked]
     plants += [mine[0] for mine in _unchecked(report, {one.verdict.loop for one in report.checked})]
     parts: list[Content] = [tag("p", _READ, class_="scripted quiet")]
-    for k, ((one, traces), plant) in enumerate(zip(plotted, plants, strict=True)):
-        plots = Plots(k, traces, plant)
-        if one is not None:
-            plots = Plots(k, traces, plant, one.requirements, one.verdict.lines)
-        names = ("P",) if one is None else ("P", "L")
-        drawn = [plots.magnitude(name) for name in names] + [plots.phase(name) for name in names]
-        if one is not None:
-            drawn += [plots.nichols(), *(plots.magnitude(name) for name in ("S", "T", "CS", "PS"))]
+    for (one, traces), plant in zip(plotted, plants, strict=True):
         title = f"Loop {plant.loop}" if one is not None else f"Plant of loop {plant.loop}, without a controller"
-        inside = [_legend(traces, None if one is None else one.verdict), tag("div", *drawn, class_="plot-grid")]
-        parts.append(
-            tag(
-                "div",
-                tag("h3", title),
-                *inside,
-                tag("p", _thinned(traces, one is not None), class_="quiet"),
-                class_="plots",
-            )
-        )
+        inside = [_legend(traces, None if one is None else one.verdict), plots(plant, one, len(traces))]
+        below = tag("p", _thinned(traces, one is not None), class_="quiet")
+        parts.append(tag("div", tag("h3", title), *inside, below, class_="plots"))
     return joined(parts)
 
 
@@ -142,14 +134,18 @@ def _legend(traces: Sequence[Trace], verdict: Verdict | None) -> Markup:
     for line in verdict.lines if verdict is not None and len(traces) > 1 else ():
         worst.setdefault(line.recording, []).append(LIMIT_OF[line.quantity].label.split(" (")[0])
     items = []
-    for k, trace in enumerate(traces):
-        stroke = {"stroke": trace.colour, "stroke_dasharray": trace.dash or None}
+    for trace in traces:
         swatch = tag(
-            "svg", tag("path", d="M1 6H33", **stroke), viewBox="0 0 34 12", class_="swatch", aria_hidden="true"
+            "svg",
+            tag("path", d="M1 6H33", stroke_dasharray=trace.dash or None),
+            viewBox="0 0 34 12",
+            class_="swatch",
+            style=f"--look: {trace.colour}",
+            aria_hidden="true",
         )
         flag = tag("span", f"worst {', '.join(worst[trace.name])}", class_="flag") if trace.name in worst else None
         name = tag("span", trace.name, class_="quiet" if trace.label else None)
-        items.append(tag("li", swatch, tag("span", joined([trace.label, " ", name]), " ", flag), data_op=k))
+        items.append(tag("li", swatch, tag("span", joined([trace.label, " ", name]), " ", flag)))
     return tag("ul", *items, class_="legend")
 
 

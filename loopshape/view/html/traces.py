@@ -1,4 +1,4 @@
-"""Curves of the report's plots: an operating point's responses in dB and degrees, with their 95 % reach, thinned."""
+"""Curves of the report's plots: an operating point's plant and controller with the 95 % reach, thinned."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import Array, ComplexArray, db, deg
+from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
-from loopshape.view.curves import FLOOR_DB, NORMAL_95, thinned, unwrapped_deg
+from loopshape.view.curves import NORMAL_95, thinned, unwrapped_deg
+from loopshape.view.html.markup import packed
 from loopshape.view.html.words import point
 from loopshape.view.key import key_of
 from loopshape.view.style import MARKERS
@@ -20,17 +21,15 @@ from loopshape.view.style import MARKERS
 #: lines that one operating point's curves keep, and all of them together
 MOST_LINES, MOST_TOGETHER = 600, 5400
 DASHES = ("", "7 3", "2 2.5", "9 3 2 3", "4 2", "12 4", "6 2 2 2 2 2", "1 4", "14 3 3 3", "3 6")
-#: whose relative error a response has: its own factor on that of P, to first order
-REACH_OF = {"P": "P", "L": "P", "S": "S", "CS": "S", "T": "T", "PS": "T"}
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
     """One operating point's curves on `frequency_hz` (nf,), a choice out of `lines` measured ones.
 
-    `size_db` and `phase_deg` hold responses by name (P, L, S, ...). `up_db` and `down_db` are the 95 % reach of a
-    magnitude around it, `reach_deg` that of a phase, by the name that `REACH_OF` gives. `dots` are lines of P as they
-    were measured: frequency, dB, degrees.
+    `plant` and `controller` (nf,) are complex, the latter empty where there is none: their product is the open loop,
+    and the page makes the other responses of both. `phase_deg` goes on over all measured lines. `reach` is the
+    relative 95 % reach of |P|, |S| and |T|. `dots` are lines of P as they were measured: frequency, dB, degrees.
     """
 
     name: str
@@ -38,11 +37,10 @@ class Trace:
     colour: str
     dash: str
     frequency_hz: Array
-    size_db: Mapping[str, Array]
+    plant: ComplexArray
+    controller: ComplexArray
     phase_deg: Mapping[str, Array]
-    up_db: Mapping[str, Array]
-    down_db: Mapping[str, Array]
-    reach_deg: Mapping[str, Array]
+    reach: Mapping[str, Array]
     lines: int
     dots: tuple[Array, Array, Array]
 
@@ -50,8 +48,9 @@ class Trace:
 def plant_traces(frfs: Sequence[FRF]) -> list[Trace]:
     """Curves of plants alone, in their valid bands (everywhere where that is empty)."""
     shown = [frf.select(frf.trusted) if frf.trusted.any() else frf for frf in frfs]
+    none = np.zeros(0, dtype=complex)
     return [
-        _trace(look, {"P": one.siso}, one, frf, len(frfs))
+        _trace(look, {"P": one.siso}, none, one, frf, len(frfs))
         for look, one, frf in zip(_looks(frfs), shown, frfs, strict=True)
     ]
 
@@ -60,7 +59,7 @@ def loop_traces(loops: Sequence[Loop], frfs: Sequence[FRF]) -> list[Trace]:
     """Curves of loops on the lines that a check looks at; `frfs` are the same plants with all their lines."""
     responses = [{"P": x.plant.siso, "L": x.L, "S": x.S, "T": x.T, "CS": x.CS, "PS": x.PS} for x in loops]
     return [
-        _trace(look, found, loop.plant, frf, len(loops))
+        _trace(look, found, loop.C, loop.plant, frf, len(loops))
         for look, found, loop, frf in zip(_looks(frfs), responses, loops, frfs, strict=True)
     ]
 
@@ -83,31 +82,31 @@ def _looks(frfs: Sequence[FRF]) -> list[_Look]:
     return looks
 
 
-def _trace(look: _Look, responses: Mapping[str, ComplexArray], lines: FRF, frf: FRF, together: int) -> Trace:
+def _trace(
+    look: _Look, responses: Mapping[str, ComplexArray], controller: ComplexArray, lines: FRF, frf: FRF, together: int
+) -> Trace:
     if lines.response.shape[1:] != (1, 1):
         raise WrongUseError("a plot over frequency shows one input and one output", f"{lines.response.shape[1:]}")
-    f, sizes = lines.frequency_hz, {name: db(x) for name, x in responses.items()}
+    f, sizes = lines.frequency_hz, [db(x) for x in responses.values()]
     phases = {name: unwrapped_deg(responses[name]) for name in ("P", "L") if name in responses}
-    relative = relative_reach(lines, responses)
-    keep = thinned(f, [*sizes.values(), *phases.values()], min(MOST_LINES, MOST_TOGETHER // together))
+    keep = thinned(f, [*sizes, *phases.values()], min(MOST_LINES, MOST_TOGETHER // together))
     return Trace(
         name=look.name,
         label=look.label,
         colour=look.colour,
         dash=look.dash,
         frequency_hz=f[keep],
-        size_db={name: x[keep] for name, x in sizes.items()},
+        plant=responses["P"][keep],
+        controller=controller[keep] if controller.size else controller,
         phase_deg={name: x[keep] for name, x in phases.items()},
-        up_db={name: db(1.0 + x[keep]) for name, x in relative.items()},
-        down_db={name: np.maximum(db(np.maximum(1.0 - x[keep], 0.0)), FLOOR_DB) for name, x in relative.items()},
-        reach_deg={"P": phase_reach_deg(relative["P"][keep])},
+        reach={name: x[keep] for name, x in relative_reach(lines, responses).items()},
         lines=int(f.size),
         dots=_dots(frf, lines, everything="L" in responses),
     )
 
 
 def relative_reach(lines: FRF, responses: Mapping[str, ComplexArray]) -> dict[str, Array]:
-    """95 % reach (nf,) of each magnitude beside its size, by the names of `REACH_OF`'s values, to first order.
+    """95 % reach (nf,) of |P|, |S| and |T| beside their sizes, to first order.
 
     With a circular error of P the real part alone has half its variance. dL/L = dP/P, dS/S = -T dP/P, dT/T = S dP/P;
     CS and PS follow as S and T do. It misleads where it comes near to 1.
@@ -117,11 +116,6 @@ def relative_reach(lines: FRF, responses: Mapping[str, ComplexArray]) -> dict[st
     if "S" in responses:
         found |= {"S": np.abs(responses["T"]) * own, "T": np.abs(responses["S"]) * own}
     return found
-
-
-def phase_reach_deg(relative: Array) -> Array:
-    """95 % reach of a phase in degrees; 180 where zero lies within reach of the response."""
-    return np.where(relative < 1.0, deg(np.arcsin(np.minimum(relative, 1.0))), 180.0)
 
 
 def _dots(frf: FRF, lines: FRF, *, everything: bool) -> tuple[Array, Array, Array]:
@@ -135,22 +129,17 @@ def _dots(frf: FRF, lines: FRF, *, everything: bool) -> tuple[Array, Array, Arra
 
 
 def embedded(traces: Sequence[Trace]) -> list[dict[str, Any]]:
-    """The curves for the page's script: plain lists, rounded to what can be read off, None where infinite."""
+    """The curves for the page's script."""
     return [
         {
             "name": trace.name,
             "label": trace.label,
-            "colour": trace.colour,
-            "f": [float(f"{value:.6g}") for value in trace.frequency_hz],
-            "db": {name: _rounded(x) for name, x in trace.size_db.items()},
-            "deg": {name: _rounded(x, 1) for name, x in trace.phase_deg.items()},
-            "up": {name: _rounded(x) for name, x in trace.up_db.items()},
-            "down": {name: _rounded(x) for name, x in trace.down_db.items()},
-            "reach": _rounded(trace.reach_deg["P"], 1),
+            "f": packed(trace.frequency_hz),
+            "P": packed(trace.plant),
+            "C": packed(trace.controller),
+            "phase": {name: packed(x) for name, x in trace.phase_deg.items()},
+            "reach": {name: packed(x) for name, x in trace.reach.items()},
+            "dots": {name: packed(x) for name, x in zip(("f", "size", "phase"), trace.dots, strict=True)},
         }
         for trace in traces
     ]
-
-
-def _rounded(values: Array, decimals: int = 2) -> list[float | None]:
-    return [round(float(value), decimals) + 0.0 if np.isfinite(value) else None for value in values]

@@ -33,6 +33,7 @@ from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of, outside_warnings
+from loopshape.view.html.markup import packed
 
 FORMAT = "loopshape-shape/1"
 
@@ -147,7 +148,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
     return {
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
-        "requirements": _requirements(one.requirements),
+        "requirements": requirement_words(one.requirements),
         "controller": controller_words(one.controller),
         "points": [
             _point(name, loop) | {"fit": _fit(fit_of(frf, one.fits))}
@@ -159,7 +160,7 @@ def _loop(one: Shaped) -> dict[str, Any]:
     }
 
 
-def _requirements(wished: Requirements) -> dict[str, Any]:
+def requirement_words(wished: Requirements) -> dict[str, Any]:
     """What is required as its file has it; what is not asked for is left out."""
     kept = [f.name for f in fields(wished) if f.name not in ("structure", "objective", "masks", "at", *MASKED)]
     out = {name: getattr(wished, name) for name in kept}
@@ -211,10 +212,10 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
     return {
         "name": name,
         "operating_point": dict(raw.operating_point),
-        "f": _packed(loop.frequency_hz),
-        "P": _packed(loop.plant.siso),
-        "raw": _packed(raw.siso),
-        "variance": _packed(recipe.variance),
+        "f": packed(loop.frequency_hz),
+        "P": packed(loop.plant.siso),
+        "raw": packed(raw.siso),
+        "variance": packed(recipe.variance),
         "halves": b64encode(recipe.halves.astype(np.uint8).tobytes()).decode("ascii"),
         "taps": recipe.taps.tolist(),
         "terms": _terms(recipe),
@@ -232,9 +233,9 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
             {
                 "low_hz": one.low_hz,
                 "high_hz": one.high_hz,
-                "centre": _packed(one.centre_hz),
-                "width": _packed(one.half_width_hz),
-                "residue": _packed(one.residue),
+                "centre": packed(one.centre_hz),
+                "width": packed(one.half_width_hz),
+                "residue": packed(one.residue),
             }
             for one in obstacles.hidden_in(loop)
         ],
@@ -248,7 +249,7 @@ def _terms(recipe: Recipe) -> list[dict[str, Any]]:
             "residue": _pair(term.resonance.residue),
             "pole": _pair(term.resonance.pole_hz),
             "first": term.resonance.first,
-            "influence": _packed(term.influence),
+            "influence": packed(term.influence),
         }
         for term in recipe.terms
     ]
@@ -262,10 +263,10 @@ def _low_end(loop: Loop) -> dict[str, Any]:
     down = models if loop.integrators == 0 else ()
     return {
         "modelled": loop.model is not None,
-        "below_f": _packed(below_hz),
-        "below": [_packed(model.response(below_hz)) for model in models],
-        "led_f": _packed(led),
-        "led": _packed(np.zeros(0) if loop.model is None else loop.model.response(led)),
+        "below_f": packed(below_hz),
+        "below": [packed(model.response(below_hz)) for model in models],
+        "led_f": packed(led),
+        "led": packed(np.zeros(0) if loop.model is None else loop.model.response(led)),
         "down": [_down(loop, model) for model in down],
     }
 
@@ -275,20 +276,20 @@ def _down(loop: Loop, model: Model) -> dict[str, Any]:
     led = float(led_hz(loop)[0]) * margins.DOWN
     small = isinstance(model, LowModel) and loop.scatter is not None
     return {
-        "P": _packed(model.response(f)),
-        "P_led": _packed(model.response(led)),
-        "moves": _packed(model.moves(f)) if isinstance(model, LowModel) and small else None,
+        "P": packed(model.response(f)),
+        "P_led": packed(model.response(led)),
+        "moves": packed(model.moves(f)) if isinstance(model, LowModel) and small else None,
         "lines": model.lines if isinstance(model, LowModel) else 0,
     }
 
 
 def _beyond(frf: FRF | None) -> dict[str, str] | None:
-    return None if frf is None else {"f": _packed(frf.frequency_hz), "P": _packed(frf.siso)}
+    return None if frf is None else {"f": packed(frf.frequency_hz), "P": packed(frf.siso)}
 
 
 def _rough(loop: Loop) -> str | None:
     reach = obstacles.rough_reach(loop)
-    return _packed(reach) if reach.any() else None
+    return packed(reach) if reach.any() else None
 
 
 def _fit(fit: Fit | None) -> dict[str, Any] | None:
@@ -301,10 +302,3 @@ def _fit(fit: Fit | None) -> dict[str, Any] | None:
 
 def _pair(value: complex) -> list[float]:
     return [float(complex(value).real), float(complex(value).imag)]
-
-
-def _packed(values: np.ndarray) -> str:
-    """float64 or complex128, least byte first, as base64."""
-    whole = np.ascontiguousarray(values)
-    kind = "<c16" if np.iscomplexobj(whole) else "<f8"
-    return b64encode(whole.astype(kind).tobytes()).decode("ascii")

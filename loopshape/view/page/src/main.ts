@@ -104,8 +104,11 @@ class Page {
     this.screen = new Screen(names, {
       design: () => this.design,
       controller: () => this.controller,
-      requirements: () => this.design.requirements,
-      required: (point) => requirementsAt(this.design.requirements, this.loop.points[point].operating_point),
+      wished: (point) => ({
+        requirements: requirementsAt(this.design.requirements, this.loop.points[point].operating_point),
+        every: this.design.requirements,
+        limits: this.payload.limits,
+      }),
       change: (blocks, goesOn) => this.changeBlocks(blocks, goesOn),
       ended: () => this.histories[this.current].close(),
       crossover: () => this.crossover(),

@@ -10,6 +10,8 @@ export interface Limit {
   sense: "at_least" | "at_most";
   unit: string;
   label: string;
+  /** The response on which its worst place is marked. */
+  plot: string;
 }
 
 /** Numbers of the Python modules, under their names there. */

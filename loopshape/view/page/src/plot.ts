@@ -124,7 +124,7 @@ export class Plot {
   }
 
   begin(): void {
-    const ratio = window.devicePixelRatio || 1;
+    const ratio = Math.max(window.devicePixelRatio || 1, this.canvas.closest(".printing") ? 3 : 1);
     this.width = this.canvas.clientWidth;
     this.height = this.canvas.clientHeight;
     const [w, h] = [Math.round(this.width * ratio), Math.round(this.height * ratio)];
@@ -164,6 +164,23 @@ export class Plot {
     return at(this.y, (this.height - BOTTOM - py) / (this.height - TOP - BOTTOM));
   }
 
+  /** Whether a place lies on the paper, so many pixels within its edges. */
+  holds(x: number, y: number, room = 0): boolean {
+    const [px, py] = [this.px(x), this.py(y)];
+    const across = px >= LEFT + room && px <= this.width - RIGHT - room;
+    return across && py >= TOP + room && py <= this.height - BOTTOM - room;
+  }
+
+  /** Which place of a curve that is in view lies nearest to a pixel, and how far from it. */
+  nearest({ x, y }: Curve, px: number, py: number): [number, number] {
+    let [best, least] = [0, Infinity];
+    for (let k = 0; k < x.length; k++) {
+      const far = Math.hypot(this.px(x[k]) - px, this.py(y[k]) - py);
+      if (far < least && this.holds(x[k], y[k], -1)) [best, least] = [k, far];
+    }
+    return [best, least];
+  }
+
   private grid(): void {
     const { ctx, colours } = this;
     ctx.lineWidth = 1;
@@ -178,7 +195,7 @@ export class Plot {
       const text = words(value);
       const half = ctx.measureText(text).width / 2;
       if (!main || x - half < lastEnd + 6 || x + half > this.width) continue;
-      ctx.fillText(text, x, bottom + 4);
+      ctx.fillText(text, x, bottom + 7);
       lastEnd = x + half;
     }
     ctx.textAlign = "right";
@@ -259,9 +276,23 @@ export class Plot {
     ctx.globalAlpha = 1;
   }
 
-  level(y: number, style: Style, text = ""): void {
+  /** The area between two curves over the same x. */
+  between(x: ArrayLike<number>, low: ArrayLike<number>, high: ArrayLike<number>, colour: string, alpha: number): void {
+    const round = (up: ArrayLike<number>, down: ArrayLike<number>): number[] => [...Array.from(up), ...Array.from(down).reverse()];
+    this.fill({ x: round(x, x), y: round(high, low) }, colour, alpha);
+  }
+
+  /** Places as small points. */
+  points({ x, y }: Curve, colour: string, alpha: number): void {
+    const { ctx } = this;
+    ctx.globalAlpha = alpha;
+    ctx.fillStyle = colour;
+    for (let k = 0; k < x.length; k++) ctx.fillRect(this.px(x[k]) - 1, clamp(this.py(y[k])) - 1, 2, 2);
+    ctx.globalAlpha = 1;
+  }
+
+  level(y: number, style: Style): void {
     this.curve({ x: [this.x.low, this.x.high], y: [y, y] }, style);
-    if (text) this.text(text, this.width - RIGHT - 6, this.py(y) - 4, style.colour, "right");
   }
 
   upright(x: number, style: Style): void {

@@ -5,22 +5,22 @@ import type { Controller } from "./controller";
 import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
 import { dragged, handlesOf, widened, type Handle } from "./handles";
-import { masksOn, type Mask } from "./limits";
+import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./guides";
 import { axisCrossings, unitCrossings } from "./margins";
-import type { FitModel, Requirements } from "./payload";
+import type { FitModel } from "./payload";
 import { coloursOf, Plot, type Axis } from "./plot";
 import type { Step } from "./step";
 import {
-  frequencyAxis, nicholsAxis, nicholsChart, nicholsCurve, nyquistChart, phaseAxis, phaseDeg, responseOf, RESPONSES, sizeAxis,
-  sizeDb, stepAxes, styleOf, type Response, type Trace,
+  frequencyAxis, interpolated, nearestLine, nicholsAxis, nicholsChart, nicholsCurve, nicholsPlaces, nyquistChart, phaseAxis,
+  phaseDeg, responseOf, RESPONSES, sizeAxis, sizeDb, stepAxes, styleOf, type Response, type Trace,
 } from "./views";
+import { Zoom } from "./zoom";
 
 export interface Asked {
   design: () => Design;
   controller: () => Controller;
-  requirements: () => Requirements;
   /** What is required at one operating point. */
-  required: (point: number) => Requirements;
+  wished: (point: number) => Wished;
   change: (blocks: DesignBlock[], goesOn: boolean) => void;
   ended: () => void;
   crossover: () => number;
@@ -64,6 +64,7 @@ export class Screen {
   private others: Trace[] | null = null;
   private worst = 0;
   private readonly plots: Plot[];
+  private readonly zoom = new Zoom((plot) => this.followers(plot), () => this.redraw());
   /** Where the cursor stands on each plot, in pixels. */
   private readonly marked = new Map<Plot, [number, number]>();
   private handlePlaces: { handle: Handle; px: number; py: number }[] = [];
@@ -172,7 +173,7 @@ export class Screen {
     const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
     if (!this.hold) {
       // axes stand still while something is dragged on them
-      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis([...sizes, ...this.masks().map(({ points }) => Float64Array.from(points, ([, level]) => level))], this.shown));
+      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis([...sizes, limitSizes(this.wished, this.shown)], this.shown));
       this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
     }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
@@ -230,48 +231,14 @@ export class Screen {
     return styleOf(plot, k, this.worst, this.chosen, this.traces.length === 1);
   }
 
-  private required(name: string): number | null {
-    const value = this.asked.required(this.front)[name];
-    return typeof value === "number" ? value : null;
+  private get wished(): Wished {
+    return this.asked.wished(this.front);
   }
 
   /** 0 dB, -180 degrees, and limits of the response that is shown. */
   private guides(plot: Plot): void {
-    const { ink, limit } = plot.colours;
-    if (plot === this.phase) {
-      if (this.shown === "L") plot.level(-180, { colour: ink, width: 1, dash: [6, 3] });
-      return;
-    }
-    plot.level(0, { colour: ink, width: 1, dash: [6, 3] });
-    this.maskGuides(plot);
-    const names: Partial<Record<Response, string>> = {
-      S: "sensitivity_peak_db", T: "complementary_peak_db", CS: "control_peak_db", PS: "process_peak_db",
-    };
-    const own = names[this.shown];
-    const most = own ? this.required(own) : null;
-    if (most !== null) plot.level(most, { colour: limit, width: 1.6 }, "required");
-    const high = this.required("control_high_frequency_db");
-    const from = this.required("control_high_frequency_from_hz");
-    if (this.shown === "CS" && high !== null && from !== null) {
-      plot.curve({ x: [from, plot.x.high], y: [high, high] }, { colour: limit, width: 1.6, dash: [5, 3] });
-    }
-  }
-
-  private masks(): Mask[] {
-    return masksOn(this.asked.requirements(), this.shown);
-  }
-
-  /** Masks of the response that is shown: those of the point in front with their forbidden side tinted, others dashed. */
-  private maskGuides(plot: Plot): void {
-    const { limit } = plot.colours;
-    const here = masksOn(this.asked.required(this.front), this.shown);
-    for (const mask of this.masks()) {
-      const [x, y] = [mask.points.map(([hz]) => hz), mask.points.map(([, level]) => level)];
-      const edge = mask.sense === "at_least" ? plot.y.low : plot.y.high;
-      const own = here.includes(mask);
-      if (own) plot.fill({ x: [...x, x[x.length - 1], x[0]], y: [...y, edge, edge] }, limit, 0.08);
-      plot.curve({ x, y }, { colour: limit, width: 1.6, dash: own ? [] : [5, 3] });
-    }
+    if (plot === this.size) sizeGuides(plot, this.shown, this.wished);
+    else if (this.shown === "L") phaseGuides(plot, this.wished);
   }
 
   /** Crossovers, crossings of -180 degrees, and the margins between them and the guides, of the point in front. */
@@ -326,9 +293,7 @@ export class Screen {
       plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
     }
     plot.begin();
-    const [peak, peakT] = [this.required("sensitivity_peak_db"), this.required("complementary_peak_db")];
-    if (isNichols) nicholsChart(plot, peak, peakT);
-    else nyquistChart(plot, peak);
+    (isNichols ? nicholsChart : nyquistChart)(plot, this.wished);
     const curveOf = ({ L }: Trace) => (isNichols ? nicholsCurve(L) : { x: L.re, y: L.im });
     if (this.others && !this.hidden.has(this.front)) {
       plot.curve(curveOf(this.others[this.front]), { colour: plot.colours.other, width: 2, dash: [7, 4] });
@@ -368,26 +333,20 @@ export class Screen {
 
   private listen(plot: Plot): void {
     const { canvas } = plot;
-    let last: PointerEvent | null = null;
     canvas.addEventListener("pointerdown", (event) => {
-      const hold = plot === this.size ? this.taken(event) : null;
-      if (event.pointerType === "touch" && !hold) return;
-      canvas.setPointerCapture(event.pointerId);
-      [last, this.hold] = [event, hold];
+      this.hold = plot === this.size ? this.taken(event) : null;
+      if (this.hold) canvas.setPointerCapture(event.pointerId);
+      else this.zoom.down(plot, event);
       this.redraw();
     });
     canvas.addEventListener("pointermove", (event) => {
       if (this.hold) this.drag(event);
-      else if (last) {
-        plot.pan(event.offsetX - last.offsetX, event.offsetY - last.offsetY);
-        this.link(plot);
-        last = event;
-        this.redraw();
-      } else this.point(plot, event);
+      else if (!this.zoom.move(plot, event)) this.point(plot, event);
     });
     const up = (): void => {
       if (this.hold) this.asked.ended();
-      [last, this.hold] = [null, null];
+      this.hold = null;
+      this.zoom.up();
       this.redraw();
     };
     canvas.addEventListener("pointerup", up);
@@ -397,7 +356,7 @@ export class Screen {
       const [touch, box] = [event.touches[0], canvas.getBoundingClientRect()];
       if (plot === this.size && this.nearest(touch.clientX - box.left, touch.clientY - box.top, FINGER)) event.preventDefault();
     }, { passive: false });
-    canvas.addEventListener("dblclick", () => this.home(plot));
+    canvas.addEventListener("dblclick", () => this.zoom.home(plot));
     canvas.addEventListener("wheel", (event) => this.wheel(plot, event), { passive: false });
     canvas.addEventListener("keydown", (event) => this.key(plot, event));
   }
@@ -433,14 +392,7 @@ export class Screen {
     else if (plot === this.size || plot === this.phase) this.cursorHz = this.inRange(plot.toX(event.offsetX));
     else {
       const { f, L } = this.traces[this.front];
-      const curve = plot === this.nichols ? null : L;
-      let [best, least] = [0, Infinity];
-      for (let k = 0; k < f.length; k++) {
-        const one = curve ? { x: curve.re[k], y: curve.im[k] } : first(nicholsCurve({ re: L.re.subarray(k, k + 1), im: L.im.subarray(k, k + 1) }));
-        const far = Math.hypot(plot.px(one.x) - event.offsetX, plot.py(one.y) - event.offsetY);
-        if (far < least) [best, least] = [k, far];
-      }
-      this.cursorHz = f[best];
+      this.cursorHz = f[plot.nearest(plot === this.nichols ? nicholsPlaces(L) : { x: L.re, y: L.im }, event.offsetX, event.offsetY)[0]];
     }
     this.redraw();
   }
@@ -450,85 +402,49 @@ export class Screen {
     return f[nearestLine(f, hz)];
   }
 
-  private link(plot: Plot): void {
-    if (!plot.isZoomed) return;
-    if (plot === this.size) this.phase.follow(plot.x);
-    if (plot === this.phase) this.size.follow(plot.x);
-  }
-
-  private home(plot: Plot): void {
-    plot.reset();
-    if (plot === this.size) this.phase.reset();
-    if (plot === this.phase) this.size.reset();
-    this.redraw();
+  /** Magnitude and phase show the same frequencies. */
+  private followers(plot: Plot): Plot[] {
+    return plot === this.size ? [this.phase] : plot === this.phase ? [this.size] : [];
   }
 
   private wheel(plot: Plot, event: WheelEvent): void {
     const handle = plot === this.size ? this.nearest(event.offsetX, event.offsetY) : null;
-    if (!handle && !event.ctrlKey && document.activeElement !== plot.canvas) return;
+    if (!handle) return this.zoom.wheel(plot, event);
     event.preventDefault();
-    if (handle) {
-      const share = event.shiftKey ? 1.01 : 1.05;
-      this.replace(handle.block, widened(this.asked.design().blocks[handle.block], event.deltaY < 0 ? share : 1 / share));
-      return;
-    }
-    plot.zoom(event.deltaY > 0 ? 1.15 : 1 / 1.15, event.offsetX, event.offsetY);
-    this.link(plot);
-    this.redraw();
+    const share = event.shiftKey ? 1.01 : 1.05;
+    this.replace(handle.block, widened(this.asked.design().blocks[handle.block], event.deltaY < 0 ? share : 1 / share));
   }
 
   private key(plot: Plot, event: KeyboardEvent): void {
     const { f } = this.traces[this.front];
     const k = placeIn(f, this.cursorHz ?? this.asked.crossover());
     const by = event.shiftKey ? 10 : 1;
-    const steps: Record<string, () => void> = {
+    const steps: Partial<Record<string, () => void>> = {
       ArrowRight: () => this.moveCursor(plot, f, k, by),
       ArrowLeft: () => this.moveCursor(plot, f, k, -by),
       ArrowDown: () => this.look((this.front + 1) % this.traces.length, null),
       ArrowUp: () => this.look((this.front + this.traces.length - 1) % this.traces.length, null),
-      "+": () => this.zoomKey(plot, 1 / 1.25),
-      "-": () => this.zoomKey(plot, 1.25),
-      "0": () => this.home(plot),
     };
+    if (event.ctrlKey || event.metaKey) return;
     const step = steps[event.key];
-    if (!step || event.ctrlKey || event.metaKey) return;
+    if (!step && !this.zoom.key(plot, event.key, this.marked.get(plot) ?? null)) return;
     event.preventDefault();
-    step();
+    step?.();
     this.redraw();
-    const mark = event.key.startsWith("Arrow") ? this.marked.get(plot) : null;
+    const mark = step ? this.marked.get(plot) : null;
     if (!mark) return;
     plot.bring(mark);
-    this.link(plot);
-    this.redraw();
+    this.zoom.link(plot);
   }
 
   private moveCursor(plot: Plot, f: Float64Array, k: number, by: number): void {
     if (plot !== this.step) this.cursorHz = f[Math.min(Math.max(k + by, 0), f.length - 1)];
     else this.cursorS = Math.min(Math.max((this.cursorS ?? 0) + 0.005 * by * plot.x.high, 0), plot.x.high);
   }
-
-  private zoomKey(plot: Plot, factor: number): void {
-    plot.zoom(factor, ...(this.marked.get(plot) ?? [plot.width / 2, plot.height / 2]));
-    this.link(plot);
-  }
-}
-
-const first = ({ x, y }: { x: ArrayLike<number>; y: ArrayLike<number> }): { x: number; y: number } => ({ x: x[0], y: y[0] });
-
-/** The line of rising frequencies that is nearest to a frequency. */
-function nearestLine(f: Float64Array, hz: number): number {
-  const k = Math.min(Math.max(placeIn(f, hz), 1), f.length - 1);
-  return hz * hz < f[k - 1] * f[k] ? k - 1 : k;
 }
 
 function interpolatedAt({ timeS, y }: Step, at: number): number {
   const k = Math.min(Math.max(placeIn(timeS, at, true) - 1, 0), timeS.length - 2);
   const share = Math.min((at - timeS[k]) / (timeS[k + 1] - timeS[k]), 1);
-  return y[k] + share * (y[k + 1] - y[k]);
-}
-
-function interpolated(f: Float64Array, y: ArrayLike<number>, hz: number): number {
-  const k = Math.min(Math.max(placeIn(f, hz, true) - 1, 0), f.length - 2);
-  const share = Math.min(Math.max(Math.log(hz / f[k]) / Math.log(f[k + 1] / f[k]), 0), 1);
   return y[k] + share * (y[k + 1] - y[k]);
 }

@@ -1,6 +1,7 @@
 // The plots: Bode of one response, Nichols and Nyquist of L; all operating points, the worst in front.
 
-import { fromDb, TWO_PI, type Complex, type Real } from "./arrays";
+import { fromDb, placeIn, TWO_PI, type Complex, type Real } from "./arrays";
+import { closestDb, marginCross, required, type Wished } from "./guides";
 import { wrappedDown } from "./phase";
 import type { Axis, Curve, Plot, Style } from "./plot";
 import type { Step } from "./step";
@@ -55,9 +56,10 @@ export function frequencyAxis(traces: Trace[], label: string): Axis {
   return { low: low / 1.08, high: high * 1.08, log: true, label };
 }
 
-/** dB of curves, and of limits that are drawn among them. */
-export function sizeAxis(curves: Real[], name: string): Axis {
-  const [low, high] = range(curves, 10, 40, -120, 120);
+/** dB of curves, and of limits that are drawn among them, at most `most` below the top. */
+export function sizeAxis(curves: Real[], name: string, most = 240): Axis {
+  const [all, high] = range(curves, 10, 40, -120, 120);
+  const low = Math.max(all, high - most);
   return { low, high, log: false, label: `|${name}| [dB]`, ticks: high - low > 100 ? 20 : 10 };
 }
 
@@ -84,75 +86,89 @@ export function stepAxes(steps: (Step | null)[], front: Step | null): [Axis, Axi
   return [x, { low: Math.max(low, -2) - room, high: Math.min(high, 4) + room, log: false, label: "step of the fit" }];
 }
 
-/** Phase of L in Nichols coordinates, (-360, 0], with a break where it wraps. */
+const inNichols = (re: number, im: number): [number, number] => {
+  const phase = (Math.atan2(im, re) * 180) / Math.PI;
+  return [phase > 0 ? phase - 360 : phase, 10 * Math.log10(re * re + im * im)];
+};
+
+/** L in Nichols coordinates, line by line: phase in (-360, 0] and dB. */
+export function nicholsPlaces({ re, im }: Complex): Curve {
+  const [x, y] = [new Float64Array(re.length), new Float64Array(re.length)];
+  for (let k = 0; k < re.length; k++) [x[k], y[k]] = inNichols(re[k], im[k]);
+  return { x, y };
+}
+
+/** L as a curve in Nichols coordinates, with a break where the phase wraps. */
 export function nicholsCurve(L: Complex): Curve {
+  const places = nicholsPlaces(L);
   const [x, y]: [number[], number[]] = [[], []];
-  let before = 0;
-  for (let k = 0; k < L.re.length; k++) {
-    const raw = (Math.atan2(L.im[k], L.re[k]) * 180) / Math.PI;
-    const phase = raw > 0 ? raw - 360 : raw;
-    if (k > 0 && Math.abs(phase - before) > 180) {
+  for (let k = 0; k < places.x.length; k++) {
+    if (k > 0 && Math.abs(places.x[k] - places.x[k - 1]) > 180) {
       x.push(NaN);
       y.push(NaN);
     }
-    x.push(phase);
-    y.push(10 * Math.log10(L.re[k] ** 2 + L.im[k] ** 2));
-    before = phase;
+    x.push(places.x[k]);
+    y.push(places.y[k]);
   }
   return { x, y };
 }
 
-function inNichols(points: [number, number][]): Curve {
-  const z = { re: Float64Array.from(points, (p) => p[0]), im: Float64Array.from(points, (p) => p[1]) };
-  return nicholsCurve(z);
-}
-
-const TURNS = Array.from({ length: 361 }, (_, k) => 1e-6 + ((TWO_PI - 2e-6) * k) / 360);
+const TURNS = Float64Array.from({ length: 361 }, (_, k) => 1e-6 + ((TWO_PI - 2e-6) * k) / 360);
 
 /** Open loops with |S| at a level in dB: a circle about -1. */
-function constantS(level: number): [number, number][] {
-  return TURNS.map((t) => [-1 + Math.cos(t) / fromDb(level), Math.sin(t) / fromDb(level)]);
+function constantS(level: number): Complex {
+  return { re: TURNS.map((t) => -1 + Math.cos(t) / fromDb(level)), im: TURNS.map((t) => Math.sin(t) / fromDb(level)) };
 }
 
 /** Open loops with |T| at a level in dB. */
-function constantT(level: number): [number, number][] {
-  const size = fromDb(level);
-  return TURNS.map((t) => {
-    const [a, b] = [size * Math.cos(t), size * Math.sin(t)];
-    const [x, y] = [1 - a, -b];
-    const d = x * x + y * y;
-    return [(a * x + b * y) / d, (b * x - a * y) / d];
+function constantT(level: number): Complex {
+  const out = { re: new Float64Array(TURNS.length), im: new Float64Array(TURNS.length) };
+  TURNS.forEach((t, k) => {
+    const [a, b] = [fromDb(level) * Math.cos(t), fromDb(level) * Math.sin(t)];
+    const d = (1 - a) ** 2 + b * b;
+    [out.re[k], out.im[k]] = [(a * (1 - a) - b * b) / d, b / d];
   });
+  return out;
 }
 
-/** Chart of a Nichols plot: contours of |S| and |T|, and the region that a peak of |S| excludes. */
-export function nicholsChart(plot: Plot, peakDb: number | null, peakT: number | null): void {
-  const { grid, quiet, limit } = plot.colours;
-  for (const level of [-12, -6, -3, 0, 3, 6, 12]) {
-    plot.curve(inNichols(constantS(level)), { colour: quiet, width: 0.8, alpha: 0.55 });
-  }
+/** Chart of a Nichols plot: contours of |S| and |T|, the region that is excluded, and the required margins. */
+export function nicholsChart(plot: Plot, wished: Wished): void {
+  const { grid, quiet, limit, ink } = plot.colours;
+  const [closest, peakT] = [closestDb(wished), required(wished, "complementary_peak_db")];
   for (const level of [-12, -6, -3, 1, 3, 6, 12]) {
-    plot.curve(inNichols(constantT(level)), { colour: quiet, width: 0.8, dash: [3, 3], alpha: 0.55 });
+    plot.curve(nicholsCurve(constantT(level)), { colour: quiet, width: 0.8, dash: [3, 3], alpha: 0.55 });
   }
-  if (peakDb !== null && peakDb > 0) {
-    plot.fill(inNichols(constantS(peakDb)), limit, 0.14);
-    plot.curve(inNichols(constantS(peakDb)), { colour: limit, width: 1.6 });
+  for (const level of [-12, -6, -3, 0, 3, 6, 12].filter((one) => closest === null || one < closest)) contourS(plot, level);
+  if (closest !== null) {
+    plot.fill(nicholsCurve(constantS(closest)), limit, 0.14);
+    plot.curve(nicholsCurve(constantS(closest)), { colour: limit, width: 1.6 });
   }
-  if (peakT !== null && peakT > 0) plot.curve(inNichols(constantT(peakT)), { colour: limit, width: 1.4, dash: [5, 4] });
+  if (peakT !== null && peakT > 0) plot.curve(nicholsCurve(constantT(peakT)), { colour: limit, width: 1.4, dash: [5, 4] });
   plot.level(0, { colour: grid, width: 1.2 });
-  plot.cross(-180, 0, plot.colours.ink);
+  marginCross(plot, wished);
+  plot.cross(-180, 0, ink);
 }
 
-export function nyquistChart(plot: Plot, peakDb: number | null): void {
+/** |S| constant, named where it is closed and large at its left end, else on its right branch. */
+function contourS(plot: Plot, level: number): void {
+  const { x, y } = nicholsCurve(constantS(level));
+  plot.curve({ x, y }, { colour: plot.colours.quiet, width: 0.8, alpha: 0.55 });
+  const k = level > 0 ? Array.from(x).indexOf(Math.min(...Array.from(x).filter(Number.isFinite))) : Math.round(0.93 * x.length);
+  const isClear = level <= 0 || plot.px(-180) - plot.px(x[k]) > 40;
+  if (isClear && plot.holds(x[k], y[k], 24)) plot.text(`${level} dB`, plot.px(x[k]), plot.py(y[k]) + 4, plot.colours.quiet, "center");
+}
+
+export function nyquistChart(plot: Plot, wished: Wished): void {
   const { quiet, limit, ink } = plot.colours;
+  const closest = closestDb(wished);
   const circle = (radius: number, centre: number): Curve => ({
     x: TURNS.map((t) => centre + radius * Math.cos(t)),
     y: TURNS.map((t) => radius * Math.sin(t)),
   });
   plot.curve(circle(1, 0), { colour: quiet, width: 1, dash: [3, 3] });
-  if (peakDb !== null && peakDb > 0) {
-    plot.fill(circle(1 / fromDb(peakDb), -1), limit, 0.14);
-    plot.curve(circle(1 / fromDb(peakDb), -1), { colour: limit, width: 1.6 });
+  if (closest !== null) {
+    plot.fill(circle(1 / fromDb(closest), -1), limit, 0.14);
+    plot.curve(circle(1 / fromDb(closest), -1), { colour: limit, width: 1.6 });
   }
   plot.cross(-1, 0, ink);
 }
@@ -163,4 +179,17 @@ export function styleOf(plot: Plot, index: number, worst: number, chosen: number
   if (index === chosen) return { colour: cold, width: 2.6 };
   if (index === worst) return { colour: hot, width: 2.4 };
   return { colour: point, width: 1.1, alpha: alone ? 1 : 0.6 };
+}
+
+/** The line of rising frequencies that is nearest to a frequency. */
+export function nearestLine(f: Real, hz: number): number {
+  const k = Math.min(Math.max(placeIn(f, hz), 1), f.length - 1);
+  return hz * hz < f[k - 1] * f[k] ? k - 1 : k;
+}
+
+/** A curve over rising frequencies between its lines, straight over ln f. */
+export function interpolated(f: Real, y: ArrayLike<number>, hz: number): number {
+  const k = Math.min(Math.max(placeIn(f, hz, true) - 1, 0), f.length - 2);
+  const share = Math.min(Math.max(Math.log(hz / f[k]) / Math.log(f[k + 1] / f[k]), 0), 1);
+  return y[k] + share * (y[k + 1] - y[k]);
 }
