@@ -20,8 +20,8 @@ from loopshape.view.page.page import resource
 
 _READ = (
     "Point at a curve, or tap it: all plots of the loop mark the same frequency, and its values stand below. With the"
-    " keyboard: left and right go from frequency to frequency, up and down from one operating point to the next, + and -"
-    " zoom, 0 shows all; with the mouse drag to move, turn the wheel with Ctrl to zoom. The legend hides and shows"
+    " keyboard: left and right go from frequency to frequency, up and down from one operating point to the next, + and"
+    " - zoom, 0 shows all; with the mouse drag to move, turn the wheel with Ctrl to zoom. The legend hides and shows"
     " operating points."
 )
 
