@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.tune import RequireFile
-from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.design.bound import Bound
@@ -42,7 +41,7 @@ def bound_run(run: Path, controller: Path, require: Path, output: Output) -> lis
         with output.progress(f"bound {wished.loop}", 2 * len(mine)) as step:
             found.append(bound_loop(mine, controller_of(controllers, wished.loop), wished, fits, step=step))
         _report(found[-1], output)
-    output.json({"loops": [bound_json(one) for one in found]})
+    output.json({"loops": found})
     return found
 
 
@@ -84,13 +83,3 @@ def sentences(one: Bound) -> list[str]:
     if one.left_out:
         said.append(f"left out (they only lower what is possible): {', '.join(one.left_out)}")
     return said
-
-
-def bound_json(one: Bound) -> dict[str, Any]:
-    """A bound as JSON."""
-    return named(one, "loop", "answer", "bound_hz", "ratio", "counted", "left_out", "outcome") | {
-        "bandwidth_hz": one.found_hz,
-        "bound_by": one.together.recording,
-        "alone": [named(x, "recording", "bound_hz") | {"bandwidth_hz": one.found[x.recording]} for x in one.alone],
-        "reached": named(one.reached, "recording", "bandwidth_hz", "parameters"),
-    }

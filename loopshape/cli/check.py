@@ -12,7 +12,6 @@ import typer
 from loopshape.cli.output import AsJson, Details, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
-    comparison_json,
     report_comparisons,
     report_headline,
     report_margins,
@@ -124,9 +123,9 @@ def check_run(
         {
             "passed": passed,
             "outcome": outcome,
-            "loops": [v.to_dict() for v in found.verdicts],
+            "loops": found.verdicts,
             "profile": None if chosen is None else _profile_json(chosen, found.verdicts),
-            "baseline": _compared_json(compared),
+            "baseline": compared,
             "figures": drawn,
         }
     )
@@ -153,13 +152,14 @@ def _say_profile(profile: Profile | None, verdicts: Sequence[Verdict], output: O
         output.paragraph(sentence)
 
 
+_PROFILE = ("name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks", "limits")
+
+
 def _profile_json(profile: Profile, verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    from loopshape.core.json_ready import named
     from loopshape.data.profile import zone_shares
 
-    words = named(profile, "name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks")
     zones = {verdict.loop: zone_shares(verdict, profile) for verdict in verdicts if not verdict.together}
-    return words | {"limits": dict(profile.limits), "zones": zones}
+    return {name: getattr(profile, name) for name in _PROFILE} | {"zones": zones}
 
 
 def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:
@@ -202,14 +202,3 @@ def _draw(folder: Path, found: Checks) -> list[str]:
     return [
         path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
     ]
-
-
-def _compared_json(compared: Baseline | None) -> dict[str, Any] | None:
-    if compared is None:
-        return None
-    parts = {"by_controller": compared.by_controller, "by_plant": compared.by_plant}
-    return {
-        "worse": compared.worse,
-        **comparison_json(compared.whole),
-        **{name: None if one is None else comparison_json(one) for name, one in parts.items()},
-    }

@@ -44,7 +44,7 @@ def compare(
     drawn = _draw(found, figures_of(run)) if figures else []
     outcome = report(found, output)
     output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {outcome}"]))
-    output.json({"outcome": outcome, "predictions": [_json(one) for one in found], "figures": drawn})
+    output.json({"outcome": outcome, "predictions": found, "figures": drawn})
     if outcome != "held":
         raise typer.Exit(1)
 
@@ -114,32 +114,6 @@ def _step_row(s: StepComparison) -> list[Any]:
 
 def _tracked(t: Any) -> list[float]:
     return [t.largest_error, t.predicted_largest_error, t.rms_error, t.predicted_rms_error]
-
-
-def _json(one: Remeasured) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "loop": one.prediction.loop,
-        "predicted_from": one.prediction.recording,
-        "operating_point": dict(one.prediction.sensitivity.operating_point),
-        "comparisons": [asdict(c) for c in one.comparisons],
-        "steps": [
-            {
-                "recording": s.recording,
-                "at_s": s.at_s,
-                "size": s.size,
-                "measured": asdict(s.measured),
-                "predicted": None if s.predicted is None else asdict(s.predicted.indicators),
-                "largest_miss": s.largest_miss,
-                "miss_at_s": s.miss_at_s,
-                "outside": s.outside,
-                "notes": list(s.notes),
-            }
-            for s in one.steps
-        ],
-        "profiles": {name: asdict(t) for name, t in one.profiles.items()},
-    }
 
 
 def _draw(found: Sequence[Remeasured], folder: Path) -> list[str]:

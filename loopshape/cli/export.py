@@ -36,7 +36,7 @@ def export(
     ]
     output.table(f"FRFs in {folder}", columns, rows)
     output.warn(lost)
-    output.json({"run": str(run), "format": to, "files": [str(path) for path in paths], "warnings": list(lost)})
+    output.json({"run": str(run), "format": to, "files": paths, "warnings": lost})
 
 
 def export_controller(
@@ -83,7 +83,7 @@ def export_excitation(
     paths = export_signals(out, made, to)
     rows = [(path.name, e.injection, e.samples, e.rate_hz) for path, e in zip(paths, made, strict=True)]
     output.table(f"Signals in {out}", ("file", "injection", "samples", "Hz"), rows)
-    output.json({"study": str(study), "format": to, "exported": [str(path) for path in paths]})
+    output.json({"study": str(study), "format": to, "exported": paths})
 
 
 def firmware(
@@ -106,4 +106,4 @@ def firmware(
     output.table(f"Rate loop {axis} of {of} in {out}", ["block", "parameters"], rows)
     output.warn(missing)
     told = {"controller": str(out), "firmware": of, "axis": axis, "warnings": list(missing)}
-    output.json(told | {"blocks": [block.to_table() for block in made.blocks]})
+    output.json(told | {"blocks": made.blocks})

@@ -120,29 +120,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
             " and checks use the FRF itself"
         )
     output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if f.outcome != "converged")
-    output.json(
-        {
-            "run": str(folder),
-            "fits": [
-                {
-                    "recording": f.recording,
-                    "loop": f.loop,
-                    "operating_point": dict(f.operating_point),
-                    "structure": f.structure,
-                    "parameters": {
-                        p.name: {"value": p.value, "std": p.std, "interval": list(p.interval), "unit": p.unit}
-                        for p in f.parameters
-                    },
-                    "outcome": f.outcome,
-                    "chi2_per_dof": f.chi2_per_dof,
-                    "sufficient": f.sufficient,
-                    "misfit_db": f.misfit_db,
-                    "band_hz": list(f.band_hz),
-                }
-                for f in fits
-            ],
-        }
-    )
+    output.json({"run": str(folder), "fits": fits})
 
 
 def _report_modes(fits: list[Fit], output: Output) -> None:

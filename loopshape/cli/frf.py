@@ -184,8 +184,6 @@ def report(
     matrices: Sequence[FRF] = (),
 ) -> None:
     """Table, warnings and JSON of estimated FRFs and matrices."""
-    from dataclasses import asdict
-
     import numpy as np
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
@@ -220,8 +218,8 @@ def report(
                 dict(zip(keys, r, strict=True)) | {"method": one.method} for r, one in zip(rows, frfs, strict=True)
             ],
             "matrices": matrix_rows,
-            "distortion": list(extra.get("distortion", ())),
-            "levels": [asdict(found) | {"sentence": found.sentence} for found in extra.get("levels", ())],
+            "distortion": extra.get("distortion", ()),
+            "levels": extra.get("levels", ()),
             "figures": drawn,
             "warnings": [*warnings, *early, *notes],
         }

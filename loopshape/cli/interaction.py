@@ -10,7 +10,6 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
-from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -112,8 +111,8 @@ def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], outpu
         {
             "run": str(run),
             "decoupled": all(one.decoupled for one in found),
-            "interactions": [_json(one) for one in found],
-            "figures": list(drawn),
+            "interactions": found,
+            "figures": drawn,
         }
     )
 
@@ -121,35 +120,3 @@ def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], outpu
 def _row(one: Interaction, v: BandVerdict) -> list[Any]:
     pair = f"{v.loops[0]}, {v.loops[1]}"
     return [one.frf.recording, pair, *v.band_hz, v.lines, v.estimate_db, v.low_db, v.high_db, v.at_hz, v.verdict]
-
-
-def _json(one: Interaction) -> dict[str, Any]:
-    """One matrix: its words, a table a pair and band, and the largest of what is not by band."""
-    import numpy as np
-
-    from loopshape.core.units import db, deg
-
-    use = one.frf.trusted
-    return {
-        "recordings": one.frf.recording,
-        "loops": list(one.loops),
-        "operating_point": dict(one.frf.operating_point),
-        "limit_db": one.limit_db,
-        "decoupled": one.decoupled,
-        "bands": [_band(v) for v in one.verdicts],
-        "largest_rga_number": float(one.relative_gain.number[use].max()),
-        "closing_the_others": [
-            {
-                "loop": e.loop,
-                "others": list(e.others),
-                "largest_change_db": float(np.abs(db(e.ratio[use])).max()),
-                "largest_change_deg": float(np.abs(deg(np.angle(e.ratio[use]))).max()),
-            }
-            for e in one.equivalents
-        ],
-    }
-
-
-def _band(v: BandVerdict) -> dict[str, Any]:
-    names = ("loops", "verdict", "lines", "at_hz", "low_db", "estimate_db", "high_db", "coupled_hz", "averages_factor")
-    return named(v, *names, "sentence") | {"from_hz": v.band_hz[0], "to_hz": v.band_hz[1]}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
-from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.identify.plan_nouns import Plan
@@ -77,7 +76,7 @@ def plan(
         step(found.recording)
     if found.met:
         output.say(found.sentence)
-        output.json(answer(found) | {"run": str(run), "study": None, "complete": False, "figure": None})
+        output.json(found.to_dict() | {"run": str(run), "study": None, "complete": False, "figure": None})
         return
     study, written, why = write_plan(held, found, out or run / f"plan_{found.loop}.toml")
     figure = save(plan_page(found), figures_of(run) / f"plan_{found.loop}.png")
@@ -86,7 +85,7 @@ def plan(
     output.say(f"study written to {study}: loopshape measure {study} --out RUN{then}" if written else f"{why}: {study}")
     output.say(f"figure written to {figure}")
     output.say(found.sentence)
-    output.json(answer(found) | {"run": str(run), "study": str(study), "complete": written, "figure": str(figure)})
+    output.json(found.to_dict() | {"run": str(run), "study": str(study), "complete": written, "figure": str(figure)})
     if not found.reached:
         raise typer.Exit(1)
 
@@ -137,22 +136,3 @@ def _show(plan: Plan, output: Output) -> None:
     row = [plan.realisations, e.periods, e.period_s, plan.duration_s, *peaks, plan.binds, sure]
     output.table("Experiment", columns, [row])
     output.warn(plan.notes)
-
-
-_PLAN = (
-    "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
-    "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std", "notes",
-    "sentence",
-)  # fmt: skip
-
-
-def answer(plan: Plan) -> dict[str, Any]:
-    """The plan as JSON; every std is relative, 0.01 being 1 % of |G|."""
-    signal = named(plan.excitation, "period_s", "periods", "ramp_s", "amplitude")
-    return {"format": "loopshape-plan/1", **named(plan, *_PLAN), **signal} | {
-        "wished_std": plan.wish.std,
-        "std_at_crossover": plan.at_crossover,
-        "std_before": plan.before,
-        "std_known_to": plan.sure,
-        "distortion_std": plan.floor,
-    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -48,7 +48,7 @@ def predict(
     _report(made, output)
     drawn = _draw(made, out) if figures else []
     output.say("\n".join([f"prediction written to {out}", *drawn]))
-    output.json({"prediction": str(out), "figures": drawn, "predictions": [_json(one) for one in made]})
+    output.json({"prediction": str(out), "figures": drawn, "predictions": made})
 
 
 def _report(made: Sequence[Prediction], output: Output) -> None:
@@ -97,24 +97,6 @@ def indicator_text(read: Indicators, name: str) -> str:
     if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
         return text
     return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"
-
-
-def _json(one: Prediction) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    step = None
-    if one.step is not None:
-        step = {"source": one.step.source, "unsettled": one.step.unsettled, "notes": list(one.step.notes)}
-        step["indicators"] = asdict(one.step.indicators)
-    return {
-        "loop": one.loop,
-        "recording": one.recording,
-        "operating_point": dict(one.sensitivity.operating_point),
-        "parameters": dict(one.sensitivity.parameters),
-        "stability": one.stability,
-        "step": step,
-        "notes": list(one.notes),
-    }
 
 
 def _draw(made: Sequence[Prediction], out: Path) -> list[str]:

@@ -44,8 +44,8 @@ def report(
             "report": str(path),
             "bytes": len(data),
             "outcome": made.outcome,
-            "missing": [{"what": one.what, "command": one.command} for one in made.missing],
-            "figures_left_out": dict(made.figures_left_out),
+            "missing": made.missing,
+            "figures_left_out": made.figures_left_out,
         }
     )
 

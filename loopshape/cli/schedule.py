@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.tune import RequireFile
-from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.design.schedule import Schedule
@@ -51,7 +50,7 @@ def schedule_run(
         _report(found[-1], output)
         drawn += _draw(figures_of(run), found[-1]) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")
-    output.json({"loops": [schedule_json(one) for one in found], "figures": drawn})
+    output.json({"loops": found, "figures": drawn})
     return found
 
 
@@ -80,14 +79,3 @@ def _report(one: Schedule, output: Output) -> None:
     kept = [p.recording for p in one.points if not p.tuned]
     if kept:
         output.say(f"the search alone found nothing better than the robust controller at {', '.join(kept)}")
-
-
-_POINT = (
-    "recording", "operating_point", "own_hz", "robust_hz", "cost_hz", "ratio", "bound_hz", "tuned", "feasible",
-)  # fmt: skip
-
-
-def schedule_json(one: Schedule) -> dict[str, Any]:
-    """A schedule as JSON."""
-    points = [named(p, *_POINT) | {"blocks": [block.to_table() for block in p.own.blocks]} for p in one.points]
-    return named(one, "loop", "robust_hz", "own_hz") | {"points": points}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,6 @@ import typer
 
 from loopshape.cli.output import AsJson, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts
-from loopshape.core.json_ready import named
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
@@ -96,7 +94,7 @@ def tune_run(
         output.say(f"controller written to {out}")
     else:
         output.warn([f"no controller was found that meets all requirements: {_reason(found)}; nothing was written"])
-    output.json({"controller": str(out) if feasible else None, "loops": [tuning_json(t) for t in found]})
+    output.json({"controller": str(out) if feasible else None, "loops": found})
     return feasible
 
 
@@ -205,17 +203,3 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
 
 def _known(value: float) -> float | str:
     return value if isfinite(value) else "-"
-
-
-def tuning_json(tuning: Tuning) -> dict[str, Any]:
-    """A tuning as JSON."""
-    why = tuning.shortfall
-    names = ("feasible", "outcome", "converged", "bandwidth_hz", "rejection_db", "bounds_reached", "moved")
-    return named(tuning, *names) | {
-        "loop": tuning.controller.loop,
-        "blocks": [block.to_table() for block in tuning.controller.blocks],
-        "binding": [named(b, "quantity", "recording", "at_hz") for b in tuning.binding],
-        "growth": [asdict(g) for g in tuning.growth],
-        "shortfall": None if why is None else asdict(why) | {"certified": why.certified},
-        "verdict": tuning.verdict.to_dict(),
-    }

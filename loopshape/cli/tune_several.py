@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output
-from loopshape.cli.tune import controllers_to_start, report_tuning, tuning_json
+from loopshape.cli.tune import controllers_to_start, report_tuning
 from loopshape.cli.verdicts import report_verdicts
 
 if TYPE_CHECKING:
@@ -76,12 +76,9 @@ def _json(found: SeveralTuning, out: Path) -> dict[str, Any]:
     return {
         "controller": str(out) if found.feasible else None,
         "converged": found.converged,
-        "rounds": [
-            {"round": t.round, "loop": t.loop, "bandwidth_hz": t.tuning.bandwidth_hz, "outcome": t.tuning.outcome}
-            for t in found.turns
-        ],
-        "loops": [tuning_json(t) for t in found.tunings.values()],
-        "each": [v.to_dict() for v in found.verdict.each],
+        "rounds": found.turns,
+        "loops": list(found.tunings.values()),
+        "each": found.verdict.each,
         "together": {k: v for k, v in found.verdict.parts[-1].to_dict().items() if k != "margins"},
-        "notes": list(found.notes),
+        "notes": found.notes,
     }

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.cli.output import Output
-from loopshape.core.json_ready import json_ready
 from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
@@ -218,25 +217,3 @@ def _moved(change: Any, points: int) -> list[Any]:
     return [
         change.quantity, change.loop, change.unit, *numbers, interval, change.recording, points, change.outcome,
     ]  # fmt: skip
-
-
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """A comparison as JSON."""
-    return {
-        "outcome": comparison.outcome,
-        "lines": [
-            {
-                "loop": x.loop,
-                "quantity": x.quantity,
-                "before": None if x.before is None else json_ready(x.before, None),
-                "now": None if x.now is None else json_ready(x.now, None),
-                "worse": x.worse,
-            }
-            for x in comparison.lines
-        ],
-        "stabilities": [json_ready(s, None) | {"worse": s.worse} for s in comparison.stabilities],
-        "margins": [json_ready(change, None) | {"change": change.change} for change in comparison.margins],
-        "gone": list(comparison.gone),
-        "new": list(comparison.new),
-        "notes": list(comparison.notes),
-    }

@@ -25,6 +25,6 @@ def verify(
     output.table(f"{run}:", ("what", "outcome", "why"), [(f.what, words[f.sound], f.said) for f in found])
     wrong = [finding for finding in found if finding.sound is False]
     output.say("every file is what was written" if not wrong else f"{len(wrong)} not sound")
-    output.json({"sound": not wrong, "findings": [vars(finding) for finding in found]})
+    output.json({"sound": not wrong, "findings": found})
     if wrong:
         raise typer.Exit(1)

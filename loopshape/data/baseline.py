@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from loopshape.core.json_ready import Plain, keys
 from loopshape.data.controller import Controller
 from loopshape.data.verdict import Line, Verdict
 
@@ -25,8 +26,10 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class LineChange:
+class LineChange(Plain):
     """A requirement whose outcome or limit is not that of the baseline; None where one of them does not ask for it."""
+
+    ALSO = keys("worse")
 
     loop: str
     quantity: str
@@ -51,8 +54,10 @@ class LineChange:
 
 
 @dataclass(frozen=True)
-class StabilityChange:
+class StabilityChange(Plain):
     """An operating point whose closed loop is judged otherwise than in the baseline, and the reason now."""
+
+    ALSO = keys("worse")
 
     loop: str
     recording: str
@@ -72,12 +77,14 @@ class StabilityChange:
 
 
 @dataclass(frozen=True)
-class MarginChange:
+class MarginChange(Plain):
     """One margin at one operating point: before, now, and whether the change is more than chance.
 
     `interval` holds the change with 95 %, jointly with all other changes of the comparison; None where the change has
     no error (`common`: the same data, or no intervals) or is infinite. `outcome` is "better", "worse" or "unchanged".
     """
+
+    ALSO = keys("change")
 
     loop: str
     recording: str
@@ -96,13 +103,15 @@ class MarginChange:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Plain):
     """What became of a baseline: outcomes first, then margins, then what came or went.
 
     `margins` holds every margin that both know, at every operating point that both have. `gone` and `new` are loops and
     operating points that only the baseline, or only the present check, has. `notes` say what differs underneath
     (controller, data) and what could not be compared.
     """
+
+    IN_JSON = keys("outcome", "lines", "stabilities", "margins", "gone", "new", "notes")
 
     lines: tuple[LineChange, ...]
     stabilities: tuple[StabilityChange, ...]

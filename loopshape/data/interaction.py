@@ -7,10 +7,12 @@ bounds are of 95 % at one line, of the FRF's own covariance; `loopshape.identify
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.json_ready import Plain, keys
+from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.frf import FRF
 
 VERDICTS = ("decoupled", "coupled", "undecided")
@@ -101,7 +103,7 @@ def _round(factor: float) -> str:
 
 
 @dataclass(frozen=True)
-class BandVerdict:
+class BandVerdict(Plain):
     """Whether two loops are decoupled in a band, by |k_I| against a limit; one of `VERDICTS`.
 
     `decoupled`: the upper 95 % bound is below the limit at every trusted line, and the lines leave no hole. `coupled`:
@@ -110,6 +112,11 @@ class BandVerdict:
     averages must grow to decide, judged from these very data; infinite where that is no way. `hole_hz` is the widest
     stretch of the band without a trusted line.
     """
+
+    IN_JSON = keys(
+        "loops", "verdict", "lines", "at_hz", "low_db", "estimate_db", "high_db", "coupled_hz", "averages_factor",
+        "sentence", from_hz="band_hz.0", to_hz="band_hz.1",
+    )  # fmt: skip
 
     loops: tuple[str, str]
     band_hz: tuple[float, float]
@@ -158,11 +165,17 @@ class BandVerdict:
 
 
 @dataclass(frozen=True, eq=False)
-class Interaction:
+class Interaction(Plain):
     """All that a square FRF says of how its loops meet; `loops` name its columns and rows, in order.
 
     `equivalents` are of the loops whose partners' controllers are all known.
     """
+
+    IN_JSON = keys(
+        recordings="frf.recording", loops="loops", operating_point="frf.operating_point", limit_db="limit_db",
+        decoupled="decoupled", bands="verdicts", largest_rga_number="largest_rga_number",
+        closing_the_others="closing_the_others",
+    )  # fmt: skip
 
     frf: FRF
     loops: tuple[str, ...]
@@ -176,6 +189,25 @@ class Interaction:
     def decoupled(self) -> bool:
         """Whether every pair is decoupled in every band; undecided is not."""
         return all(v.verdict == "decoupled" for v in self.verdicts)
+
+    @property
+    def largest_rga_number(self) -> float:
+        """The largest sum of |RGA - I| in the valid band."""
+        return float(self.relative_gain.number[self.frf.trusted].max())
+
+    @property
+    def closing_the_others(self) -> list[dict[str, Any]]:
+        """By how much each loop's plant changes at most in the valid band when the others are closed."""
+        use = self.frf.trusted
+        return [
+            {
+                "loop": e.loop,
+                "others": e.others,
+                "largest_change_db": float(np.abs(db(e.ratio[use])).max()),
+                "largest_change_deg": float(np.abs(deg(np.angle(e.ratio[use]))).max()),
+            }
+            for e in self.equivalents
+        ]
 
     @property
     def sentences(self) -> tuple[str, ...]:

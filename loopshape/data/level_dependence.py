@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import SUFFIXES
 
 
@@ -44,12 +45,14 @@ class Change:
 
 
 @dataclass(frozen=True)
-class LevelDependence:
+class LevelDependence(Plain):
     """Of one loop at one operating point: the two levels (rms of what was injected, in `unit`) and what changed.
 
     `resonance` (frequency) and `peak` (its height) are None where the recordings show none at both levels, `gain`
     (below the resonance) where they share too few frequencies.
     """
+
+    ALSO = keys("sentence")
 
     loop: str
     operating_point: Mapping[str, float]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, ComplexArray, angular
 
 
@@ -55,8 +56,10 @@ class TransferFunction:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Plain):
     """One fitted parameter: value, unit, standard deviation, and its 95 % interval."""
+
+    IN_JSON = keys("value", "std", "interval", "unit")
 
     name: str
     value: float
@@ -70,7 +73,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Plain):
     """A model fitted to one FRF.
 
     `outcome` is `converged`, `not_converged` or `at_bound`; `chi2_per_dof` compares the residual with the
@@ -80,6 +83,11 @@ class Fit:
     numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
     `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF.
     """
+
+    IN_JSON = keys(
+        "recording", "loop", "operating_point", "structure", parameters="by_name", outcome="outcome",
+        chi2_per_dof="chi2_per_dof", sufficient="sufficient", misfit_db="misfit_db", band_hz="band_hz",
+    )  # fmt: skip
 
     structure: str
     model: TransferFunction
@@ -110,15 +118,15 @@ class Fit:
         """Whether the residual test accepts the model at 1 %."""
         return self.p_value > 0.01 and self.runs_p_value > 0.01
 
+    @property
+    def by_name(self) -> dict[str, Estimate]:
+        """Parameters by name."""
+        return {p.name: p for p in self.parameters}
+
     def __getitem__(self, name: str) -> Estimate:
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise WrongUseError(
-            "a fit has no such parameter",
-            f"{name!r}",
-            f"use one of {', '.join(p.name for p in self.parameters)}",
-        )
+        if name not in self.by_name:
+            raise WrongUseError("a fit has no such parameter", f"{name!r}", f"use one of {', '.join(self.by_name)}")
+        return self.by_name[name]
 
     def values(self) -> dict[str, Any]:
         """Parameter values by name."""

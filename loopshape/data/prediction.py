@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
@@ -47,12 +48,14 @@ INDICATORS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(Plain):
     """Answer (n,) to a unit step of the setpoint at time 0, with its pointwise 95 % band (n,), and what is read off it.
 
     `source` says what it rests on ("fit" or "FRF"); the band is that source's spread and nothing else: it does not
     know how wrong a model's structure is. `unsettled` is the share of draws that did not settle.
     """
+
+    IN_JSON = keys("source", "unsettled", "notes", "indicators")
 
     time_s: Array
     response: Array
@@ -84,13 +87,18 @@ class Tracking:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(Plain):
     """What one controller will make of one loop at one operating point.
 
     `sensitivity` is S as a 1 x 1 FRF on the plant's trusted lines, with the plant's covariance carried through
     (|dS| = |C S²| |dP|, to first order) and `held_by` the controller. `stability` is the count's word on the same
     lines: where it is not "stable" the rest says little. `step` is None without a usable fit.
     """
+
+    IN_JSON = keys(
+        "loop", "recording", operating_point="sensitivity.operating_point", parameters="sensitivity.parameters",
+        stability="stability", step="step", notes="notes",
+    )  # fmt: skip
 
     sensitivity: FRF
     stability: str
@@ -168,12 +176,17 @@ class Comparison:
 
 
 @dataclass(frozen=True, eq=False)
-class StepComparison:
+class StepComparison(Plain):
     """One measured step against the predicted one, both as of a unit step.
 
     `outside` is the share of samples outside the predicted band, widened by what the sensor's noise leaves;
     `largest_miss` the largest distance from the predicted response itself, of a unit step, `miss_at_s` when.
     """
+
+    IN_JSON = keys(
+        "recording", "at_s", "size", "measured", predicted="predicted.indicators", largest_miss="largest_miss",
+        miss_at_s="miss_at_s", outside="outside", notes="notes",
+    )  # fmt: skip
 
     recording: str
     loop: str

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.json_ready import json_ready
+from loopshape.core.json_ready import Plain
 from loopshape.data.block import BlockTemplate
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
 from loopshape.data.limits_over import MASKED, AtPoints, Mask
@@ -117,7 +117,7 @@ OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent")
 
 
 @dataclass(frozen=True)
-class Margins:
+class Margins(Plain):
     """Margins of one loop at one operating point, by definition from L = C P on the FRF's lines.
 
     All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
@@ -171,11 +171,6 @@ class Margins:
     process_mask_db: float = float("nan")
     loop_mask_db: float = float("nan")
     loop_floor_db: float = float("nan")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; what was not found is None."""
-        made: dict[str, Any] = json_ready(self, None)
-        return made
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from loopshape.core.json_ready import json_ready
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import db, deg
 from loopshape.data.requirements import Margins
 
@@ -51,20 +51,17 @@ class SeveralMargins(Margins):
     unstable_poles: int | None = None
     notes: tuple[str, ...] = ()
 
+    ALSO = keys(worst_changes="changes")
+
     @property
     def changes(self) -> dict[str, dict[str, float]]:
         """`worst_changes` by loop, in gain and phase."""
         found = zip(self.loops, self.worst_changes, strict=True)
         return {name: {"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for name, x in found}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON; what is not defined is None."""
-        found = {f.name: getattr(self, f.name) for f in fields(self)} | {"worst_changes": self.changes}
-        return {name: json_ready(value, None) for name, value in found.items()}
-
 
 @dataclass(frozen=True)
-class Line:
+class Line(Plain):
     """One line of a verdict at its worst operating point: wished, found with its 95 % interval, spare, and the outcome.
 
     `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
@@ -74,6 +71,8 @@ class Line:
     to which frequency to measure, as |L| falls on over the highest lines (None: not known).
     `beyond` tells that `found` is a bound, the largest that was searched.
     """
+
+    ALSO = keys("passed")
 
     quantity: str
     unit: str
@@ -96,7 +95,7 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Verdict:
+class Verdict(Plain):
     """A check's outcome for one loop, or for several at once: the worst line of each requirement over all points.
 
     `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
@@ -106,6 +105,8 @@ class Verdict:
     Of several loops `margins` are those of all together (`SeveralMargins`), and `each` holds a verdict a loop, with the
     others closed; the outcome needs them too.
     """
+
+    IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "each")
 
     loop: str
     lines: tuple[Line, ...]
@@ -173,17 +174,9 @@ class Verdict:
         return f"<p>{escape(repr(self))}</p>{self.table().to_html(index=False, float_format='{:.4g}'.format)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The verdict as plain values for JSON; what was not found is None."""
-        found = {
-            "loop": self.loop,
-            "passed": self.passed,
-            "outcome": self.outcome.value,
-            "lines": [json_ready(line, None) | {"passed": line.passed} for line in self.lines],
-            "margins": {name: m.to_dict() for name, m in self.margins.items()},
-            "unstable": self.unstable,
-            "warnings": self.warnings,
-        } | ({"each": [one.to_dict() for one in self.each]} if self.each else {})
-        return {name: json_ready(value) for name, value in found.items()}
+        """The verdict as plain values for JSON; what was not found is None. A single loop has no `each`."""
+        made = super().to_dict()
+        return made if self.each else {key: value for key, value in made.items() if key != "each"}
 
     @property
     def passed(self) -> bool:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
@@ -48,7 +50,7 @@ class Excluded:
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class Bound(Plain):
     """How far from the best possible a controller is.
 
     `alone` bounds a controller for each plant by itself, `together` one controller for all of them. `found_hz` is the
@@ -58,6 +60,11 @@ class Bound:
     controller's own check: "passed", "failed" or "undecided"; `answer` is what was found of the limits. `impossible`
     limits are met by no controller with a bandwidth: every bound then stands at the first line.
     """
+
+    IN_JSON = keys(
+        "loop", "answer", "bound_hz", "ratio", "counted", "left_out", "outcome",
+        bandwidth_hz="found_hz", bound_by="together.recording", alone="by_point", reached="reached",
+    )  # fmt: skip
 
     loop: str
     found_hz: float
@@ -82,6 +89,14 @@ class Bound:
     def bound_hz(self) -> float:
         """What no single controller exceeds."""
         return min(self.together.bound_hz, *(one.bound_hz for one in self.alone))
+
+    @property
+    def by_point(self) -> list[dict[str, Any]]:
+        """Bound and bandwidth found at each operating point alone."""
+        return [
+            {"recording": x.recording, "bound_hz": x.bound_hz, "bandwidth_hz": self.found[x.recording]}
+            for x in self.alone
+        ]
 
     @property
     def least_alone(self) -> Excluded:

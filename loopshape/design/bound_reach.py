@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Requirements
@@ -26,11 +27,13 @@ WIDE, NEAR = (0.4, 0.12), (0.2, 0.1, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class Reached(Plain):
     """A bandwidth that a controller of many parameters reaches on one plant, with its L and C (n,) at nodes f (n,).
 
     0 where none was found, or where no limit says what to keep to. Only the counted limits are kept.
     """
+
+    IN_JSON = keys("recording", "bandwidth_hz", "parameters")
 
     recording: str
     bandwidth_hz: float

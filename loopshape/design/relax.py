@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.requirements import LIMIT_OF, Requirements
 from loopshape.design.measures import Measures
@@ -70,13 +71,15 @@ class Relaxation:
 
 
 @dataclass(frozen=True)
-class Shortfall:
+class Shortfall(Plain):
     """Why the requirements were not met: the least worst miss, what holds it there, and what to relax.
 
     `miss` is the least worst miss found (ln of a ratio, or rad). `helps` is how much any change of the free parameters
     by a factor of up to 1.01 can take off it, to first order: much less than `miss` certifies that no small change
     helps. `bounds` are parameters at a bound, which may hold it too. Without a stable start all is empty.
     """
+
+    ALSO = keys("certified")
 
     stable: bool
     miss: float

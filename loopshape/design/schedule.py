@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
@@ -20,13 +21,18 @@ AGAIN = 2
 
 
 @dataclass(frozen=True, eq=False)
-class PointCost:
+class PointCost(Plain):
     """Bandwidths at one operating point: with its own controller, with the robust one, and what none exceeds.
 
     `own` is the better of the two there, so robustness never costs less than nothing; `tuned` tells whether the
     search for it found the better one, `feasible` whether its own surely meets all requirements. `bound_hz` is nan
     where it was not asked.
     """
+
+    IN_JSON = keys(
+        "recording", "operating_point", "own_hz", "robust_hz", "cost_hz", "ratio", "bound_hz", "tuned", "feasible",
+        blocks="own.blocks",
+    )  # fmt: skip
 
     recording: str
     operating_point: Mapping[str, float]
@@ -49,8 +55,10 @@ class PointCost:
 
 
 @dataclass(frozen=True, eq=False)
-class Schedule:
+class Schedule(Plain):
     """Every operating point's cost, for one loop and one robust controller."""
+
+    IN_JSON = keys("loop", "robust_hz", "own_hz", "points")
 
     loop: str
     robust: Controller

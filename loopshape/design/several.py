@@ -9,6 +9,7 @@ from itertools import count
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.controller import Controller
@@ -28,8 +29,10 @@ STILL = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class Turn(Plain):
     """One loop's tuning in a round, with `others` closed; `moved`: largest |d ln C| on the lines, nan at first."""
+
+    IN_JSON = keys("round", "loop", bandwidth_hz="tuning.bandwidth_hz", outcome="tuning.outcome")
 
     round: int
     loop: str

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, db
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
@@ -36,7 +37,7 @@ class Binding:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuning:
+class Tuning(Plain):
     """A tuned controller with its verdict, what binds, and how the search went.
 
     `outcome` is the verdict's: "passed", "undecided" where the requirements hold by the estimates but not by their
@@ -46,6 +47,12 @@ class Tuning:
     objective's low lines at the worst operating point, None where it was not asked. `moved` says what a warm start
     had to leave. `growth` holds what was reached before and after each block that was added.
     """
+
+    IN_JSON = keys(
+        "feasible", "outcome", "converged", "bandwidth_hz", "rejection_db", "bounds_reached", "moved",
+        loop="controller.loop", blocks="controller.blocks", binding="binding", growth="growth", shortfall="shortfall",
+        verdict="verdict",
+    )  # fmt: skip
 
     controller: Controller
     verdict: Verdict

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.multisine import Multisine
 from loopshape.identify import plan_words
@@ -52,7 +54,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Plan(Plain):
     """An experiment and what it is predicted to reach; arrays (n,) over its lines, signals in stored units.
 
     `std` is the predicted relative std of |G|, `floor` the part of it that distortion leaves, `line_amplitude` the peak
@@ -64,6 +66,15 @@ class Plan:
     distortion forbids. Of several `realisations` each is recorded with phases of its own, and `std` and `floor` are
     those of their mean. Peaks hold the noise of the first record too. What a plan cannot know is in `notes`.
     """
+
+    FORMAT: ClassVar[str] = "loopshape-plan/1"
+    IN_JSON = {"format": "FORMAT"} | keys(
+        "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
+        "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std",
+        "notes", "sentence", period_s="excitation.period_s", periods="excitation.periods", ramp_s="excitation.ramp_s",
+        amplitude="excitation.amplitude", wished_std="wish.std", std_at_crossover="at_crossover", std_before="before",
+        std_known_to="sure", distortion_std="floor",
+    )  # fmt: skip
 
     loop: str
     recording: str

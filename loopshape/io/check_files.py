@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.data.baseline import Checked, Comparison
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
@@ -78,11 +79,15 @@ class Checks:
 
 
 @dataclass(frozen=True)
-class Baseline:
+class Baseline(Plain):
     """What became of a baseline: in all, and where controller and data both changed, the part of each.
 
     `by_controller` compares both controllers on the present data, `by_plant` the baseline's controller on both data.
     """
+
+    IN_JSON = {"worse": "worse", **{key: f"whole.{key}" for key in Comparison.IN_JSON}} | keys(
+        "by_controller", "by_plant"
+    )
 
     whole: Comparison
     by_controller: Comparison | None = None

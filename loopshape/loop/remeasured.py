@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.data.frf import FRF
 from loopshape.data.prediction import Comparison, Prediction, StepComparison, Tracking
 from loopshape.data.recording import Recording
@@ -19,11 +20,17 @@ from loopshape.loop.prediction import compare, compare_step, sensitivity_of
 
 
 @dataclass(frozen=True, eq=False)
-class Remeasured:
+class Remeasured(Plain):
     """One prediction with all that a run says of it: S measured and compared, steps, and profiles by recording.
 
     Empty where the run has nothing of that kind at the prediction's operating point.
     """
+
+    IN_JSON = keys(
+        loop="prediction.loop", predicted_from="prediction.recording",
+        operating_point="prediction.sensitivity.operating_point", comparisons="comparisons", steps="steps",
+        profiles="profiles",
+    )  # fmt: skip
 
     prediction: Prediction
     measured: tuple[FRF, ...]
