@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.cascade import Cascade as Cascade
     from loopshape.loop.cascade import cascade as cascade
+    from loopshape.verbs.campaign import campaign as campaign
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
@@ -118,6 +119,7 @@ _HOME = {
     "Verdict": "data.verdict",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
+    "campaign": "verbs.campaign",
     "cascade": "loop.cascade",
     "check": "verbs.chain",
     "compare": "verbs.chain",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,8 +14,10 @@ from loopshape.cli.verdicts import fits_of, report_verdicts
 
 if TYPE_CHECKING:
     from loopshape.data.controller import Controller
+    from loopshape.data.requirements import Requirements, SeveralRequirements
     from loopshape.design.growth import Grown
     from loopshape.design.relax import Shortfall
+    from loopshape.design.several import Turn
     from loopshape.design.tune import Tuning
 
 RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
@@ -46,17 +48,11 @@ def tune(
     """
     output = Output(as_json, quiet)
     if matrix:
-        from loopshape.cli.tune_several import tune_several_run
-
         refuse_growth(grow)
-        feasible = tune_several_run(
-            run, require, out, output, start=start, profile=profile, seed=seed, starts=starts
-        )  # fmt: skip
-    else:
-        feasible = tune_run(
-            run, require, out, output, start=start, profile=profile, seed=seed, starts=starts, grow=grow,
-            least_gain=least_gain,
-        )  # fmt: skip
+    feasible = tune_run(
+        run, require, out, output, start=start, profile=profile, matrix=matrix, seed=seed, starts=starts,
+        **({} if matrix else {"grow": grow, "least_gain": least_gain}),
+    )  # fmt: skip
     if not feasible:
         raise typer.Exit(1)
 
@@ -69,33 +65,89 @@ def tune_run(
     *,
     start: Path | None = None,
     profile: str | None = None,
+    matrix: bool = False,
     **search: Any,
 ) -> bool:
-    """Tune each loop of a requirements file, report, and write the controllers if all requirements are met."""
-    from loopshape.design.tune import tune as tune_loop
-    from loopshape.io.controllers import write_controllers
-    from loopshape.io.frfs import read_frfs
-    from loopshape.io.profiles import joined
-    from loopshape.io.requirements import read_requirements
+    """Tune the loops of a requirements file, report, and write the controllers if all requirements are met.
 
-    frfs, fits = read_frfs(run), fits_of(run)
-    requirements, chosen = joined(profile, read_requirements(require))
-    began = controllers_to_start(start, [wished.loop for wished in requirements])
-    found = []
-    for wished in requirements:
-        mine = [one for one in frfs if one.loop == wished.loop]
-        found.append(tune_loop(mine, wished, fits, start=began.get(wished.loop), **search))
-        report_tuning(found[-1], output, len(mine))
+    Each by itself, or with `matrix` in turn with the others closed; a profile then limits each with the others closed.
+    """
+    from loopshape.io.controllers import write_controllers
+    from loopshape.io.profiles import joined
+    from loopshape.io.requirements import read_required, read_requirements
+
+    given, together = read_required(require) if matrix else (read_requirements(require), None)
+    wishes, chosen = joined(profile, given)
+    began = controllers_to_start(start, [one.loop for one in wishes])
+    if matrix:
+        found, missed, more = _in_turn(run, wishes, began, together, output, **search)
+    else:
+        found, missed, more = _each(run, wishes, began, output, **search)
     for sentence in () if chosen is None else chosen.sentences():
         output.paragraph(sentence)
-    feasible = all(t.feasible for t in found)
-    if feasible:
-        write_controllers(out, [t.controller for t in found], None)
-        output.say(f"controller written to {out}")
+    if missed:
+        output.warn([f"{missed}; nothing was written"])
     else:
-        output.warn([f"no controller was found that meets all requirements: {_reason(found)}; nothing was written"])
-    output.json({"controller": str(out) if feasible else None, "loops": found})
-    return feasible
+        write_controllers(out, [t.controller for t in found], None)
+        output.say(f"{'controllers' if matrix else 'controller'} written to {out}")
+    output.json({"controller": None if missed else out, "loops": found, **more})
+    return not missed
+
+
+_Found = tuple[list["Tuning"], str, dict[str, Any]]  # tunings, why they are not enough, and what JSON has besides
+
+
+def _each(
+    run: Path, wishes: Sequence[Requirements], began: Mapping[str, Controller], output: Output, **search: Any
+) -> _Found:
+    """Each loop by itself."""
+    from loopshape.design.tune import tune as tune_loop
+    from loopshape.io.frfs import read_frfs
+
+    frfs, fits = read_frfs(run), fits_of(run)
+    found = []
+    for wish in wishes:
+        mine = [one for one in frfs if one.loop == wish.loop]
+        found.append(tune_loop(mine, wish, fits, start=began.get(wish.loop), **search))
+        report_tuning(found[-1], output, len(mine))
+    missed = not all(t.feasible for t in found)
+    return found, f"no controller was found that meets all requirements: {_reason(found)}" if missed else "", {}
+
+
+def _in_turn(
+    run: Path,
+    wishes: Sequence[Requirements],
+    began: Mapping[str, Controller],
+    together: SeveralRequirements | None,
+    output: Output,
+    **search: Any,
+) -> _Found:
+    """The loops of a plant in turn, each with the others closed."""
+    from loopshape.io.check_files import recorded_under
+    from loopshape.io.frfs import read_several_loops
+    from loopshape.verbs.chain import tune as tune_loops
+
+    frfs = read_several_loops(run)
+    found = tune_loops(
+        frfs, wishes, start=list(began.values()), together=together, recorded_under=recorded_under(run), watch=output,
+        **search,
+    )  # fmt: skip
+    columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C changed by [%]"]
+    output.table("Loops in turn", columns, [_row(turn) for turn in found.turns])
+    if not found.converged:
+        output.warn(["the loops interact: controllers still changed in the last round"])
+    for tuning in found.tunings.values():
+        report_tuning(tuning, output, len(frfs))
+    report_verdicts(found.verdict.parts, output, margins=False)
+    output.warn(found.notes)
+    missed = "" if found.feasible else "the loops do not meet all requirements together"
+    return list(found.tunings.values()), missed, found.to_dict()
+
+
+def _row(turn: Turn) -> list[Any]:
+    moved = None if turn.moved != turn.moved else 100.0 * turn.moved
+    others = ", ".join(turn.others) or "none"
+    return [turn.round, turn.loop, others, turn.tuning.bandwidth_hz, turn.tuning.outcome, moved]
 
 
 def controllers_to_start(file: Path | None, loops: list[str]) -> dict[str, Controller]:

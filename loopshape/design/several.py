@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -42,12 +43,14 @@ class Turn(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralTuning:
+class SeveralTuning(Plain):
     """Controllers of all loops, how they came to be, and the verdict on all of them at once.
 
     `converged` tells that in the last round no controller moved; where it is False the loops pull at each other, and
     the last round's controllers stand. `notes` say what had to be assumed.
     """
+
+    IN_JSON = keys("converged", "notes", rounds="turns", each="verdict.each", together="together")
 
     controllers: tuple[Controller, ...]
     turns: tuple[Turn, ...]
@@ -59,6 +62,11 @@ class SeveralTuning:
     def feasible(self) -> bool:
         """Whether every loop, and all together, surely meet what is wished."""
         return self.verdict.passed
+
+    @property
+    def together(self) -> dict[str, Any]:
+        """The verdict on all loops at once for JSON, without its margins."""
+        return {key: value for key, value in self.verdict.parts[-1].to_dict().items() if key != "margins"}
 
     @property
     def tunings(self) -> Mapping[str, Tuning]:

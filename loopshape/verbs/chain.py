@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.block import BlockTemplate
@@ -23,15 +23,16 @@ from loopshape.data.verdict import Verdict
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import Settings
 from loopshape.verbs.files import read
+from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.gap_report import GapReport
     from loopshape.data.machine import Model
     from loopshape.data.plant import Followable
     from loopshape.data.prediction import Prediction
-    from loopshape.data.requirements import SeveralRequirements
     from loopshape.design.bound import Bound
     from loopshape.design.schedule import Schedule
+    from loopshape.design.several import SeveralTuning
     from loopshape.loop.remeasured import Remeasured
 
 Plants = FRF | Sequence[FRF]
@@ -105,18 +106,36 @@ def fit(P: FRF, structure: str = "auto", *, weighting: str = "variance", **order
     return fit_structure(P, structure_by_name(structure, **orders), weighting=weighting)
 
 
+@overload
+def tune(
+    P: Plants, R: Requirements, structure: Sequence[BlockTemplate] | None = None, *, fits: Sequence[Fit] = (),
+    start: Controller | Tuning | None = None, seed: int = 0, starts: int = 16, grow: int = 0, least_gain: float = 0.01,
+) -> Tuning: ...  # fmt: skip
+
+
+@overload
+def tune(
+    P: Plants, R: Sequence[Requirements], *, start: Sequence[Controller | Tuning] = (),
+    together: SeveralRequirements | None = None, recorded_under: Sequence[Controller] = (), seed: int = 0,
+    starts: int = 16, watch: Watch | None = None,
+) -> SeveralTuning: ...  # fmt: skip
+
+
 def tune(
     P: Plants,
-    R: Requirements,
+    R: Requirements | Sequence[Requirements],
     structure: Sequence[BlockTemplate] | None = None,
     *,
     fits: Sequence[Fit] = (),
-    start: Controller | Tuning | None = None,
+    start: Controller | Tuning | Sequence[Controller | Tuning] | None = None,
+    together: SeveralRequirements | None = None,
+    recorded_under: Sequence[Controller] = (),
     seed: int = 0,
     starts: int = 16,
     grow: int = 0,
     least_gain: float = 0.01,
-) -> Tuning:
+    watch: Watch | None = None,
+) -> Tuning | SeveralTuning:
     """One controller of a structure for all plants: the highest lowest bandwidth within all requirements.
 
     `structure` (default: that of `R`) is a sequence of blocks, `[ls.gain(), ls.lead_lag(), ls.notch()]`; what they
@@ -126,6 +145,11 @@ def tune(
     added to the structure, each the one that pays most, until one gains less than `least_gain` of the bandwidth; the
     result's `growth` shows what each brought. Raises WrongUseError where the number of the plant's unstable poles is
     not known.
+
+    With a sequence of requirements, one a loop and each with its structure, `P` is a square matrix FRF
+    (`ls.frf_matrices`) or several, and the loops are tuned in turn, each with the others closed by their latest
+    controllers; `start` then holds controllers to begin from. What comes out is a point that no loop improves on alone.
+    `together` and `recorded_under` are as in `ls.check`; `fits`, `structure` and growth are of one loop alone.
 
     Examples
     --------
@@ -141,12 +165,37 @@ def tune(
     from loopshape.design.tune import tune as tune_loop
 
     plants = _plants(P)
+    if not isinstance(R, Requirements):
+        if structure is not None or fits or grow:
+            raise WrongUseError(
+                "structure, fits and growth are of a single loop", f"requirements of {len(R)} loops",
+                "give each loop's requirements its structure",
+            )  # fmt: skip
+        return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
+    if isinstance(start, Sequence):
+        raise WrongUseError("one loop starts from one controller", f"{len(start)} of them", "give its own")
     asked = R if structure is None else replace(R, structure=tuple(structure))
     asked = replace(asked, structure=bounded(asked.structure, plants))
-    began = start.controller if isinstance(start, Tuning) else start
+    began = None if start is None else _controller(start)
     return tune_loop(
         plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain
     )
+
+
+def _tune_several(
+    plants: tuple[FRF, ...],
+    R: Sequence[Requirements],
+    start: Controller | Tuning | Sequence[Controller | Tuning] | None,
+    together: SeveralRequirements | None,
+    recorded_under: Sequence[Controller],
+    watch: Watch,
+    **search: int,
+) -> SeveralTuning:
+    from loopshape.design.several import tune_several
+
+    began = [_controller(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
+    with watch.progress("tune", 2 * len(R)) as step:
+        return tune_several(plants, R, began, together, held=recorded_under, step=step, **search)
 
 
 def check(

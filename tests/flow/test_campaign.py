@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import loopshape as ls
 from loopshape.core.errors import LoopshapeError, RigError
 from loopshape.data.campaign import Part
 from loopshape.io.campaigns import read_campaign
@@ -154,7 +155,8 @@ def test_parts_that_were_recorded_apart_are_merged_to_the_same_bytes(campaign, a
     early = subprocess.run(command(campaign, out, "--merge"), capture_output=True, text=True, check=False)
     assert early.returncode == 2
     assert "parts of the campaign are missing; received part-2-of-3" in early.stderr
-    subprocess.run(command(campaign, out, "--part", "2/3", "--workers", "1"), check=True)
+    second = ls.campaign(campaign, out, part=(2, 3), workers=1)
+    assert (second.folder, second.machines, second.recordings) == (out / "part-2-of-3", 8, 5)
     before = {path.name for path in out.glob("part-2-of-3/d*")}
     assert 0 < len(before) < 8
     subprocess.run(command(campaign, out, "--merge"), check=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
@@ -53,7 +54,7 @@ FEW = {"starts": 4, "draws": 20, "several": WHOLE}
 
 
 def test_loops_that_do_not_meet_are_tuned_as_each_alone():
-    found = tune_several([matrix(0.0)], WISHES, **FEW)
+    found = ls.tune(matrix(0.0), WISHES, starts=4, together=WHOLE)
     assert found.converged
     assert found.feasible
     assert [turn.round for turn in found.turns] == [1, 1, 2, 2]
@@ -114,3 +115,15 @@ def test_a_loop_without_wishes_stays_closed_as_it_is():
 def test_one_loop_is_refused():
     with pytest.raises(WrongUseError, match="several loops are two at least"):
         tune_several([matrix(0.0)], WISHES[:1])
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"R": WISHES, "grow": 1}, "structure, fits and growth are of a single loop"),
+        ({"R": WISHES[0], "start": []}, "one loop starts from one controller"),
+    ],
+)
+def test_what_is_of_one_loop_alone_is_not_asked_of_several(asked, words):
+    with pytest.raises(WrongUseError, match=words):
+        ls.tune(matrix(0.0), **asked)

@@ -1,4 +1,4 @@
-"""`loopshape campaign`: one study on many simulated machines, a run folder each."""
+"""One study on many simulated machines, a run folder each."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from loopshape.cli.output import AsJson, Output, Quiet
-from loopshape.rig.interrupts import interrupts
+from loopshape.data.campaign import Part
+from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.campaign import Campaign, Machine, Part
+    from loopshape.data.campaign import Campaign, Machine
     from loopshape.data.run import Run
     from loopshape.data.study import Study
     from loopshape.rig.many import Job
@@ -27,54 +25,47 @@ NAMED_S = 1.0  # so long may tables that are whole wait to be named in run.toml:
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="A campaign (TOML).", show_default=False)],
-    out: Annotated[Path, typer.Option(help="The folder of run folders to write; an interrupted campaign goes on.")],
-    workers: Annotated[int, typer.Option(help="Processes on this machine; 0 for one a core.")] = 0,
-    cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, in place of processes.")] = None,
-    part: Annotated[
-        str | None, typer.Option(metavar="K/N", help="Record one of N parts, in a folder of its own.")
-    ] = None,
-    merge: Annotated[bool, typer.Option("--merge", help="Join the parts, which are then all recorded.")] = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
-    """Do a study to many simulated machines: draws of the manufacturing tolerance, amplitudes, effects."""
+    file: str | Path,
+    out: str | Path,
+    *,
+    workers: int = 0,
+    cluster: str | None = None,
+    part: tuple[int, int] | None = None,
+    merge: bool = False,
+    watch: Watch | None = None,
+) -> Recorded:
+    """Record a campaign file: its study on many simulated machines, by tolerance, amplitudes and effects, into `out`.
+
+    What `out` holds already is not made again. `workers` are processes (0: one a core), `cluster` the address of a Dask
+    scheduler in their place. `part` (2, 8) makes the second of eight parts in a folder of its own, `merge` joins all
+    parts once they are recorded. Processes import the script that calls this: guard its body by
+    `if __name__ == "__main__":`. Raises WrongUseError for what the machines cannot do, before anything is written.
+    """
     from loopshape.io.campaigns import write_index
     from loopshape.io.files import make_folder
     from loopshape.io.run_folder import alone
     from loopshape.rig.many import check_workers
 
     check_workers(workers)
-    output = Output(as_json, quiet)
-    planned = _planned(file)
-    of = _part(part, merge)
-    folder = out / of.name if of else out
+    planned = _planned(Path(file))
+    of = None if part is None else Part(*part)
+    folder = Path(out) / of.name if of else Path(out)
     make_folder(folder)
-    started = monotonic()
-    with alone(folder), interrupts():
+    with alone(folder):
         write_index(folder, planned.machines)
-        try:
-            made = _merge(out, planned) if merge else _record(folder, planned, of, (workers, cluster), output)
-        except KeyboardInterrupt:
-            output.warn(["interrupted; what the runs list is kept, the same command goes on"])
-            raise typer.Exit(130) from None
-    wall_s = monotonic() - started
-    done = "merged" if merge else "made"
-    output.say(f"{len(planned.machines)} machines, {made} recordings {done} in {wall_s:.1f} s, in {folder}")
-    output.json({"machines": len(planned.machines), "recordings": made, "wall_s": wall_s})
+        made = (
+            _merge(folder, planned) if merge else _record(folder, planned, of, (workers, cluster), watch or Unwatched())
+        )
+    return Recorded(folder, len(planned.machines), made)
 
 
-def _part(text: str | None, merge: bool) -> Part | None:
-    """The part that is asked for, K/N."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.data.campaign import Part
+@dataclass(frozen=True)
+class Recorded:
+    """The folder of a campaign (or of its part), its number of machines, and how many recordings were made now."""
 
-    if text is None:
-        return None
-    number, _, of = text.partition("/")
-    if merge or not (number.isdecimal() and of.isdecimal()):
-        raise WrongUseError("a part is K/N, and merged without it", text, "write --part 1/8 to 8/8, then --merge alone")
-    return Part(int(number), int(of))
+    folder: Path
+    machines: int
+    recordings: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +109,7 @@ def _read(file: Path) -> tuple[Campaign, Path]:
     return read_campaign(file, of)
 
 
-def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], output: Output) -> int:
+def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], watch: Watch) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
     from loopshape.io.run_folder import sweep
     from loopshape.rig.many import carried_out
@@ -129,7 +120,7 @@ def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str 
     try:
         with (
             closing(_Naming(out, planned)) as naming,
-            output.progress("campaign", len(wanted)) as step,
+            watch.progress("campaign", len(wanted)) as step,
             closing(carried_out(work, _todo(out, planned, wanted, step, begun), *by)) as results,
         ):
             for job, entry in results:
