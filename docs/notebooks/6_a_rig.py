@@ -35,7 +35,7 @@ with ls.emulator() as port:
         print(refused)
 
 # %% [markdown]
-# Arming is said in so many words. From here on the machine may move; whatever ends the measurement early vents it, and
+# Arming is explicit. From here on the machine may move; whatever ends the measurement early vents it, and
 # every finished recording is kept.
 
 # %%

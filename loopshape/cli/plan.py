@@ -91,7 +91,7 @@ def plan(
 
 
 def _std(std_db: float | None, std_percent: float | None, std_deg: float | None) -> float:
-    """The wish as a relative std of |G|; refuses none, or several."""
+    """The required accuracy as a relative std of |G|; refuses none, or several."""
     from loopshape.core.errors import WrongUseError
     from loopshape.core.units import from_db, rad
 

@@ -38,7 +38,7 @@ class LineChange(Plain):
 
     @property
     def worse(self) -> bool:
-        """Whether the outcome is worse than before; a requirement that came or went is said and not judged."""
+        """Whether the outcome is worse than before; a requirement that came or went is reported without verdict."""
         return self._step > 0
 
     @property
@@ -122,7 +122,7 @@ class Comparison(Plain):
 
     @property
     def outcome(self) -> str:
-        """Worse where anything is (an operating point that is gone is no longer held), else better or unchanged."""
+        """Worse where anything is (an operating point that is gone is no longer verified), else better or unchanged."""
         if self.gone or self.of("worse") or any(x.worse for x in self.lines) or any(x.worse for x in self.stabilities):
             return "worse"
         moved = any(x.better for x in self.lines) or any(x.better for x in self.stabilities)

@@ -262,7 +262,7 @@ class FRF:
         return self.select(mask)
 
     def trusted_lines(self) -> FRF:
-        """The trusted lines; refuses a FRF without any."""
+        """The valid lines; refuses a FRF without any."""
         if not self.trusted.any():
             raise WrongUseError(
                 f"no frequency of the FRF {self.loop} {self.recording} is valid".replace("  ", " "),
@@ -273,6 +273,6 @@ class FRF:
 
     @property
     def trusted_band_hz(self) -> tuple[float, float]:
-        """Lowest and highest trusted line, (nan, nan) without any."""
+        """Lowest and highest valid line, (nan, nan) without any."""
         f = self.frequency_hz[self.trusted]
         return (float(f[0]), float(f[-1])) if f.size else (float("nan"), float("nan"))

@@ -38,7 +38,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Submodel:
-    """How far a submodel is off in one recording: rms over its noise floor, nominal and with the effect."""
+    """How far a submodel is off in one recording: rms relative to its noise floor, nominal and with the effect."""
 
     recording: str
     role: str

@@ -1,4 +1,4 @@
-"""The gap table: what parts two runs of one machine, path by path, band by band, operating point by operating point.
+"""The gap table: what separates two runs of one machine, by path, band and operating point.
 
 Run "real" is the evidence, run "sim" (a simulation, or another recording) stands against it. Every difference is sim
 less real, every ratio sim over real. Where it comes from, the table does not say.
@@ -105,7 +105,7 @@ class TimeRow:
 
     @property
     def loud(self) -> bool:
-        """Whether the difference stands clear of the noise floor."""
+        """Whether the difference exceeds the noise floor."""
         return self.ratio > LOUD
 
 

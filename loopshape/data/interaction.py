@@ -106,11 +106,11 @@ def _round(factor: float) -> str:
 class BandVerdict(Plain):
     """Whether two loops are decoupled in a band, by |k_I| against a limit; one of `VERDICTS`.
 
-    `decoupled`: the upper 95 % bound is below the limit at every trusted line, and the lines leave no hole. `coupled`:
+    `decoupled`: the upper 95 % bound is below the limit at every valid line, and the lines leave no hole. `coupled`:
     the lower bound, widened for as many lines as are looked at, is above it at the lines `coupled_hz`. `at_hz` is the
     line that matters most; `low_db`, `estimate_db`, `high_db` are |k_I| there. `averages_factor` is by how much the
     averages must grow to decide, judged from these very data; infinite where that is no way. `hole_hz` is the widest
-    stretch of the band without a trusted line.
+    stretch of the band without a valid line.
     """
 
     IN_JSON = keys(

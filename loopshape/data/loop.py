@@ -37,7 +37,7 @@ class Loop:
     `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane (None: not
     known); the data alone do not show them, they come from the recorded loop, a fit or the user. `model`, where there
     is a fit, says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
-    lines above those that are judged, less sure: they may still show that |L| comes up again. Where `plant` was
+    lines above those that are used, less sure: they may still show that |L| comes up again. Where `plant` was
     smoothed over its lines, `raw` are these as they were measured, and `scatter` draws what noise does to `plant`.
     """
 

@@ -25,7 +25,7 @@ class LoopMatrix:
 
     `names` are the loops in that order. `integrators` is the number of poles of the whole plant at s = 0, as a minimal
     realisation has them (two axes that integrate have two), `unstable_poles` in the right half plane, counted alike
-    (None: not known). `beyond` holds lines above those that are judged, less sure: they may still show that L comes up
+    (None: not known). `beyond` holds lines above those that are used, less sure: they may still show that L comes up
     again. `held` are the controllers, in the same order, under which all loops were closed and stood when the plant was
     recorded; empty where that is not known.
     Refuses another number of controllers than loops, several rates, and lines at or above half the rate.

@@ -90,7 +90,7 @@ class Tracking:
 class Prediction(Plain):
     """What one controller will make of one loop at one operating point.
 
-    `sensitivity` is S as a 1 x 1 FRF on the plant's trusted lines, with the plant's covariance carried through
+    `sensitivity` is S as a 1 x 1 FRF on the plant's valid lines, with the plant's covariance carried through
     (|dS| = |C S²| |dP|, to first order) and `held_by` the controller. `stability` is the count's word on the same
     lines: where it is not "stable" the rest says little. `step` is None without a usable fit.
     """

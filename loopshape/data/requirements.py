@@ -1,4 +1,4 @@
-"""What is required of a loop or of several at once, and the margins that are held against it.
+"""What is required of a loop or of several at once, and the margins that are compared with it.
 
 `Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
 """
@@ -227,7 +227,7 @@ class Requirements:
 
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
-    are looked at, and None takes the FRF's trusted band. `integrators` and `unstable_poles` declare the
+    are looked at, and None takes the FRF's valid band. `integrators` and `unstable_poles` declare the
     plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
     `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
     much |S| may exceed its masks) to 0. Where several of `at` hold at an operating point the last has its way.

@@ -66,7 +66,7 @@ class Envelope:
 
 @dataclass(frozen=True, eq=False)
 class RecordingSheet:
-    """One recording: what was said of it, its length, the shape of its signals, and what is wrong with it."""
+    """One recording: what was stated of it, its length, the shape of its signals, and what is wrong with it."""
 
     info: RecordingInfo
     rate_hz: float
@@ -115,7 +115,7 @@ class RunReport:
     """All that a report of one run shows. `date` is the caller's word: the same report gives the same page.
 
     `checked` holds the loops that have FRFs and a controller, `unchecked` those that requirements name and that could
-    not be held against them; `frfs` all FRFs, `matrices` those of several channels. `figures_left_out` says of each
+    not be compared with them; `frfs` all FRFs, `matrices` those of several channels. `figures_left_out` says of each
     picture that is not embedded why. `files` lists every input.
     """
 

@@ -62,9 +62,9 @@ class SeveralMargins(Margins):
 
 @dataclass(frozen=True)
 class Line(Plain):
-    """One line of a verdict at its worst operating point: wished, found with its 95 % interval, spare, and the outcome.
+    """A requirement at its worst operating point: required, found with its 95 % interval, slack, and the outcome.
 
-    `spare` is the room between what is wished and the interval's end on the bad side (positive: room left).
+    `spare` is the room between what is required and the interval's end on the bad side (positive: room left).
     `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
     A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
@@ -180,5 +180,5 @@ class Verdict(Plain):
 
     @property
     def passed(self) -> bool:
-        """Whether the controller may be signed on these data."""
+        """Whether these data verify the controller."""
         return self.outcome == "passed"

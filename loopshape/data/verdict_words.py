@@ -77,7 +77,7 @@ def bounded_number(line: Line) -> str:
 
 
 def line_text(line: Line) -> str:
-    """A line in one sentence: wished, found with its interval, spare, and for an undecided one what would decide."""
+    """A line in one sentence: required, found with its interval, slack, and for an undecided one what would decide."""
     spare = f"(slack {number(line.spare)}{_unit(line.unit)})"
     return f"required {wished_text(line)}, found {found_text(line)} {spare}{longer_text(line)}"
 

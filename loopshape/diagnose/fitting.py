@@ -1,7 +1,7 @@
 """Fitting a hypothesis to evidence: Gauss-Newton in a box, every cell weighted by what it leaves.
 
-Each cell has a variance of its own that nobody knows (all forms are wrong): the concentrated likelihood
-sum log(1 + ms) is lowered by weights 1/(1 + ms), with ms the cell's mean square over its noise floor's.
+Each cell has a variance of its own that is not known (all forms are wrong): the concentrated likelihood
+sum log(1 + ms) is lowered by weights 1/(1 + ms), with ms the cell's mean square relative to its noise floor's.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def with_slopes(evidence: Evidence, fitted: Fitted, which: range) -> Fitted:
 
 
 def weights(evidence: Evidence, mean_squares: Array) -> Array:
-    """Weight of each sample (n,): its cell counts once, over its noise floor and what it leaves."""
+    """Weight of each sample (n,): its cell counts once, relative to its noise floor and what it leaves."""
     out = np.empty(evidence.cells[-1].stop)
     for cell, ms in zip(evidence.cells, mean_squares, strict=True):
         out[cell.part] = 1.0 / ((1.0 + ms) * cell.floor**2 * (cell.stop - cell.start))

@@ -1,4 +1,4 @@
-"""The next experiment: of what the rig can do within its limits, what parts two fitted hypotheses most.
+"""The next experiment: of what the rig can do within its limits, what separates two fitted hypotheses most.
 
 Every candidate is done on the model under both hypotheses in closed loop, and once more under the first with other
 noise. Its separation is the rms difference of the outputs over the rms difference that noise alone makes; 1 parts
@@ -52,7 +52,7 @@ class Candidate:
 def propose(
     plant: Plant, run: Run, first: tuple[str, Moves], second: tuple[str, Moves], threads: int | None = None
 ) -> Proposal | None:
-    """The candidate that parts two hypotheses (name, moved parameters) most; None where none can be done.
+    """The candidate that separates two hypotheses (name, moved parameters) most; None where none can be done.
 
     A candidate that leaves the range, or saturates the PWM more than the run did, under either hypothesis is dropped.
     None also where a loop has no controller or reference: then the rig cannot be driven on the model.

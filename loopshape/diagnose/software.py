@@ -18,7 +18,7 @@ _ALLOWED = 1e-3
 
 
 def software_check(run: Run) -> list[str]:
-    """A sentence for each loop and recording whose z is not its controller's answer; empty where all is as said."""
+    """A sentence for each loop and recording whose z is not its controller's answer; empty where all is as stated."""
     out = []
     for recording in run.recordings:
         for loop in run.loops:

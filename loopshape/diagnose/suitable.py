@@ -1,4 +1,4 @@
-"""Which recordings a diagnosis can use, and what a run cannot tell: said before anything is fitted."""
+"""Which recordings a diagnosis can use, and what a run cannot tell: reported before anything is fitted."""
 
 from __future__ import annotations
 

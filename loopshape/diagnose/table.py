@@ -40,7 +40,7 @@ Frfs = tuple[Pair, FRF, FRF]
 def compare(
     real: Run, sim: Run, *, bands: str = "third_decade", real_name: str = "real", sim_name: str = "sim"
 ) -> GapTable:
-    """What parts two runs: FRFs of every path by band and operating point, nu-gaps, and time responses.
+    """What separates two runs: FRFs of every path by band and operating point, nu-gaps, and time responses.
 
     Recordings are matched by file name, else by kind, injection, excited loop, operating point and order. `bands`
     is "third_decade" or "octave". What does not match, or cannot be estimated, is reported in the table. Held-out

@@ -88,7 +88,7 @@ def pair_recordings(real: Sequence[Recording], sim: Sequence[Recording]) -> tupl
 
 
 def _apart(one: RecordingInfo, two: RecordingInfo) -> str:
-    """What parts two experiments, in words; empty where they are alike."""
+    """What separates two experiments, in words; empty where they are alike."""
     words = [
         word
         for word, name in (("kind", "kind"), ("injection", "injection"), ("excited loop", "excites"))

@@ -1,4 +1,4 @@
-"""Odd and even distortion of a periodic multisine: what a machine answers on lines that nobody excited.
+"""Odd and even distortion of a periodic multisine: what a machine answers on lines that were not excited.
 
 A nonlinearity answers a sum of sines with sums and differences of their frequencies. Where only odd multiples of a
 lowest frequency are excited, symmetric (odd) nonlinearities - friction, play, saturation - answer on odd multiples,
@@ -68,7 +68,7 @@ class Lines:
 class DistortionBand:
     """Rms amplitudes a line in a band, in the output's unit; None where the excitation leaves no such lines there.
 
-    `odd_seen` and `even_seen` say whether they stand clear of the noise.
+    `odd_seen` and `even_seen` say whether they exceed the noise.
     """
 
     band_hz: tuple[float, float]
@@ -215,7 +215,7 @@ def _band(low: float, high: float, excited: Lines, odd: Lines | None, even: Line
 
 
 def _seen(lines: Lines) -> bool:
-    """Whether amplitudes stand clear of their noise: F-test on powers, with the fewest freedoms the noise can have."""
+    """Whether amplitudes exceed their noise: F-test on powers, with the fewest freedoms the noise can have."""
     n = lines.amplitude.size
     if not n:
         return False
@@ -233,7 +233,7 @@ def _verdict(bands: tuple[DistortionBand, ...], kinds: dict[str, Lines]) -> str:
     seen = [b for b in bands if b.odd_seen or b.even_seen]
     missing = "" if "odd" in kinds else f"; odd distortion does not show, every odd frequency was excited: {HOW}"
     if not seen:
-        return "no distortion stands clear of the noise" + _floor(bands) + missing
+        return "no distortion exceeds the noise" + _floor(bands) + missing
     largest = max(seen, key=lambda b: max(_clear(b)))
     filled = [b for b in bands if b.odd is not None or "odd" not in kinds]
     return _sentence(largest, largest is filled[0] and len(filled) > 1, kinds) + missing
@@ -245,7 +245,7 @@ def _floor(bands: tuple[DistortionBand, ...]) -> str:
 
 
 def _clear(b: DistortionBand) -> tuple[float, float]:
-    """Odd and even level where they stand clear of the noise, else zero."""
+    """Odd and even level where they exceed the noise, else zero."""
     return (b.odd or 0.0) * b.odd_seen, (b.even or 0.0) * b.even_seen
 
 

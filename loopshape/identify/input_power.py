@@ -2,7 +2,7 @@
 
 A line counts for an input by the power that the other inputs do not explain there, 1/[S^-1]_ii (Bendat and Piersol,
 Random Data, 4th ed. 2010, 9.2: the conditioned spectrum): small where the input is, and where the inputs' cross-power
-matrix is nearly singular. It is held against the strongest line of the same input.
+matrix is nearly singular. It is compared with the strongest line of the same input.
 """
 
 from __future__ import annotations

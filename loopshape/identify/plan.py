@@ -61,11 +61,11 @@ class _Shape:
 
 
 def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -> Plan:
-    """The shortest experiment within the wish's limits that reaches it, or the best one where none does.
+    """The shortest experiment within the limits that reaches the accuracy, or the best one where none does.
 
     `controller` says where the crossover is; without it the loop's own. At four periods the amplitude is what the wish
-    needs, yet that of the first record at least, for which distortion is known. Where that stands above the wish the
-    plan has several realisations, over which it averages. Refuses a wish beside what the record knows, limits that
+    needs, yet that of the first record at least, for which distortion is known. Where that stands above it the
+    plan has several realisations, over which it averages. Refuses an accuracy beside what the record knows, limits that
     the noise alone breaks, and a longest time in which no four periods of the lowest line fit.
     """
     crossover_hz = crossover_of(first, controller or first.loop.controller, wish.at_hz)
@@ -112,7 +112,7 @@ def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -
 
 @dataclass(frozen=True)
 class _Size:
-    """How large and how long; what binds it, and what would be needed where the wish is not reached."""
+    """How large and how long; what binds it, and what would be needed where the accuracy is not reached."""
 
     realisations: int
     periods: int
@@ -124,7 +124,7 @@ class _Size:
 
 
 def _size(wish: Wish, shape: _Shape, most: float, binds: str, least: float) -> _Size:
-    """Realisations, periods and amplitude (between `least` and `most`) that reach the wish, or come nearest to it."""
+    """Realisations, periods and amplitude (between `least` and `most`) that reach the accuracy, or come nearest."""
     x, period_s, ramps_s = shape.crossover, shape.excitation.period_s, 2.0 * shape.excitation.ramp_s
     floor = float(shape.floor[x]) ** 2
     count = max(1, int(np.ceil(floor / (DISTORTION_SHARE * wish.std**2) - 1e-9)))

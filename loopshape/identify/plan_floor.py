@@ -59,7 +59,7 @@ def _at_input(first: FirstRecord, f: Array, odd_lines: bool) -> Array:
 def _level(first: FirstRecord, silent: Lines) -> float | None:
     """Rms amplitude of silent lines over |G|; 0 where it is no more than noise, None without lines.
 
-    The noise is that of neighbouring lines and all periods, so that a single line can stand clear of it.
+    The noise is that of neighbouring lines and all periods, so that a single line can exceed it.
     """
     found, period_s = first.distortion, first.recording.info.period_s
     if found is None or period_s is None or not silent.amplitude.size:

@@ -25,7 +25,7 @@ def crossovers_hz(f: Array, L: ComplexArray) -> Array:
 
 
 def crossover_of(first: FirstRecord, controller: Controller | None, at_hz: float | None) -> float:
-    """The frequency that the wish is for: `at_hz`, or the highest crossover of C G; refuses what the record misses."""
+    """The frequency of the required accuracy: `at_hz`, or the highest crossover of C G, which the record must have."""
     f, loop = first.frequency_hz, first.loop.name
     band = f"{f[0]:.3g} to {f[-1]:.3g} Hz are known to 10 % or so"
     if at_hz is not None:

@@ -1,4 +1,4 @@
-"""A wish for accuracy, and the plan that answers it."""
+"""A required accuracy, and the plan that answers it."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ class Plan(Plain):
     of each sine; `column` is what is injected, in `unit`. `before_std` (nf,) on `before_hz`, and `before` at the
     crossover, are those of the first record, distortion included. `at_crossover` is the planned std there, known
     itself to about `sure` (relative). `binds` is what keeps the experiment from being better or shorter: amplitude,
-    input, output, distortion, or shortest (nothing else: a plan has four periods). `short_by` is std over wish, 1
-    where reached; `needed_s` and `needed_amplitude` would each reach the wish alone, the latter infinite where
+    input, output, distortion, or shortest (nothing else: a plan has four periods). `short_by` is std over the
+    required one, 1 where reached; `needed_s` and `needed_amplitude` would each reach it, the latter infinite where
     distortion forbids. Of several `realisations` each is recorded with phases of its own, and `std` and `floor` are
     those of their mean. Peaks hold the noise of the first record too. What a plan cannot know is in `notes`.
     """

@@ -65,7 +65,7 @@ class FirstRecord:
 
     @property
     def frequency_hz(self) -> Array:
-        """Trusted lines (nf,) in Hz."""
+        """Valid lines (nf,) in Hz."""
         return self.frf.frequency_hz
 
 
@@ -90,7 +90,7 @@ def first_record(recording: Recording, loop: LoopSetup, settings: Settings | Non
     moved = _moved(mine)
     if not moved.any():
         raise BadSignalError(
-            f"what is injected in recording {recording.info.file} does not stand clear of the noise",
+            f"what is injected in recording {recording.info.file} does not exceed the noise",
             "under feedback its FRF is then that of the inverse controller",
             "excite more, or measure longer",
         )

@@ -44,7 +44,7 @@ def sentence(p: Plan) -> str:
         why = "no shorter record is sensible" if p.binds == "shortest" else f"{_BINDS[p.binds]} sets the length"
         return f"{does}: std {there} from {accuracy(p.before)} to {accuracy(p.at_crossover)}; {why}"
     short = f"out of reach: {does} brings the std {there} to {accuracy(p.at_crossover)}"
-    short += f", {p.short_by:.2g} times the wish; {p.needed_s:.3g} s would be needed"
+    short += f", {p.short_by:.2g} times the required one; {p.needed_s:.3g} s would be needed"
     if p.binds == "distortion":
         return f"{short}: {_BINDS['distortion']} averages away over realisations only, or falls at another amplitude"
     times = f"{p.needed_amplitude / p.excitation.amplitude:.2g}"

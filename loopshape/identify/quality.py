@@ -55,7 +55,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
     within the sample; only where the output follows the input without any noise, as under a controller that is
     computed from the logged output, it may not: in a run folder row k holds the answer to what row k measured.
 
-    For recordings said to be in open loop; in closed loop the answer is known beforehand, and a `found` that is False
+    For recordings stated to be in open loop; in closed loop the answer is known beforehand, and a `found` that is False
     means only that no noise worth mentioning goes round.
     """
     info, rate = recording.info, recording.rate_hz
@@ -73,7 +73,7 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
 
 
 def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
-    """A warning where a recording said to be in open loop shows feedback; nothing for others, or a short record.
+    """A warning where a recording stated to be in open loop shows feedback; nothing for others, or a short record.
 
     An input that repeats exactly is none. Where only neighbouring samples show it, as behind a filter, that is added.
     """
@@ -107,7 +107,7 @@ def inverse_note(recording: Recording, loop: LoopSetup, frequency_hz: Array, G: 
     """A warning where G (nf,), on lines of the valid band, is what swapped columns of control and output would give.
 
     A plant's magnitude does not rise to the end of a band while its phase leads more and more: that is a negative
-    delay, an output before its cause. Nothing is said where a known controller tells the columns apart
+    delay, an output before its cause. Nothing is reported where a known controller tells the columns apart
     (`wiring_notes`), of bands below an octave, or of a plant whose inverse falls (an acceleration). Wrong for a true
     differentiator without delay (voltage of an inductor).
     """

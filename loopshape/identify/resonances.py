@@ -88,7 +88,7 @@ def resonances(frf: FRF) -> tuple[Resonance, ...]:
     """Resonances of a 1 x 1 FRF on all its lines, in the order of frequency; the same FRF, the same answer.
 
     Found are poles whose peak stands out of the rest of P, of damping below 0.3, whose place the lines tell. Two whose
-    half widths overlap are one; one whose tails drown in the noise is not found, nor any of fewer than nine lines.
+    half widths overlap are one; one whose tails lie below the noise is not found, nor any of fewer than nine lines.
     Give frequencies as measured: smoothed ones have lost what is sharp.
     """
     f, P = frf.frequency_hz, frf.siso

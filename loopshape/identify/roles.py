@@ -2,7 +2,7 @@
 
 Columns are (n, m) of one recording. A signal that others' past helps to predict answers them (Granger, Econometrica 37,
 1969, with a regression on a few lags); one whose prediction they do not help moves by itself. Misleads for signals that
-their own past predicts to the last digit (sines, staircases): of those nothing is said.
+their own past predicts to the last digit (sines, staircases): of those nothing is reported.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def wiring_notes(
     """Warnings where the log contradicts its description; z, y (nf,) are responses to the instrument.
 
     With a known controller, z must be its answer to the error; where it is not, the injection or the
-    controller is other than said. Frequencies at which z, with `z_std` (nf,), is mostly noise say nothing of that.
+    controller is other than stated. Frequencies at which z, with `z_std` (nf,), is mostly noise say nothing of that.
     A plant-input log whose z follows the injected signal one to one at high frequency was taken after the sum, and
     the plant's input is then counted twice.
     """

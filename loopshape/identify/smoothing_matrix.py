@@ -26,9 +26,9 @@ def smoothed_matrix(frf: FRF) -> tuple[Dense, ComplexArray] | None:
 
     None where the FRF has no covariance. The same FRF, the same answer.
 
-    The covariance is believed; the correlations between a line's elements are that line's own, their variances pooled
-    with those of neighbours where few degrees of freedom know them. Narrow resonances, which all elements share, are
-    taken out before and put back after, between the lines too.
+    The covariance is used unchanged; the correlations between a line's elements are that line's own, their variances
+    pooled with those of neighbours where few degrees of freedom know them. Narrow resonances, which all elements share,
+    are taken out before and put back after, between the lines too.
     """
     if frf not in _DONE:
         _DONE[frf] = _smoothed(frf) if frf.covariance.any() else None

@@ -32,8 +32,8 @@ def by_welch(
 ) -> Answers:
     """Answers of signals (n,) to instruments (n,) by windowed segments (Welch 1967).
 
-    Where the estimate of noise bends by more than its deviation between lines, and nobody asked for a segment's length,
-    the segments become longer while there are averages; lines that stay unresolved are marked and said (`_unresolved`).
+    Where the estimate of noise bends by more than its deviation between lines, and no segment's length was given,
+    the segments become longer while there are averages; lines that stay unresolved are marked (`_unresolved`).
     """
     found = _by_segments(recording, signals, instruments, settings)
     if found.unresolved is None or not found.unresolved.any():

@@ -1,4 +1,4 @@
-"""A FRF out of somebody's file: what the file holds, what the user states of it, and what nobody says.
+"""A FRF out of somebody's file: what the file holds, what the user states of it, and what is not known.
 
 A FRF carries its error. Where a file holds no covariance, the error is stated by the user (`relative_std`), or follows
 from the coherence of a single input and the number of averages: E|d|² = |G|² (1 - γ²)/(γ² (K - 1)), which is Bendat and
@@ -63,7 +63,7 @@ class ForeignFRF:
 
 
 def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
-    """The FRF, with its error; refuses one whose error nobody states. A line at 0 Hz is left out with a note."""
+    """The FRF, with its error; refuses one whose error is not stated. A line at 0 Hz is left out with a note."""
     stated = stated or Stated()
     _check_stated(stated)
     found = _above_zero(_checked(found))

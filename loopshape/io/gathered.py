@@ -84,7 +84,7 @@ def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...
 def _checked(
     frfs: Sequence[FRF], controllers: Sequence[Controller], wishes: Sequence[Requirements], fits: Sequence[Fit]
 ) -> tuple[CheckedLoop, ...]:
-    """Each controller whose loop was measured, held against its requirements (against none where none are given)."""
+    """Each controller whose loop was measured, compared with its requirements (against none where none are given)."""
     found = []
     for own in controllers:
         mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))

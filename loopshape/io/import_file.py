@@ -42,7 +42,7 @@ def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accep
     columns: Mapping[str, Signal] = {rule.stored: _signal(source, rule) for rule in rules.columns}
     notes = [f"{rules.info.name}: imported from {file.name}"]
     if rules.guesses:
-        notes.append(f"{rules.info.name}: from a draft map that nobody confirmed: {' '.join(rules.guesses)}")
+        notes.append(f"{rules.info.name}: from a draft map that was not confirmed: {' '.join(rules.guesses)}")
     stamps = _signal(source, rules.time) if rules.time else None
     for rule in rules.columns:
         if rule.own_time is not None:

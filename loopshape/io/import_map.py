@@ -164,7 +164,7 @@ def _draft(words: Words, accepted: bool) -> tuple[str, ...]:
     guesses = draft.list_of_texts("guesses")
     if not accepted:
         raise WrongUseError(
-            f"{words.where} is a draft that nobody has confirmed", f"{len(guesses)} guesses under [draft]",
+            f"{words.where} is a draft that has not been confirmed", f"{len(guesses)} guesses under [draft]",
             "read it, correct it and delete [draft], or take it as it is with --accept",
         )  # fmt: skip
     return guesses

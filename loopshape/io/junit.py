@@ -22,7 +22,7 @@ def write_junit(
 
     A case fails where its line does not pass, or where the loop is unstable or undecided; the failure's type is
     "missed" or "undecided". With a comparison there is one more suite, a case for each margin and operating point,
-    whose failures are of type "worse"; with `allow_worse` they are said and do not fail.
+    whose failures are of type "worse"; with `allow_worse` they are reported and do not fail.
     """
     suites = ET.Element("testsuites", name="loopshape check")
     for verdict in verdicts:

@@ -67,7 +67,7 @@ def read_run(folder: Path) -> Run:
 
 
 def _table(folder: Path, words: Words, entry: Words) -> TableColumns:
-    """A recording's table; its mark stands on the table, on what is said of it, on loops and outputs."""
+    """A recording's table; its mark stands on the table, on what is stated of it, on loops and outputs."""
     further = (words.table["outputs"],) if "outputs" in words.table else ()
     said = repr((words.table["rate_hz"], words.table.get("loop"), *further))
     return TableColumns(

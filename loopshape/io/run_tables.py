@@ -190,7 +190,7 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
 
 
 def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
-    """What is said of a recording beside its file; refuses unknown words, excited loops that are none or doubled."""
+    """What is stated of a recording beside its file; refuses unknown words, excited loops that are none or doubled."""
     words.need("kind", "injection")
     _check_excited(words, [loop.name for loop in loops])
     return RecordingInfo(file, **{key.name: key.read(words) for key in INFO})

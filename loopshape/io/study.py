@@ -189,7 +189,7 @@ def _from_zero(words: Words, key: str) -> float:
 
 
 def _check_whole(words: Words, excitation: Excitation | None, references: Setpoints, control: Setpoints) -> None:
-    """Refuse an experiment whose length is not said, or said twice, or whose loops are closed and open."""
+    """Refuse an experiment whose length is not stated, or stated twice, or whose loops are closed and open."""
     if (excitation is None) != ("duration_s" in words.table):
         raise WrongUseError(
             f"{words.where}: duration_s is for experiments without an excitation",

@@ -56,7 +56,7 @@ def read_target(words: Words) -> TargetSettings | None:
 
 
 def _limit(name: str, words: Words) -> Limit:
-    """Limits of one column: low_<unit>, high_<unit> and, if wished, rate_<unit>_s, all in one unit."""
+    """Limits of one column: low_<unit>, high_<unit> and, if required, rate_<unit>_s, all in one unit."""
     unit = next((key.removeprefix("low_") for key in words.table if key.startswith("low_")), "")
     if unit not in KEY_UNITS:
         raise WrongUseError(

@@ -98,7 +98,7 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
 
 
 def _clear_of_the_ends(frf: FRF, lowest_hz: float, highest_hz: float) -> np.ndarray:
-    """Mask (nf,) of the trusted lines, without those at an end that the errors themselves decided.
+    """Mask (nf,) of the valid lines, without those at an end that the errors themselves decided.
 
     Where the valid band ends before the lines of either FRF do, it ends at the last line whose estimated variance is
     small enough: among lines of about that error this picks those whose variance came out too small (a sixth, with four

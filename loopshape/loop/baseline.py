@@ -50,7 +50,7 @@ def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
     interval may be lopsided; all are widened (Bonferroni) so that by chance alone any margin at all is called changed
     in one comparison out of 20. A margin without an interval is taken as exact, and that is noted.
 
-    Where a loop is unstable, or is judged otherwise than before, only that is said: its margins mean no room.
+    Where a loop is unstable, or is judged otherwise than before, only that is reported: its margins mean no room.
     On the same data the change of the estimate is certain, that of the true margin a little less: the errors cancel
     fully only where both margins are read at the same frequency.
     """
@@ -126,7 +126,7 @@ class _Pair:
 
     @property
     def known(self) -> bool:
-        """Whether both were found at all (a limit on |CS| that nobody asked for is -inf, an old file's gap NaN)."""
+        """Whether both were found at all (a limit on |CS| that was not required is -inf, an old file's gap NaN)."""
         values = (self.before, self.now)
         return not (any(map(isnan, values)) or -inf in values)
 

@@ -1,4 +1,4 @@
-"""How high a controller reaches: the bandwidth of C itself, to be held against the actuator or its PWM."""
+"""How high a controller reaches: the bandwidth of C itself, to be compared with the actuator or its PWM."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
     - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
       -3 dB (0 where it never reaches it, the last line where it does not fall);
     - masks: by how much each response exceeds its mask at the worst frequency, on the lines and above the last one as
-      far as what was said of it goes; below the first line nothing is judged;
+      far as what was stated of it goes; below the first line nothing is judged;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 

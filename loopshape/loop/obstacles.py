@@ -192,7 +192,7 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     """Damping below which a resonance between lines could encircle -1 and leave no trace, and where, in Hz.
 
     Its peak |C r|/w must be |1 + L| at least, and its tails, r/(j (f - f0)), within the noise; where w is more than
-    half a gap the lines meet its peak. Not said of the first and the last gap; nan for fewer than ten lines.
+    half a gap the lines meet its peak. Not reported of the first and the last gap; nan for fewer than ten lines.
     """
     f = loop.frequency_hz
     residue = visible_residue(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
@@ -239,7 +239,7 @@ def slope_at_end(f: Array, L: ComplexArray) -> float:
 
 
 def comes_up_again(loop: Loop) -> Obstacle | None:
-    """Where |L| reaches 1 above the judged lines, as far as less sure lines there show it."""
+    """Where |L| reaches 1 above the lines used, as far as less sure lines there show it."""
     if loop.beyond is None:
         return None
     f = loop.beyond.frequency_hz

@@ -34,7 +34,7 @@ def predict(
 
     Without a fit the step comes straight from the lines, where they can carry one (`step_from_lines`).
 
-    S goes over the plant's trusted lines with the plant's covariance. **The prediction is of the plant as it was
+    S goes over the plant's valid lines with the plant's covariance. **The prediction is of the plant as it was
     measured**: at that amplitude, about where it stood on average, and with the other loops closed by the controllers
     that they had then. A plant that answers larger signals otherwise, or whose loops interact and get new controllers
     together, will contradict it, and that is what a comparison is for.
@@ -208,7 +208,7 @@ def plant_behind(sensitivity: FRF, input_column: str) -> FRF:
     """The plant that a measured sensitivity shows, P = (1 - S)/(C S), with C the controller that held the loop.
 
     A check of it judges the loop that ran: L = (1 - S)/S is as sure as S is, also where the controller lets little
-    through and a plant estimated from z and y is not known. Trusted where S is.
+    through and a plant estimated from z and y is not known. Valid where S is.
     """
     held = sensitivity.held_by
     if held is None:

@@ -14,7 +14,7 @@ from loopshape.data.requirements import Requirements
 
 @dataclass(frozen=True)
 class Reader:
-    """Reads margins off lines: |CS| counts as high from `from_hz` on, and responses are held against `masks`."""
+    """Reads margins off lines: |CS| counts as high from `from_hz` on, and responses are compared with `masks`."""
 
     from_hz: float = np.inf
     masks: tuple[Mask, ...] = ()

@@ -1,4 +1,4 @@
-"""A run under new controllers and the predictions that it is held against: who belongs to whom, all of it at once."""
+"""A run under new controllers and the predictions that it is compared with: who belongs to whom, all of it at once."""
 
 from __future__ import annotations
 

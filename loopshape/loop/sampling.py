@@ -60,8 +60,8 @@ def hidden_poles(
 
     `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. Errors
     that neighbouring lines share do no harm; lines that were smoothed on purpose have lost tails: give raw ones. A pole
-    whose tails drown is not found (`visible_residue`), nor are two within a few lines of each other (`roughness`), nor
-    any in the first and the last gap; fewer than ten lines show none.
+    whose tails lie below the noise is not found (`visible_residue`), nor are two within a few lines of each other
+    (`roughness`), nor any in the first and the last gap; fewer than ten lines show none.
     """
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[0]
 
@@ -79,7 +79,7 @@ def visible_residue(
 def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
     """What is left of the lines about each gap (nf - 1,), as |P|, where neither noise nor one pole explains it; else 0.
 
-    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not said where
+    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not where
     ten lines span two octaves, as the lowest of an even grid do.
     """
     return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]

@@ -56,7 +56,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
     Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
     turns or bends too far between lines, where a resonance that hides between them might encircle -1, where -1 lies
     within the FRF's own 95 % reach, or where its errors together make the count wrong with a chance above 0.5 %.
-    A resonance whose tails drown in the noise (`unseen_damping`), or one with less damping than 1e-4, is not seen.
+    A resonance whose tails lie below the noise (`unseen_damping`), or one with less damping than 1e-4, is not seen.
     """
     f, L = loop.frequency_hz, loop.L
     if loop.integrators is None:

@@ -30,7 +30,7 @@ from loopshape.loop.stability import unstable_count
 WITNESS_DB = 6.0
 #: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
 CONTRADICTED = 0.75
-#: lines above the judged band count as seen where their relative standard deviation is below this
+#: lines above the band used count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
 
 
@@ -106,7 +106,7 @@ def _merged(frf: FRF) -> tuple[FRF, str]:
 
 
 def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
-    """A note where trusted lines outside the judged band show |S| 1 dB larger than those within; else nothing."""
+    """A note where valid lines outside the band used show |S| 1 dB larger than those within; else nothing."""
     outside = frf.trusted & ~np.isin(frf.frequency_hz, lines.frequency_hz)
     outside &= frf.frequency_hz < 0.5 * controller.rate_hz
     if not outside.any():
@@ -123,7 +123,7 @@ def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
 
 
 def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
-    """Lines above the judged ones that are known to 30 %, all elements together: a check must not overlook them."""
+    """Lines above those used that are known to 30 %, all elements together: a check must not overlook them."""
     relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
     rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
     return frf.select(rows) if rows.any() else None
@@ -229,7 +229,7 @@ def check(
 ) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
-    Every line says wished, found with its 95 % interval, spare, and where it is worst. A requirement is passed, failed,
+    Every line holds limit, value with its 95 % interval, slack, and where it is worst. A requirement is passed, failed,
     or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
 
     A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
@@ -272,8 +272,8 @@ def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple
         first_hz = float(loop.frequency_hz[0])
         low = [x for x in requirements.of(loop.plant.operating_point).masks if x.band_hz[0] < first_hz * (1.0 - 1e-9)]
         out += [
-            f"the mask on |{x.response}| begins at {x.band_hz[0]:.4g} Hz and is not judged below {first_hz:.4g} Hz, the"
-            f" lowest frequency of {loop.plant.recording}"
+            f"the mask on |{x.response}| begins at {x.band_hz[0]:.4g} Hz and is not applied below {first_hz:.4g} Hz,"
+            f" the lowest frequency of {loop.plant.recording}"
             for x in low
         ]
     for one in requirements.at:
@@ -340,7 +340,7 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
 
 
 def _decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None:
-    """Up to where to measure until |L|, falling on as over the highest lines, is small enough for the wished limit."""
+    """Up to where to measure until |L|, falling on as over the highest lines, is below the limit."""
     size = from_db(wished) if quantity.endswith("_db") else wished
     small = {
         "gain_margin_db": 1.0 / size,

@@ -83,7 +83,7 @@ def _extremes(f: Array, curves: Sequence[Array], count: int) -> np.ndarray:
 
 
 def draw_trusted(ax: Axes, x: Array, y: Array, trusted: np.ndarray, **look: Any) -> Line2D:
-    """Trusted points as a line, the others as faint dots that do not stretch the axes unless they are all there is."""
+    """Valid points as a line, the others as faint dots that do not stretch the axes unless they are all there is."""
     rest = np.asarray(~trusted, dtype=bool)
     if rest.any():
         size = 2.0 if np.any(trusted) else 4.0

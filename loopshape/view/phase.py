@@ -23,7 +23,7 @@ SURE = 0.05
 
 
 def known_lines(frf: FRF) -> np.ndarray:
-    """Trusted lines (nf,) of a 1 x 1 FRF whose phase is known, by their own error and the median of five lines'."""
+    """Valid lines (nf,) of a 1 x 1 FRF whose phase is known, by their own error and the median of five lines'."""
     relative = frf.relative_std[:, 0, 0]
     return np.asarray(frf.trusted & (relative <= KNOWN) & (median_filter(relative, 5, mode="nearest") <= KNOWN))
 

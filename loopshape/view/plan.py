@@ -55,7 +55,7 @@ def injected(plan: Plan, *, ax: Axes | None = None) -> Axes:
 
 @styled()
 def crossover_line(plan: Plan, ax: Axes) -> None:
-    """A thin mark at the frequency that the wish is for."""
+    """A thin mark at the frequency of the required accuracy."""
     ax.axvline(plan.crossover_hz, color=QUIET, linewidth=0.8, linestyle="-.", gid="crossover", zorder=1.0)
 
 

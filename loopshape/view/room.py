@@ -39,7 +39,7 @@ class Crowd:
         self._hold(xy[np.isfinite(xy).all(axis=1)])
 
     def add_box(self, x: float, y: float, width_in: float, height_in: float) -> None:
-        """Words about a place, as wide and high as said."""
+        """Words about a place, as wide and high as stated."""
         across, up = np.meshgrid(np.linspace(-0.5, 0.5, 9) * width_in, np.linspace(-0.5, 0.5, 3) * height_in)
         box = self._scale(np.array([[x, y]])) + np.column_stack([across.ravel(), up.ravel()])
         self._hold(self._unscale(box))

@@ -77,7 +77,7 @@ def _only_undecided(verdict: Verdict) -> bool:
 
 
 def _span(found: Array, ends: Array, wished: float) -> tuple[float, float]:
-    """Limits about values and wish, and about intervals as far as these are no wider than what they surround."""
+    """Limits about values and requirement, and about intervals as far as these are no wider than what they surround."""
     seen = np.append(found[np.isfinite(found)], wished)
     room = 0.15 * (float(np.ptp(seen)) or abs(float(seen[0])) or 1.0)
     low, high = float(seen.min()) - room, float(seen.max()) + room

@@ -87,10 +87,10 @@ def test_a_draft_is_taken_on_demand_alone_and_the_run_says_so(tmp_path):
     file = written(tmp_path / "a.csv", ["t_s", "inj", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y])
     draft = draft_map(file)
     write_draft(tmp_path / "m.toml", draft, file)
-    with pytest.raises(WrongUseError, match=r"nobody has confirmed.*--accept"):
+    with pytest.raises(WrongUseError, match=r"has not been confirmed.*--accept"):
         import_file(file, tmp_path / "m.toml")
     run = import_file(file, tmp_path / "m.toml", accept_draft=True)
-    (told,) = [note for note in run.extra["notes"] if "draft map that nobody confirmed" in note]
+    (told,) = [note for note in run.extra["notes"] if "draft map that was not confirmed" in note]
     assert told.split("confirmed: ")[1] == " ".join(draft.guesses)
     with pytest.raises(WrongUseError, match="is there already"):
         write_draft(tmp_path / "m.toml", draft, file)

@@ -82,7 +82,7 @@ IMPORTS = {
     "nothing moves": (MAP, re.sub(r",.*", ",0,0", csv()).replace("t,0,0", "t,u,x"), "r.csv", "constant", "check the"),
     "a closed loop without what was injected": (CLOSED, csv(), "r.csv", "no injected", "name the injected column"),
     "a draft taken for a map": (
-        MAP + '\n[draft]\nguesses = ["u is the control"]\n', csv(), "r.csv", "nobody has confirmed", "delete [draft]"
+        MAP + '\n[draft]\nguesses = ["u is the control"]\n', csv(), "r.csv", "has not been confirmed", "delete [draft]"
     ),
 }  # fmt: skip
 

@@ -73,5 +73,5 @@ def test_a_record_that_only_shows_the_inverse_controller_is_refused():
     n = signal.signal(known.RATE)
     z, y = known.run_loop("controller_input", n, np.random.default_rng(1).standard_normal(n.size))
     made = known.record("controller_input", "multisine", n, z, y, period_s=10.0, from_s=1.0)
-    with pytest.raises(LoopshapeError, match=r"is valid|does not stand clear of the noise"):
+    with pytest.raises(LoopshapeError, match=r"is valid|does not exceed the noise"):
         first_record(made, known.LOOP)

@@ -85,7 +85,7 @@ def test_noise_alone_is_rarely_taken_for_distortion():
         false += any(b.odd_seen or b.even_seen for b in found.bands)
         assert len(found.bands) > 5
     assert false <= 3
-    assert "no distortion stands clear of the noise" in found.verdict
+    assert "no distortion exceeds the noise" in found.verdict
 
 
 def test_the_noise_on_the_lines_is_that_of_the_mean_over_periods():

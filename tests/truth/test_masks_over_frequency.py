@@ -83,7 +83,7 @@ def test_what_lies_above_the_last_frequency_is_a_bound_and_below_the_first_is_to
     assert line.measure_to_hz > 100.0
     below = required(masks=[{"response": "S", "points": [[0.001, -30.0], [1.0, 6.0]]}])
     warnings = checked([frf(DELAYED)], below).warnings
-    assert any("begins at 0.001 Hz and is not judged below 0.05 Hz" in text for text in warnings)
+    assert any("begins at 0.001 Hz and is not applied below 0.05 Hz" in text for text in warnings)
     elsewhere = required(masks=[{"response": "S", "points": [[0.001, -30.0], [0.01, 6.0]]}])
     assert checked([frf(DELAYED)], elsewhere).outcome == "undecided"
 

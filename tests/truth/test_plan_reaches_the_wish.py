@@ -134,7 +134,7 @@ def test_out_of_reach_says_by_how_much_and_what_would_do():
     assert found.duration_s <= 120.0
     assert found.short_by == pytest.approx(found.at_crossover / 0.002)
     assert "out of reach" in found.sentence
-    assert "times the wish" in found.sentence
+    assert "times the required one" in found.sentence
     more = plan(record, replace(found.wish, longest_s=found.needed_s + found.excitation.period_s))
     assert more.at_crossover == pytest.approx(0.002, rel=0.1)
     louder = plan(record, replace(found.wish, max_amplitude=1.001 * found.needed_amplitude))

@@ -1,4 +1,4 @@
-"""Products, sums, inverses, and parts of FRFs; what they have in common is said in `loopshape.data.algebra`."""
+"""Products, sums, inverses, and parts of FRFs; what they have in common stands in `loopshape.data.algebra`."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def _covariance(terms: Sequence[Term], name: str) -> ComplexArray:
 def result(
     word: str, response: ComplexArray, outputs: Sequence[str], inputs: Sequence[str], terms: Sequence[Term]
 ) -> FRF:
-    """A FRF from its parts: trusted where all are, with as much freedom as the least known part has."""
+    """A FRF from its parts: valid where all are, with as much freedom as the least known part has."""
     frfs = [term.frf for term in terms]
     unsure = [frf for frf in frfs if frf.covariance.any()] or frfs
     noisy = all(frf.noise_covariance is not None for frf in unsure)

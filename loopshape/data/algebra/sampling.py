@@ -21,7 +21,7 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
 
     The hold is sinc(f/rate) exp(-j pi f/rate). What the sampler folds down from above half the rate is neglected:
     about |P(rate - f)/P(f)| f/(rate - f). Refuses a FRF that went through here before, lines at or above half the rate,
-    and a FRF recorded at that very rate, which from logged z contains the hold, unless it is said to be `continuous`.
+    and a FRF recorded at that very rate, which from logged z contains the hold, unless stated to be `continuous`.
     """
     if frf.hold is Hold.INCLUDED:
         raise WrongUseError("this FRF holds the hold and the delay already", frf.method, "multiply them in once")
@@ -53,7 +53,7 @@ def regrid(frf: FRF, frequency_hz: ArrayLike) -> FRF:
     Magnitude and unwrapped phase would be wrong near zeros. The covariance is interpolated too: with weights w and
     1 - w that is never less than the error implies, however neighbours are correlated (d d^H is convex in d). What a
     straight line misses of a curved response is no part of it: the note says how much that is, judged by leaving
-    lines out. A new line is trusted where both neighbours are. Refuses lines outside the old ones.
+    lines out. A new line is valid where both neighbours are. Refuses lines outside the old ones.
     """
     new, old = np.asarray(frequency_hz, dtype=float), frf.frequency_hz
     if new.ndim != 1 or not new.size or not (old[0] <= new.min() and new.max() <= old[-1]):

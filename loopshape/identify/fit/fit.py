@@ -1,4 +1,4 @@
-"""FRF -> Fit: a low-order model on the trusted lines, with intervals and a residual test."""
+"""FRF -> Fit: a low-order model on the valid lines, with intervals and a residual test."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def structure_by_name(
 def fit(
     frf: FRF, structure: Structure, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None
 ) -> Fit:
-    """Fit a structure to the trusted lines of a 1 x 1 FRF, or to those in `band_hz`.
+    """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
 
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the

@@ -143,7 +143,7 @@ def with_capacity_slopes(f: Followed, vector: Array) -> Followed:
 
 
 def _settled(f: Followed, pressures: Array) -> Array:
-    """Pressure errors (rows, 2) less what the capacity's pressure at the start, which nobody measured, explains."""
+    """Pressure errors (rows, 2) less what the capacity's pressure at the start, which was not measured, explains."""
     if f.capacity is None:
         return pressures
     most = float(np.sum(f.capacity**2)) + 1e-12

@@ -1,4 +1,4 @@
-"""The arm linearised about an equilibrium, with averaged valves: the truth that estimates are held against.
+"""The arm linearised about an equilibrium, with averaged valves: the truth that estimates are compared with.
 
 An averaged valve lets through its full flow times the duty. Filling and exhaust differ, so the nominal gain
 is the mean of both; `ripple_gains` gives the gains that a moving command sees. It overstates p_AB/z_p, 2.4 bar/s per V

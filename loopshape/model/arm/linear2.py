@@ -32,7 +32,7 @@ class Linearisation2:
     """Linear arm: states theta1, theta2, their velocities, p_A to p_D (rad, rad/s, bar).
 
     `dynamics` (8, 8); `fill` and `exhaust` (4,) are d p/dt in bar/s per unit duty of muscles A to D. `decoupling` and
-    `outputs` are of the strategy: z in V to u, and states to what is measured; the source's unless it is said.
+    `outputs` are of the strategy: z in V to u, and states to what is measured; the source's unless stated.
     """
 
     dynamics: Array
