@@ -4,7 +4,7 @@ import numpy as np
 
 from loopshape.data.experiment import Experiment
 from loopshape.model.arm import closed_loop2 as kernel
-from loopshape.model.arm.arm2 import POINT_KEYS, Arm2
+from loopshape.model.arm.arm2 import Arm2
 from loopshape.model.arm.closed_loop import COMPLETE, CONTROL
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
 
@@ -16,7 +16,7 @@ QUIET = {"angle_noise_deg": 0.0, "pressure_noise_bar": 0.0, "converter_bits": 0.
 
 def point(values):
     """An operating point by its names."""
-    return dict(zip(POINT_KEYS, values, strict=True))
+    return dict(zip(Arm2().strategy.point_keys, values, strict=True))
 
 
 def numbers(**changes):

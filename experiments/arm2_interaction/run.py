@@ -27,7 +27,7 @@ from loopshape.identify.interaction import interaction  # noqa: E402
 from loopshape.identify.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.study import read_study  # noqa: E402
-from loopshape.model.arm.arm2 import POINT_KEYS, Arm2  # noqa: E402
+from loopshape.model.arm.arm2 import Arm2  # noqa: E402
 from loopshape.model.arm.equilibrium2 import pressures2  # noqa: E402
 from loopshape.model.arm.linear2 import DECOUPLING, OUTPUTS, Linearisation2, linearise2  # noqa: E402
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
@@ -102,7 +102,7 @@ def analysed(run: Run, recordings: Sequence[Recording], name: str) -> Found:
     mine = [r for r in recordings if r.info.name.split("-r")[0] in experiments]
     frf = replace(estimate_matrix(run, mine), recording=name)
     controllers = {loop.name: loop.controller for loop in run.loops if loop.name in loops and loop.controller}
-    point = tuple(frf.operating_point[key] for key in POINT_KEYS)
+    point = tuple(frf.operating_point[key] for key in Arm2().strategy.point_keys)
     bare = with_closed(linearise2(NUMBERS, *point).response(frf.frequency_hz), run, loops, frf.frequency_hz)
     where = stood(mine)
     lin = linearise2(NUMBERS, *where)
@@ -134,7 +134,7 @@ def law(lin: Linearisation2, point: Sequence[float], *, dead_zone: float = 0.01,
 
 def rungs(study: Study) -> list[tuple[str, FRF, FRF, ComplexArray]]:
     """Name, matrix of the angles one at a time, at once, and the averaged valves' own, rung by rung."""
-    point = tuple(study.operating_points[0][key] for key in POINT_KEYS)
+    point = tuple(study.operating_points[0][key] for key in Arm2().strategy.point_keys)
     lin = linearise2(NUMBERS, *point)
     mean = replace(lin, fill=np.diag(gains := mean_gains(lin)).copy(), exhaust=np.diag(gains).copy())
     cases = {

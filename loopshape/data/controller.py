@@ -151,10 +151,6 @@ class Controller:
         """Number of its poles."""
         return sum(block.order() for block in self.blocks)
 
-    def as_recorded(self) -> Controller:
-        """As a recording under it shows it: from e to the logged z, without the delay and the added hold."""
-        return replace(self, computation_delay_s=0.0, added_hold=False)
-
     def moved_by_rounding(self) -> float:
         """Largest |C/C' - 1| from 1e-5 to 0.45 of the rate, C' being the controller in double precision."""
         f = np.geomspace(1e-5, 0.45, 400) * self.rate_hz

@@ -352,11 +352,6 @@ class Requirements:
         changes: dict[str, Any] = {name: now + by[name] for name, now in own.items() if now is not None}
         return replace(self, at=at, **changes)
 
-    def without_masks(self) -> Requirements:
-        """The same without masks and without what depends on the operating point."""
-        none: dict[str, Any] = dict.fromkeys(MASKED)
-        return replace(self, masks=(), at=(), **none)
-
     def masks_on(self, plot: str) -> tuple[Mask, ...]:
         """Masks of a response, those of some operating points alone included."""
         every = (*self.masks, *(mask for one in self.at for mask in one.masks))

@@ -150,7 +150,7 @@ def diagnose(
     other = (rival.name, many[2]) if rival else (a.none.name, many[0])
     first = (a.leading.name, many[1])
     proposal = propose(plant, run, first, other, threads) or repeat(plant, run, usable, first, other)
-    ranking = ranked(plant, a)
+    ranking = ranked(a)
     place = locate.where(run, a.evidence, a.none, a.probabilities)
     return GapReport(
         run=name,
@@ -183,7 +183,7 @@ def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribut
     return replace(a, probabilities=decide.judged(a.probabilities, pairs, floors[0].size, after))
 
 
-def ranked(plant: Followable, a: Attribution) -> list[Ranked]:
+def ranked(a: Attribution) -> list[Ranked]:
     """All names with probabilities; magnitudes with 95 % intervals where a fit stands behind."""
     out = []
     for name, probability in a.probabilities.items():

@@ -24,11 +24,6 @@ from loopshape.identify.signals import LoopSignals, held_note, loop_signals, rea
 from loopshape.identify.welch import by_welch
 
 
-def estimate_run(run: Run, settings: Settings | None = None) -> list[FRF]:
-    """FRFs of all recordings of a run that excite one loop, in order; refuses a run without any."""
-    return [estimate_frf(r, run.loop(str(r.info.excites)), settings) for r in excited_recordings(run)]
-
-
 def excited_recordings(run: Run) -> list[Recording]:
     """The estimation recordings that excite a loop, in order; refuses a run without any.
 

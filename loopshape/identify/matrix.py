@@ -45,13 +45,13 @@ def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Setting
     _check_alike(recordings)
     loops = _excited_loops(run, recordings)
     outputs = run.outputs or tuple(loop.output for loop in run.loops if loop in loops)
-    parts = _parts(run, recordings, loops, outputs, settings)
+    parts = _parts(recordings, loops, outputs, settings)
     plant = plant_of(parts, len(outputs))
     finite = np.isfinite(plant.response).all(axis=(1, 2)) & np.isfinite(plant.covariance).all(axis=(1, 2))
     rows = np.logical_and.reduce([p.excited for p in parts]) & finite
     if not rows.any():
         raise BadSignalError("the recordings of a plant's matrix share no excited frequency", parts[0].method)
-    notes = tuple(dict.fromkeys(n for r in recordings for n in _notes(run, r, loops))) + _left_closed(run, loops)
+    notes = tuple(dict.fromkeys(n for r in recordings for n in _notes(r, loops))) + _left_closed(run, loops)
     notes += tuple(dict.fromkeys(n for p in parts for n in p.notes))
     return _frf(run, recordings, loops, outputs, [p.select(rows) for p in parts], _on(plant, rows), notes)
 
@@ -77,7 +77,7 @@ def _excited_loops(run: Run, recordings: Sequence[Recording]) -> list[LoopSetup]
 
 
 def _parts(
-    run: Run, recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str], settings: Settings
+    recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str], settings: Settings
 ) -> list[Answers]:
     """Answers whose columns are the loops, in their order."""
     names = [loop.name for loop in loops]
@@ -210,7 +210,7 @@ def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array
     return [instrument(recording, loop) if loop.name in excited else zero for loop in loops]
 
 
-def _notes(run: Run, recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
+def _notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
     notes = tuple(note for loop in loops for note in held_note(recording, loop)) + unfed_notes(recording, loops)
     early = recording.info.ended_early
     return notes if early is None else (*notes, f"the recording ended early: {early}")

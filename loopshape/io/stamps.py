@@ -63,7 +63,7 @@ def read_stamps(t_s: Array, rate_hz: float) -> Stamps:
     if FAR_OFF < abs(slope) < np.inf and slope > FAR_OFF - 1.0:  # a wrong rate is no row of gaps
         found = read_stamps(t_s, rate_hz / (1.0 + slope))
         return replace(found, drift=abs(rate_hz / found.rate_hz - 1.0) * n)
-    gaps, row = _gaps(off - slope * k, SHIFT + slack * (1.0 + SEEN_OVER / far), t_s)
+    gaps, row = _gaps(off - slope * k, SHIFT + slack * (1.0 + SEEN_OVER / far))
     if not gaps:
         centred = k - 0.5 * (n - 1)
         slope = float(centred @ off / (centred @ centred))
@@ -94,7 +94,7 @@ def _rounded_to(t_s: Array, rate_hz: float) -> float:
     return 0.0
 
 
-def _gaps(off: Array, limit: float, t_s: Array) -> tuple[int, int]:
+def _gaps(off: Array, limit: float) -> tuple[int, int]:
     """How many lasting shifts by more than `limit` samples, and the row of the first."""
     if off.size < 3:
         return 0, 0

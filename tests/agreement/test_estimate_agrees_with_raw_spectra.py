@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import csd, freqz, lfilter
 
+import loopshape as ls
 from loopshape.data.controller import Block, Controller
 from loopshape.data.excitation import Multisine
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.run import Run
-from loopshape.identify.frequency_response import estimate_frf, estimate_run
+from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
@@ -92,7 +93,7 @@ def test_one_loop_is_a_matrix_of_one(case, place):
     n, period = CASES[case]
     recording, loop = recorded(LOW_PASS, n, place, **period)
     run = Run(RATE, (loop,), (recording,))
-    (single,), matrix = estimate_run(run), estimate_matrix(run, [recording])
+    (single,), matrix = ls.frfs(run), estimate_matrix(run, [recording])
     shared = np.isin(single.frequency_hz, matrix.frequency_hz)
     np.testing.assert_array_equal(matrix.frequency_hz, single.frequency_hz[shared])
     np.testing.assert_allclose(matrix.response, single.response[shared], rtol=1e-10)

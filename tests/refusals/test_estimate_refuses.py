@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.run import Run
-from loopshape.identify.frequency_response import estimate_frf, estimate_run
+from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
@@ -147,20 +148,20 @@ def test_a_record_that_knows_no_line_well_says_so():
 
 def test_a_run_without_excited_loops_is_refused():
     run = Run(RATE, (LOOP,), (recording(excites=None),))
-    assert "no estimation recording of the run excites a loop" in refusal(BadSignalError, lambda: estimate_run(run))
+    assert "no estimation recording of the run excites a loop" in refusal(BadSignalError, lambda: ls.frfs(run))
 
 
 def test_a_validation_recording_is_held_out():
     held = recording(role="validation", file="held.parquet")
-    assert [frf.recording for frf in estimate_run(Run(RATE, (LOOP,), (held, recording())))] == ["r1"]
-    text = refusal(BadSignalError, lambda: estimate_run(Run(RATE, (LOOP,), (held,))))
+    assert [frf.recording for frf in ls.frfs(Run(RATE, (LOOP,), (held, recording())))] == ["r1"]
+    text = refusal(BadSignalError, lambda: ls.frfs(Run(RATE, (LOOP,), (held,))))
     assert "no estimation recording of the run excites a loop" in text
     assert 'role = "estimation"' in text
 
 
 def test_a_run_names_its_loops_where_one_is_unknown():
     run = Run(RATE, (LOOP,), (recording(excites="elbow"),))
-    text = refusal(WrongUseError, lambda: estimate_run(run))
+    text = refusal(WrongUseError, lambda: ls.frfs(run))
     assert "'elbow'" in text
     assert "its loops are axis" in text
 

@@ -20,8 +20,6 @@ from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2, named, 
 from loopshape.model.arm.simulation import INJECTIONS, check_request, each, info, period_ticks, sections
 from loopshape.model.arm.strategies2 import DUAL, Strategy
 
-POINT_KEYS = DUAL.point_keys
-
 
 class Arm2:
     """Two joints, muscles A and B at theta2, C and D at theta1 (`Plant`, `Rig`), driven by a strategy.
