@@ -6,6 +6,7 @@ from loopshape.data.experiment import Experiment
 from loopshape.model.arm import closed_loop2 as kernel
 from loopshape.model.arm.arm2 import Arm2
 from loopshape.model.arm.closed_loop import COMPLETE, CONTROL
+from loopshape.model.arm.parameters import Sensors
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
 
 ARM = Arm2()
@@ -39,7 +40,7 @@ def experiment(start, samples, *, setpoint=None, injection="reference", controll
 def open_loop(c, start, z, steps=1, tick_s=1e-3, period_ticks=20):
     """The bare kernel driven by z (n, 4) in V from a state (9,), SI, without noise or limits: log (n, 23), end."""
     # no noise, no converters, a range without end
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, 1e3, -1e9, 1e9, 1e3, 1e9, 1e3])
+    sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1e3, -1e9, 1e9, 1e3, 1e9, 1e3)
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
     z = np.ascontiguousarray(z, dtype=float)
     z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both

@@ -81,8 +81,9 @@ def arm_open_loop():
     `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
     """
     from loopshape.model.arm import closed_loop, memory
+    from loopshape.model.arm.parameters import Sensors
 
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9])  # no noise, no converters, a range without end
+    sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9)  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
 
     def run(c, start, z, *, solver=closed_loop.EDGES, steps=1, tick_s=1e-3, period_ticks=20, dead_zone=0.01, m=None):

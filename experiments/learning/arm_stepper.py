@@ -19,7 +19,7 @@ from loopshape.model.arm import closed_loop as kernel
 from loopshape.model.arm import effect_parameters as e
 from loopshape.model.arm import memory, model, valves
 from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, Sensors, constants, sensor_constants
 
 TICK_S = 1e-3
 ROW = 3  # measured angle in rad, pressures in Pa
@@ -27,7 +27,7 @@ ROW = 3  # measured angle in rad, pressures in Pa
 
 @compiled
 def measure(
-    c: Array, sensors: Array, x: Array, m: Array, draws: Array, spare: Array, tick_s: float, row: Array
+    c: Array, sensors: Sensors, x: Array, m: Array, draws: Array, spare: Array, tick_s: float, row: Array
 ) -> None:
     """What the sensors give now, into `row` (3,); the noise's state (1,) and spare draw (2,) move in place."""
     true, true_a, true_b = memory.sensed(c, x, m, tick_s)
@@ -39,7 +39,7 @@ def measure(
 
 @compiled
 def act(
-    c: Array, sensors: Array, x: Array, m: Array, held: Array, schedule: Array, edges: Array, draws: Array,
+    c: Array, sensors: Sensors, x: Array, m: Array, held: Array, schedule: Array, edges: Array, draws: Array,
     spare: Array, u_a: float, u_b: float, tick_s: float, period_ticks: int, periods: int, dead_zone: float, out: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Hold the commands for `periods` of the PWM; a measured row after each tick into `out` (ticks, 3).

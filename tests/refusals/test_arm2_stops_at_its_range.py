@@ -8,6 +8,7 @@ from arm2_cases import ARM, MIDDLE, QUIET, experiment
 
 from loopshape.model.arm import closed_loop
 from loopshape.model.arm.closed_loop2 import range_left2
+from loopshape.model.arm.parameters import Sensors
 
 #: limits that nothing reaches, to see what would have come
 FAR = {"range_angle1_deg": 90.0, "range_angle_deg": 90.0, "range_low_bar": 0.0, "range_high_bar": 100.0}
@@ -67,7 +68,7 @@ REST = [1e5, 4e4, 4e4, 4e4, 4e4, 0.0, 0.0, 0.0, 0.0]
     ],
 )
 def test_each_limit_has_its_reason(place, value, why):
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5, 4.0, 1e9, np.radians(25.0)])
+    sensors = Sensors(0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5, 4.0, 1e9, np.radians(25.0))
     state = np.array(REST)
     state[place] = value
     assert range_left2(state, sensors) == why

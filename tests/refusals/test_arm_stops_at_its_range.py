@@ -7,6 +7,7 @@ import pytest
 
 from loopshape.data.controller import Block, Controller
 from loopshape.model.arm import closed_loop
+from loopshape.model.arm.parameters import Sensors
 
 #: limits that nothing reaches, to see what would have come
 FAR = {"range_angle_deg": 90.0, "range_low_bar": 0.0, "range_high_bar": 100.0}
@@ -99,5 +100,5 @@ def test_stopping_one_does_not_stop_the_others(arm, arm_experiment, source_contr
     ],
 )
 def test_each_limit_has_its_reason(state, why):
-    sensors = np.array([0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5, 4.0, 1e9])
+    sensors = Sensors(0.0, 0.0, 0.0, 0.0, np.radians(45.0), 0.15e5, 1.2e5, 4.0, 1e9)
     assert closed_loop.range_left(np.array(state), sensors) == why

@@ -19,6 +19,7 @@ from loopshape.core.units import Array
 from loopshape.model.arm import effect_parameters as e
 from loopshape.model.arm import memory, model, valves
 from loopshape.model.arm.model import called, in_line, moving
+from loopshape.model.arm.parameters import Sensors
 
 EDGES, GRID = 0, 1
 COMPLETE, LEFT_ANGLE, LEFT_PRESSURE, NOT_FINITE = 0, 1, 2, 3
@@ -170,22 +171,22 @@ def converted(value: float, step: float, low: float, high: float) -> float:
 
 @in_line
 def sense(
-    theta: float, p_a: float, p_b: float, sensors: Array, random_state: int, spare: float, has_spare: bool
+    theta: float, p_a: float, p_b: float, sensors: Sensors, random_state: int, spare: float, has_spare: bool
 ) -> tuple[float, float, float, int, float, bool]:
     """Angle and pressures (rad, Pa, Pa) with noise and converters, and the noise's state after."""
-    if sensors[0] > 0.0 or sensors[1] > 0.0:
+    if sensors.noise_rad > 0.0 or sensors.noise_pa > 0.0:
         random_state, n1, n2 = noise.normal_pair(random_state)
         if has_spare:
             n3, has_spare = spare, False
         else:
             random_state, n3, spare = noise.normal_pair(random_state)
             has_spare = True
-        theta += sensors[0] * n1
-        p_a += sensors[1] * n2
-        p_b += sensors[1] * n3
-    theta = converted(theta, sensors[2], -sensors[7], sensors[7])
-    p_a = converted(p_a, sensors[3], 0.0, sensors[8])
-    return theta, p_a, converted(p_b, sensors[3], 0.0, sensors[8]), random_state, spare, has_spare
+        theta += sensors.noise_rad * n1
+        p_a += sensors.noise_pa * n2
+        p_b += sensors.noise_pa * n3
+    theta = converted(theta, sensors.step_rad, -sensors.reach_rad, sensors.reach_rad)
+    p_a = converted(p_a, sensors.step_pa, 0.0, sensors.reach_pa)
+    return theta, p_a, converted(p_b, sensors.step_pa, 0.0, sensors.reach_pa), random_state, spare, has_spare
 
 
 @in_line
@@ -201,13 +202,13 @@ def log(
 
 
 @in_line
-def range_left(x: Array, sensors: Array) -> int:
+def range_left(x: Array, sensors: Sensors) -> int:
     """Which limit of the model's range the state has passed, or COMPLETE."""
     if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4]):
         return NOT_FINITE
-    if abs(x[3]) > sensors[4]:
+    if abs(x[3]) > sensors.limit_rad:
         return LEFT_ANGLE
-    if min(x[1], x[2]) < sensors[5] or max(x[1], x[2]) > sensors[6]:
+    if min(x[1], x[2]) < sensors.lowest_pa or max(x[1], x[2]) > sensors.highest_pa:
         return LEFT_PRESSURE
     return COMPLETE
 
@@ -230,7 +231,7 @@ def late(commands: Array, column: int, tick: int, delay_ticks: float) -> float:
 @compiled
 def run(
     c: Array,
-    sensors: Array,
+    sensors: Sensors,
     x: Array,
     m: Array,
     biquads_theta: Array,

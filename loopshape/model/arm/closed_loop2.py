@@ -26,7 +26,8 @@ from loopshape.model.arm.closed_loop import (
 )
 from loopshape.model.arm.model import called, in_line
 from loopshape.model.arm.model2 import moving2
-from loopshape.model.arm.parameters2 import SHARED, THETA1_LIMIT
+from loopshape.model.arm.parameters import Sensors
+from loopshape.model.arm.parameters2 import SHARED
 
 #: columns of the log, pressures in Pa: measured angles and pressures, z and u; true states after them if asked.
 #: z_p_a and z_p_c are z_pAB and z_pCD where the strategy is that of pairs
@@ -106,18 +107,18 @@ def integrate2(c: Array, x: Array, start_s: float, end_s: float, steps: int, u: 
 
 
 @in_line
-def sense2(x: Array, sensors: Array, random_state: int, row: Array) -> int:
+def sense2(x: Array, sensors: Sensors, random_state: int, row: Array) -> int:
     """Fill a row's first six places with angles and pressures behind noise and converters; gives the noise's state."""
     for k in range(3):
         n1 = n2 = 0.0
-        if sensors[0] > 0.0 or sensors[1] > 0.0:
+        if sensors.noise_rad > 0.0 or sensors.noise_pa > 0.0:
             random_state, n1, n2 = noise.normal_pair(random_state)
         if k == 0:
-            row[0] = converted(x[5] + sensors[0] * n1, sensors[2], -sensors[7], sensors[7])
-            row[1] = converted(x[6] + sensors[0] * n2, sensors[2], -sensors[7], sensors[7])
+            row[0] = converted(x[5] + sensors.noise_rad * n1, sensors.step_rad, -sensors.reach_rad, sensors.reach_rad)
+            row[1] = converted(x[6] + sensors.noise_rad * n2, sensors.step_rad, -sensors.reach_rad, sensors.reach_rad)
         else:
-            row[2 * k] = converted(x[2 * k - 1] + sensors[1] * n1, sensors[3], 0.0, sensors[8])
-            row[2 * k + 1] = converted(x[2 * k] + sensors[1] * n2, sensors[3], 0.0, sensors[8])
+            row[2 * k] = converted(x[2 * k - 1] + sensors.noise_pa * n1, sensors.step_pa, 0.0, sensors.reach_pa)
+            row[2 * k + 1] = converted(x[2 * k] + sensors.noise_pa * n2, sensors.step_pa, 0.0, sensors.reach_pa)
     return random_state
 
 
@@ -138,15 +139,15 @@ def log2(out: Array, tick: int, z1: float, z2: float, z3: float, z4: float, shar
 
 
 @in_line
-def range_left2(x: Array, sensors: Array) -> int:
+def range_left2(x: Array, sensors: Sensors) -> int:
     """Which limit of the model's range the state has passed, or COMPLETE."""
     if not math.isfinite(x[0] + x[1] + x[2] + x[3] + x[4] + x[5] + x[6] + x[7] + x[8]):
         return NOT_FINITE
-    if abs(x[5]) > sensors[THETA1_LIMIT]:
+    if abs(x[5]) > sensors.limit1_rad:
         return LEFT_THETA1
-    if abs(x[6]) > sensors[4]:
+    if abs(x[6]) > sensors.limit_rad:
         return LEFT_THETA2
-    if min(x[1], x[2], x[3], x[4]) < sensors[5] or max(x[1], x[2], x[3], x[4]) > sensors[6]:
+    if min(x[1], x[2], x[3], x[4]) < sensors.lowest_pa or max(x[1], x[2], x[3], x[4]) > sensors.highest_pa:
         return LEFT_PRESSURE
     return COMPLETE
 
@@ -154,7 +155,7 @@ def range_left2(x: Array, sensors: Array) -> int:
 @compiled
 def run2(
     c: Array,
-    sensors: Array,
+    sensors: Sensors,
     x: Array,
     biquads_theta1: Array,
     biquads_theta2: Array,

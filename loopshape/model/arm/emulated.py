@@ -43,7 +43,7 @@ def plant_file(
         "dead_zone": [p["pwm_dead_zone"]],
         "start": [float(rad(point["theta2_deg"])), point["p_ab_bar"]],
         "constants": c[list(KNOWN)].tolist(),
-        "sensors": sensor_constants(vector).tolist(),
+        "sensors": sensor_constants(vector)[:-1],  # without the limit of another joint
     }
     lines = [f"{name} {' '.join(float(v).hex() for v in values)}" for name, values in rows.items()]
     return "\n".join(["loopshape-plant 1", *lines, "end", ""])

@@ -7,6 +7,8 @@ actuated by nonlinear artificial muscles, DCT 2007.002 (2007). Effects move the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from loopshape.core.units import Array, rad
@@ -131,8 +133,26 @@ def constants(vector: Array) -> Array:
     )
 
 
-def sensor_constants(vector: Array) -> Array:
-    """Noise (rad, Pa), converter steps (rad, Pa; 0 is off), the range's limits (rad, Pa, Pa), spans (rad, Pa), (9,)."""
+class Sensors(NamedTuple):
+    """Rms noise, converters' steps (0: off), the limits of the model's range and the converters' reach, SI.
+
+    Angles are centred, so that they reach from -`reach_rad`; pressures from 0. `limit1_rad` is theta1's, of two joints.
+    """
+
+    noise_rad: float
+    noise_pa: float
+    step_rad: float
+    step_pa: float
+    limit_rad: float
+    lowest_pa: float
+    highest_pa: float
+    reach_rad: float
+    reach_pa: float
+    limit1_rad: float = np.inf
+
+
+def sensor_constants(vector: Array) -> Sensors:
+    """The sensors that a parameter vector of `ARM1_PARAMETERS` describes."""
     p = dict(zip(ARM1_PARAMETERS.names, vector.tolist(), strict=True))
     codes = 2.0 ** p["converter_bits"]
     on = p["converter_bits"] > 0
@@ -141,4 +161,4 @@ def sensor_constants(vector: Array) -> Array:
     noise = [float(rad(p["angle_noise_deg"])), 1e5 * p["pressure_noise_bar"]]
     limits = [float(rad(p["range_angle_deg"])), 1e5 * p["range_low_bar"], 1e5 * p["range_high_bar"]]
     spans = [0.5 * float(rad(p["angle_span_deg"])), 1e5 * p["pressure_span_bar"]]
-    return np.array([*noise, angle_step, pressure_step, *limits, *spans])
+    return Sensors(*noise, angle_step, pressure_step, *limits, *spans)

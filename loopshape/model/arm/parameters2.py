@@ -12,7 +12,7 @@ import numpy as np
 from loopshape.core.units import Array, rad
 from loopshape.data.plant import ParameterTable, rows
 from loopshape.model.arm.effect_parameters import EFFECT_ROWS
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
+from loopshape.model.arm.parameters import ARM1_PARAMETERS, Sensors, constants, sensor_constants
 
 SECOND_JOINT_ROWS = (
     rows(
@@ -67,7 +67,6 @@ FIRST = 101  # constants of the 1-DoF arm before these
 ) = range(FIRST, FIRST + 19)  # fmt: skip
 #: 1 where the pressure loops measure and drive both muscles of a pair (`strategies2`), else 0
 SHARED = FIRST + 19
-THETA1_LIMIT = 9  # place of theta1's limit in `sensor_constants2`
 
 
 def named(vector: Array) -> dict[str, float]:
@@ -97,7 +96,8 @@ def _link(foot_m: float, height_m: float, radius_m: float) -> list[float]:
     return [foot_m**2 + height_m**2 + radius_m**2, radius_m * height_m, radius_m * foot_m]
 
 
-def sensor_constants2(vector: Array) -> Array:
-    """As the 1-DoF arm's `sensor_constants`, and the limit of theta1 in rad, (10,)."""
+def sensor_constants2(vector: Array) -> Sensors:
+    """As the 1-DoF arm's `sensor_constants`, with the limit of theta1."""
     p = named(vector)
-    return np.append(sensor_constants(ARM1_PARAMETERS.holding(p).vector()), float(rad(p["range_angle1_deg"])))
+    found = sensor_constants(ARM1_PARAMETERS.holding(p).vector())
+    return found._replace(limit1_rad=float(rad(p["range_angle1_deg"])))
