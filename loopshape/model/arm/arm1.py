@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.channel import Channel
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment, LoopSetup
+from loopshape.data.controller import Block
+from loopshape.data.experiment import Experiment
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.model.arm import closed_loop as kernel
@@ -20,7 +21,7 @@ from loopshape.model.arm import following, memory
 from loopshape.model.arm.effects import FORMS, SPREAD
 from loopshape.model.arm.equilibrium import pressures, rest
 from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
-from loopshape.model.arm.simulation import INJECTIONS, check_request, each, info, period_ticks, sections
+from loopshape.model.arm.simulation import Arm
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
 _DEFAULTS: dict[str, tuple[Block, ...]] = {
@@ -34,11 +35,21 @@ _DEFAULTS: dict[str, tuple[Block, ...]] = {
 }
 
 
-class Arm1:
+class Arm1(Arm):
     """One joint, two antagonistic muscles A and B (`Plant`); loops theta2 and p_AB = p_A + p_B."""
 
     name = "arm-1dof"
+    title = "the 1-DoF arm"
     loops: tuple[str, ...] = ("theta2", "p_ab")
+    wired: Mapping[str, tuple[str, str]] = {
+        "theta2": ("z_theta2_v", "theta2_rad"),
+        "p_ab": ("z_p_v", "p_a_bar + p_b_bar"),
+    }
+    to_si = (1.0, 1e5)
+    point_keys = ("theta2_deg", "p_ab_bar")
+    controllers = _DEFAULTS
+    logged = kernel.LOGGED
+    measured = kernel.MEASURED
     solvers: tuple[str, ...] = tuple(SOLVERS)
     parameters = ARM1_PARAMETERS
     effects = FORMS
@@ -61,24 +72,6 @@ class Arm1:
         Channel("u_a", "v"),
         Channel("u_b", "v"),
     )
-
-    def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
-        """The angle controller's structure of the source with numbers that hold the printed model."""
-        return tuple(Controller(loop, blocks, rate_hz) for loop, blocks in _DEFAULTS.items())
-
-    def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
-        """Columns of both loops; what enters at the plant's input is in V."""
-        known = {c.loop: c for c in controllers}
-        if set(known) != set(self.loops):
-            raise WrongUseError(
-                "the 1-DoF arm needs a controller for each of its loops theta2 and p_ab", ", ".join(known) or "none"
-            )
-        volts = injection == "plant_input"
-        n_theta, n_p = ("n_theta2_v", "n_p_ab_v") if volts else ("n_theta2_rad", "n_p_ab_bar")
-        return (
-            LoopSetup("theta2", "r_theta2_rad", n_theta, "z_theta2_v", "theta2_rad", known["theta2"]),
-            LoopSetup("p_ab", "r_p_ab_bar", n_p, "z_p_v", "p_a_bar + p_b_bar", known["p_ab"]),
-        )
 
     def readied(self, run: Run, names: Sequence[str]) -> tuple[Arm1, Run, list[str]]:
         """An arm whose nominal numbers are those that the run states; recordings are followed as they are."""
@@ -129,10 +122,7 @@ class Arm1:
         self, operating_point: Mapping[str, float], changes: Mapping[str, float] | None = None
     ) -> None:
         """Refuse a point with other keys than theta2_deg and p_ab_bar, or without an equilibrium in range."""
-        if set(operating_point) != {"theta2_deg", "p_ab_bar"}:
-            raise WrongUseError(
-                "an operating point of the 1-DoF arm names theta2_deg and p_ab_bar", f"{dict(operating_point)!r}"
-            )
+        self.refuse_other_keys(operating_point)
         vector = self.parameters.vector(changes)
         theta, p_ab = operating_point["theta2_deg"], operating_point["p_ab_bar"]
         low, high, widest = (self._value(vector, f"range_{k}") for k in ("low_bar", "high_bar", "angle_deg"))
@@ -144,81 +134,17 @@ class Arm1:
                 "choose a point inside",
             )
 
-    def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
-        """Refuse unknown or out-of-bounds parameters, and a PWM period that is no whole number of samples."""
-        period_ticks(rate_hz, self._value(self.parameters.vector(changes), "pwm_frequency_hz"))
-
-    def _value(self, vector: Array, name: str) -> float:
-        return float(vector[self.parameters.index(name)])
-
-    def simulate(
-        self,
-        experiments: Sequence[Experiment],
-        *,
-        solver: str = "edges",
-        changes: Mapping[str, float] | None = None,
-        threads: int | None = None,
-        steps_per_tick: int = 1,
-        states: bool = False,
-    ) -> list[Recording]:
-        """One recording an experiment, in order; kernels run in parallel on `threads` (default: all cores).
-
-        A simulation that leaves the model's range stops there: its recording ends early and says when and
-        why. `states` adds the true states as columns. Same experiments and seeds, same recordings, whatever
-        the number of threads.
-        """
-        check_request(solver, self.solvers, steps_per_tick)
-
-        def one(experiment: Experiment) -> Recording:
-            return self._run(experiment, SOLVERS[solver], dict(changes or {}), steps_per_tick, states)
-
-        return each(experiments, one, threads)
-
-    def _run(self, e: Experiment, solver: int, changes: dict[str, float], steps: int, states: bool) -> Recording:
-        moves = {f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters)
-        vector = self.parameters.vector(moves)
-        c, sensors = constants(vector), sensor_constants(vector)
-        ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
+    def _integrated(
+        self, vector: Array, e: Experiment, signals: tuple[Any, ...], solver: str, steps: int, out: Array
+    ) -> tuple[int, int]:
+        c = constants(vector)
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
         m = np.empty(memory.SIZE)
         memory.start(c, x, m)
-        controllers = [sections(loop, e) for loop in e.loops]
-        state = np.zeros((2, max(b.shape[0] for b in controllers), 2))
-        references = np.ascontiguousarray(e.references * np.array([1.0, 1e5]))
-        injected = np.ascontiguousarray(e.injected)
-        injected.setflags(write=False)  # one kind of array, one compiled kernel
-        out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
-        ended, n = kernel.run(
-            c, sensors, x, m, controllers[0], controllers[1], state, references, injected,
-            INJECTIONS[e.injection], e.closed_loop, 1.0 / e.rate_hz, ticks,
-            self._value(vector, "pwm_dead_zone"), solver, steps, start_state(e.seed), out,
-        )  # fmt: skip
-        return Recording(info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))
+        how = (SOLVERS[solver], steps, start_state(e.seed))
+        return kernel.run(c, sensor_constants(vector), x, m, *signals, *how, out)
 
-
-def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:
-    theta2, p_ab = e.loops
-    free = e.injection == "control"  # then what is injected is z itself
-    columns = {
-        "t_s": np.arange(n) / e.rate_hz,
-        str(theta2.reference): e.references[:n, 0],
-        str(theta2.injected): np.zeros(n) if free else e.injected[:n, 0],
-        "z_theta2_v": out[:, 3],
-        "theta2_rad": out[:, 0],
-        str(p_ab.reference): e.references[:n, 1],
-        str(p_ab.injected): np.zeros(n) if free else e.injected[:n, 1],
-        "z_p_v": out[:, 4],
-        "p_a_bar": 1e-5 * out[:, 1],
-        "p_b_bar": 1e-5 * out[:, 2],
-        "u_a_v": out[:, 5],
-        "u_b_v": out[:, 6],
-    }
-    if out.shape[1] > kernel.MEASURED:
-        columns |= {
-            "true_theta2_rad": out[:, 7],
-            "true_velocity_rad_s": out[:, 8],
-            "true_p_a_bar": 1e-5 * out[:, 9],
-            "true_p_b_bar": 1e-5 * out[:, 10],
-            "true_p_c_bar": 1e-5 * out[:, 11],
-        }
-    return columns
+    def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
+        columns = {"true_theta2_rad": logged["angle"], "true_velocity_rad_s": logged["velocity"]}
+        pressures = {"a": "true_a", "b": "true_b", "c": "p_c"}
+        return columns | {f"true_p_{m}_bar": 1e-5 * logged[name] for m, name in pressures.items()}

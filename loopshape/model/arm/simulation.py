@@ -1,14 +1,19 @@
-"""What both arms do around their kernels: requests checked, experiments handed over in parallel, endings told."""
+"""What both arms share as plants: setups of their loops, experiments in parallel, recordings out."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
-from loopshape.data.experiment import Experiment, LoopSetup
+from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import Experiment, LoopSetup, shared_unit
+from loopshape.data.plant import ParameterTable
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.model.arm import closed_loop as kernel
 
@@ -27,23 +32,132 @@ ENDED = {
 }
 
 
-def check_request(solver: str, known: Sequence[str], steps_per_tick: int) -> None:
-    """Refuse an unknown solver, and less than one step a tick."""
-    if solver not in known:
-        raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(known)}")
-    if steps_per_tick < 1:
-        raise WrongUseError("a tick is integrated in one step or more", f"{steps_per_tick!r}")
+class Arm:
+    """What both arms are as plants (`Plant`, `Rig`): controllers and setups of their loops, experiments in parallel.
+
+    An arm has its `title`, its loops as `wired` (the column of z and what is measured, by loop), factors `to_si` of its
+    references, and its `point_keys`; `_integrated` runs its kernel.
+    """
+
+    title: str
+    wired: Mapping[str, tuple[str, str]]
+    to_si: tuple[float, ...]
+    point_keys: tuple[str, ...]
+    controllers: Mapping[str, tuple[Block, ...]]
+    parameters: ParameterTable
+    solvers: tuple[str, ...]
+    logged: tuple[str, ...]
+    measured: int
+
+    def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
+        """The source's structures with numbers that hold the printed model."""
+        return tuple(Controller(loop, blocks, rate_hz) for loop, blocks in self.controllers.items())
+
+    def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
+        """Columns of all loops; what enters at the plant's input is in V."""
+        known = {c.loop: c for c in controllers}
+        if set(known) != set(self.wired):
+            raise WrongUseError(
+                f"{self.title} needs a controller for each of its loops {_listed(list(self.wired))}",
+                ", ".join(known) or "none",
+            )
+        setups = []
+        for loop, (control, output) in self.wired.items():
+            unit = shared_unit(output, f"the output of loop {loop}")
+            injected = f"n_{loop}_{'v' if injection == 'plant_input' else unit}"
+            setups.append(LoopSetup(loop, f"r_{loop}_{unit}", injected, control, output, known[loop]))
+        return tuple(setups)
+
+    def refuse_other_keys(self, operating_point: Mapping[str, float]) -> None:
+        """Refuse an operating point with other keys than the arm's."""
+        if set(operating_point) != set(self.point_keys):
+            raise WrongUseError(
+                f"an operating point of {self.title} names {_listed(self.point_keys)}", f"{dict(operating_point)!r}"
+            )
+
+    def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
+        """Refuse unknown or out-of-bounds parameters, and a PWM period that is no whole number of samples."""
+        period_ticks(rate_hz, self._value(self.parameters.vector(changes), "pwm_frequency_hz"))
+
+    def _value(self, vector: Array, name: str) -> float:
+        return float(vector[self.parameters.index(name)])
+
+    def simulate(
+        self,
+        experiments: Sequence[Experiment],
+        *,
+        solver: str = "edges",
+        changes: Mapping[str, float] | None = None,
+        threads: int | None = None,
+        steps_per_tick: int = 1,
+        states: bool = False,
+    ) -> list[Recording]:
+        """One recording an experiment, in order; kernels run in parallel on `threads` (default: all cores).
+
+        A simulation that leaves the model's range stops there: its recording ends early and says when and
+        why. `states` adds the true states as columns. Same experiments and seeds, same recordings, whatever
+        the number of threads.
+        """
+        if solver not in self.solvers:
+            raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(self.solvers)}")
+        if steps_per_tick < 1:
+            raise WrongUseError("a tick is integrated in one step or more", f"{steps_per_tick!r}")
+
+        def one(experiment: Experiment) -> Recording:
+            return self._run(experiment, solver, dict(changes or {}), steps_per_tick, states)
+
+        workers = min(len(experiments), threads or os.cpu_count() or 1)
+        if workers <= 1:
+            return [one(e) for e in experiments]
+        with ThreadPoolExecutor(workers) as pool:
+            return list(pool.map(one, experiments))
+
+    def _run(self, e: Experiment, solver: str, changes: dict[str, float], steps: int, states: bool) -> Recording:
+        vector = self.parameters.vector({f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters))
+        controllers = [sections(loop, e) for loop in e.loops]
+        state = np.zeros((len(controllers), max(b.shape[0] for b in controllers), 2))
+        injected = np.ascontiguousarray(e.injected)
+        injected.setflags(write=False)  # one kind of array, one compiled kernel
+        loops = (*controllers, state, np.ascontiguousarray(e.references * np.array(self.to_si)), injected)
+        ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
+        pwm = (1.0 / e.rate_hz, ticks, self._value(vector, "pwm_dead_zone"))
+        out = np.empty((e.samples, len(self.logged) if states else self.measured))
+        how = (INJECTIONS[e.injection], e.closed_loop, *pwm)
+        ended, n = self._integrated(vector, e, (*loops, *how), solver, steps, out)
+        early = None if ended == kernel.COMPLETE else f"{ENDED[ended]} at {n / e.rate_hz:.3f} s"
+        return Recording(RecordingInfo.of(e, early), e.rate_hz, self._columns(e, out[:n]))
+
+    def _integrated(
+        self, vector: Array, e: Experiment, signals: tuple[Any, ...], solver: str, steps: int, out: Array
+    ) -> tuple[int, int]:
+        """Run the kernel into `out`; gives why it ended and how many rows are filled."""
+        raise NotImplementedError
+
+    def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
+        """Columns of the true states."""
+        raise NotImplementedError
+
+    def _columns(self, e: Experiment, out: Array) -> dict[str, Array]:
+        n, free = len(out), e.injection == "control"  # then what is injected is z itself
+        logged = dict(zip(self.logged, out.T, strict=False))
+        seen = self.logged[: self.measured]
+        measured = {f"{name}_rad": logged[name] for name in seen if name.startswith("theta")}
+        measured |= {f"{name}_bar": 1e-5 * logged[name] for name in seen if name.startswith("p_")}
+        columns = {"t_s": np.arange(n) / e.rate_hz}
+        controls = [name for name in seen if name.startswith("z_")]
+        for k, (loop, control) in enumerate(zip(e.loops, controls, strict=True)):
+            columns[str(loop.reference)] = e.references[:n, k]
+            columns[str(loop.injected)] = np.zeros(n) if free else e.injected[:n, k]
+            columns[loop.control] = logged[control]
+            if loop.output in measured:
+                columns[loop.output] = measured[loop.output]
+        columns |= {name: values for name, values in measured.items() if name not in columns}
+        columns |= {f"{name}_v": logged[name] for name in seen if name.startswith("u_")}
+        return columns | (self._states(logged) if len(logged) > self.measured else {})
 
 
-def each(
-    experiments: Sequence[Experiment], one: Callable[[Experiment], Recording], threads: int | None
-) -> list[Recording]:
-    """One recording an experiment, in order, on `threads` (default: all cores)."""
-    workers = min(len(experiments), threads or os.cpu_count() or 1)
-    if workers <= 1:
-        return [one(e) for e in experiments]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(one, experiments))
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def period_ticks(rate_hz: float, pwm_hz: float) -> int:
@@ -61,9 +175,3 @@ def sections(loop: LoopSetup, e: Experiment) -> Array:
     if loop.controller is None or loop.controller.rate_hz != e.rate_hz:
         raise WrongUseError(f"loop {loop.name} needs a controller at the rig's rate {e.rate_hz:g} Hz")
     return loop.controller.biquads()
-
-
-def info(e: Experiment, ended: int, n: int) -> RecordingInfo:
-    """What a recording of n samples says of itself, and why it ended early if it did."""
-    early = None if ended == kernel.COMPLETE else f"{ENDED[ended]} at {n / e.rate_hz:.3f} s"
-    return RecordingInfo.of(e, early)
