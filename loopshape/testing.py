@@ -73,9 +73,9 @@ class ControllerTest:
     def cases(self) -> tuple[str, ...]:
         """Each requirement as "loop: quantity", and the stability of each loop as "loop: stability"."""
         return tuple(
-            f"{wished.loop}: {name}"
-            for wished in read_requirements(self.require)
-            for name in (*wished.limited(), STABILITY)
+            f"{required.loop}: {name}"
+            for required in read_requirements(self.require)
+            for name in (*required.limited(), STABILITY)
         )
 
     @cached_property

@@ -36,10 +36,10 @@ def bound_run(run: Path, controller: Path, require: Path, output: Output) -> lis
 
     controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
     found = []
-    for wished in read_requirements(require):
-        mine = [one for one in frfs if one.loop == wished.loop]
-        with output.progress(f"bound {wished.loop}", 2 * len(mine)) as step:
-            found.append(bound_loop(mine, controller_of(controllers, wished.loop), wished, fits, step=step))
+    for required in read_requirements(require):
+        mine = [one for one in frfs if one.loop == required.loop]
+        with output.progress(f"bound {required.loop}", 2 * len(mine)) as step:
+            found.append(bound_loop(mine, controller_of(controllers, required.loop), required, fits, step=step))
         _report(found[-1], output)
     output.json({"loops": found})
     return found

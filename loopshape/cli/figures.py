@@ -39,21 +39,21 @@ def figures(
     folder = out or figures_of(run)
     frfs, fits = read_frfs(run), fits_of(run)
     drawn = draw_estimates(folder, frfs, fits, output)
-    wishes = read_requirements(require) if require is not None else ()
+    requirements = read_requirements(require) if require is not None else ()
     for own in read_controllers(controller) if controller is not None else ():
         mine = [one for one in frfs if one.loop == own.loop]
         if mine:
-            wished = _wish(wishes, own.loop)
-            verdict, loops = check_loops(mine, own, wished, fits)
-            drawn += draw_loops(folder, own.loop, loops, wished, verdict)
+            required = _required_of(requirements, own.loop)
+            verdict, loops = check_loops(mine, own, required, fits)
+            drawn += draw_loops(folder, own.loop, loops, required, verdict)
     output.say("\n".join(drawn))
     output.json({"figures": drawn})
 
 
-def _wish(wishes: Sequence[Requirements], loop: str) -> Requirements:
+def _required_of(requirements: Sequence[Requirements], loop: str) -> Requirements:
     from loopshape.data.requirements import Requirements
 
-    return next((w for w in wishes if w.loop == loop), Requirements(loop))
+    return next((w for w in requirements if w.loop == loop), Requirements(loop))
 
 
 def draw_estimates(

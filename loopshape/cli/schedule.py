@@ -42,11 +42,11 @@ def schedule_run(
 
     controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)
     found, drawn = [], []
-    for wished in read_requirements(require):
-        mine = [one for one in frfs if one.loop == wished.loop]
-        robust = controller_of(controllers, wished.loop)
-        with output.progress(f"tune {wished.loop}", len(mine)) as step:
-            found.append(schedule_loop(mine, wished, robust, fits, seed=seed, starts=starts, step=step))
+    for required in read_requirements(require):
+        mine = [one for one in frfs if one.loop == required.loop]
+        robust = controller_of(controllers, required.loop)
+        with output.progress(f"tune {required.loop}", len(mine)) as step:
+            found.append(schedule_loop(mine, required, robust, fits, seed=seed, starts=starts, step=step))
         _report(found[-1], output)
         drawn += _draw(figures_of(run), found[-1]) if figures else []
     output.say("\n".join(["figures:", *drawn]) if drawn else "no figures drawn")

@@ -77,12 +77,12 @@ def tune_run(
     from loopshape.io.requirements import read_required, read_requirements
 
     given, together = read_required(require) if matrix else (read_requirements(require), None)
-    wishes, chosen = joined(profile, given)
-    began = controllers_to_start(start, [one.loop for one in wishes])
+    requirements, chosen = joined(profile, given)
+    began = controllers_to_start(start, [one.loop for one in requirements])
     if matrix:
-        found, missed, more = _in_turn(run, wishes, began, together, output, **search)
+        found, missed, more = _in_turn(run, requirements, began, together, output, **search)
     else:
-        found, missed, more = _each(run, wishes, began, output, **search)
+        found, missed, more = _each(run, requirements, began, output, **search)
     for sentence in () if chosen is None else chosen.sentences():
         output.paragraph(sentence)
     if missed:
@@ -98,7 +98,7 @@ _Found = tuple[list["Tuning"], str, dict[str, Any]]  # tunings, why they are not
 
 
 def _each(
-    run: Path, wishes: Sequence[Requirements], began: Mapping[str, Controller], output: Output, **search: Any
+    run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], output: Output, **search: Any
 ) -> _Found:
     """Each loop by itself."""
     from loopshape.design.tune import tune as tune_loop
@@ -106,9 +106,9 @@ def _each(
 
     frfs, fits = read_frfs(run), fits_of(run)
     found = []
-    for wish in wishes:
-        mine = [one for one in frfs if one.loop == wish.loop]
-        found.append(tune_loop(mine, wish, fits, start=began.get(wish.loop), **search))
+    for required in requirements:
+        mine = [one for one in frfs if one.loop == required.loop]
+        found.append(tune_loop(mine, required, fits, start=began.get(required.loop), **search))
         report_tuning(found[-1], output, len(mine))
     missed = not all(t.feasible for t in found)
     return found, f"no controller was found that meets all requirements: {_reason(found)}" if missed else "", {}
@@ -116,7 +116,7 @@ def _each(
 
 def _in_turn(
     run: Path,
-    wishes: Sequence[Requirements],
+    requirements: Sequence[Requirements],
     began: Mapping[str, Controller],
     together: SeveralRequirements | None,
     output: Output,
@@ -129,8 +129,8 @@ def _in_turn(
 
     frfs = read_several_loops(run)
     found = tune_loops(
-        frfs, wishes, start=list(began.values()), together=together, recorded_under=recorded_under(run), watch=output,
-        **search,
+        frfs, requirements, start=list(began.values()), together=together, recorded_under=recorded_under(run),
+        watch=output, **search,
     )  # fmt: skip
     columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C changed by [%]"]
     output.table("Loops in turn", columns, [_row(turn) for turn in found.turns])

@@ -115,8 +115,8 @@ def _on_common_lines(
 ) -> list[Answers]:
     """Each recording's answers; where each record chose lines of its own, again on lines that all can have."""
 
-    def each(wished: Settings) -> list[Answers]:
-        return [_answers(r, loops, outputs, len(ordered) == 1, wished) for r in ordered]
+    def each(required: Settings) -> list[Answers]:
+        return [_answers(r, loops, outputs, len(ordered) == 1, required) for r in ordered]
 
     found = each(settings)
     if _alike(found):

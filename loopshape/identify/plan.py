@@ -28,7 +28,7 @@ from loopshape.identify.plan_lines import (
     round_period_s,
     with_line_near,
 )
-from loopshape.identify.plan_nouns import Plan, Wish
+from loopshape.identify.plan_nouns import Plan, Required
 from loopshape.identify.plan_record import FirstRecord, between
 
 #: periods that a plan has at least: fewer hardly tell noise from response
@@ -60,7 +60,7 @@ class _Shape:
     floor: Array
 
 
-def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -> Plan:
+def plan(first: FirstRecord, required: Required, controller: Controller | None = None) -> Plan:
     """The shortest experiment within the limits that reaches the accuracy, or the best one where none does.
 
     `controller` says where the crossover is; without it the loop's own. At four periods the amplitude is what the wish
@@ -68,16 +68,16 @@ def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -
     plan has several realisations, over which it averages. Refuses an accuracy beside what the record knows, limits that
     the noise alone breaks, and a longest time in which no four periods of the lowest line fit.
     """
-    crossover_hz = crossover_of(first, controller or first.loop.controller, wish.at_hz)
-    band = _band(first, wish, crossover_hz)
-    shape, notes = _shape(first, wish, crossover_hz, band)
+    crossover_hz = crossover_of(first, controller or first.loop.controller, required.at_hz)
+    band = _band(first, required, crossover_hz)
+    shape, notes = _shape(first, required, crossover_hz, band)
     x, e = shape.crossover, shape.excitation
-    most, binds = _most(first, wish, shape)
-    made = _size(wish, shape, most, binds, min(most, first.amplitude))
+    most, binds = _most(first, required, shape)
+    made = _size(required, shape, most, binds, min(most, first.amplitude))
     measured_s = made.realisations * made.periods * e.period_s
     floor = shape.floor / np.sqrt(made.realisations)
     column, f = _column(first), first.frequency_hz
-    before = np.hypot(first.std, own_floor(first, odd_lines=wish.kind == "odd"))
+    before = np.hypot(first.std, own_floor(first, odd_lines=required.kind == "odd"))
     std = np.sqrt(shape.need / (shape.power * made.amplitude**2 * measured_s) + floor**2)
     return Plan(
         loop=first.loop.name,
@@ -85,7 +85,7 @@ def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -
         injection=first.recording.info.injection,
         column=column,
         unit=SUFFIXES[Channel.from_column(column).unit],
-        wish=wish,
+        required=required,
         excitation=replace(e, amplitude=made.amplitude, periods=made.periods),
         realisations=made.realisations,
         lines_hz=shape.lines_hz,
@@ -103,10 +103,10 @@ def plan(first: FirstRecord, wish: Wish, controller: Controller | None = None) -
         peak_output=made.amplitude * shape.peak_output + NOISE_PEAK * first.output_noise,
         binds=made.binds,
         reached=made.reached,
-        short_by=1.0 if made.reached else float(std[x] / wish.std),
+        short_by=1.0 if made.reached else float(std[x] / required.std),
         needed_s=made.needed_s,
         needed_amplitude=made.needed_amplitude,
-        notes=(*notes, *plan_words.cannot_know(first, wish, shape.floor[x], made.amplitude)),
+        notes=(*notes, *plan_words.cannot_know(first, required, shape.floor[x], made.amplitude)),
     )
 
 
@@ -123,30 +123,30 @@ class _Size:
     needed_amplitude: float
 
 
-def _size(wish: Wish, shape: _Shape, most: float, binds: str, least: float) -> _Size:
+def _size(required: Required, shape: _Shape, most: float, binds: str, least: float) -> _Size:
     """Realisations, periods and amplitude (between `least` and `most`) that reach the accuracy, or come nearest."""
     x, period_s, ramps_s = shape.crossover, shape.excitation.period_s, 2.0 * shape.excitation.ramp_s
     floor = float(shape.floor[x]) ** 2
-    count = max(1, int(np.ceil(floor / (DISTORTION_SHARE * wish.std**2) - 1e-9)))
+    count = max(1, int(np.ceil(floor / (DISTORTION_SHARE * required.std**2) - 1e-9)))
     each_s = float(shape.need[x] / shape.power[x]) / most**2  # std² times seconds of noise alone, at most
-    seconds = each_s / (wish.std**2 - floor / count)
+    seconds = each_s / (required.std**2 - floor / count)
     fewest = FEW_PERIODS if count > 1 else LEAST_PERIODS
     periods = max(fewest, int(np.ceil(seconds / count / period_s - 1e-9)))
     needed_s = count * (periods * period_s + ramps_s)
-    if needed_s <= wish.longest_s * (1.0 + 1e-9):
+    if needed_s <= required.longest_s * (1.0 + 1e-9):
         amplitude = most * float(np.sqrt(seconds / (count * periods * period_s)))
         if periods > fewest:
             return _Size(count, periods, amplitude, binds, True, needed_s, amplitude)
         why = "shortest" if count == 1 else "distortion"
         return _Size(count, periods, max(amplitude, least), why, True, needed_s, amplitude)
-    longest = int((wish.longest_s - ramps_s) / period_s + 1e-9)
+    longest = int((required.longest_s - ramps_s) / period_s + 1e-9)
     if count == 1:
         enough = most * float(np.sqrt(seconds / (longest * period_s)))
         return _Size(1, longest, most, binds, False, needed_s, enough)
-    count = int(wish.longest_s / (FEW_PERIODS * period_s + ramps_s) + 1e-9)
+    count = int(required.longest_s / (FEW_PERIODS * period_s + ramps_s) + 1e-9)
     if count < 2:
         return _Size(1, longest, most, "distortion", False, needed_s, np.inf)
-    periods = int((wish.longest_s / count - ramps_s) / period_s + 1e-9)
+    periods = int((required.longest_s / count - ramps_s) / period_s + 1e-9)
     return _Size(count, periods, most, "distortion", False, needed_s, np.inf)
 
 
@@ -156,12 +156,12 @@ def _column(first: FirstRecord) -> str:
     return str({"control": loop.control, "reference": loop.reference}.get(injection, loop.injected))
 
 
-def _band(first: FirstRecord, wish: Wish, crossover_hz: float) -> tuple[float, float]:
+def _band(first: FirstRecord, required: Required, crossover_hz: float) -> tuple[float, float]:
     """Lowest and highest frequency to excite; refuses one beside what the first record knows."""
     low, high = first.frequency_hz[[0, -1]].tolist()
     asked = (
-        wish.f_low_hz or max(low, crossover_hz / DECADE),
-        wish.f_high_hz or min(high, crossover_hz * DECADE),
+        required.f_low_hz or max(low, crossover_hz / DECADE),
+        required.f_high_hz or min(high, crossover_hz * DECADE),
     )
     if asked[0] < 0.999 * low or asked[1] > 1.001 * high or not asked[0] < asked[1]:
         raise WrongUseError(
@@ -173,7 +173,7 @@ def _band(first: FirstRecord, wish: Wish, crossover_hz: float) -> tuple[float, f
 
 
 def _shape(
-    first: FirstRecord, wish: Wish, crossover_hz: float, band: tuple[float, float]
+    first: FirstRecord, required: Required, crossover_hz: float, band: tuple[float, float]
 ) -> tuple[_Shape, tuple[str, ...]]:
     """Period, lines, levels and signal of amplitude 1."""
     f, rate = first.frequency_hz, first.recording.rate_hz
@@ -181,18 +181,18 @@ def _shape(
     spacing = needed_spacing_hz(f, first.plant, first.std)
     narrow = max(0.05 * band[0], float(spacing[inside].min(initial=band[0])))
     settle_s = 0.4 / min(narrow, float(needed_spacing_hz(f, first.to_output, first.std)[inside].min(initial=narrow)))
-    step = 1.0 if wish.kind != "odd" else 2.0
-    period_s, ramp_s, notes = _period(wish, rate, max(step / narrow, 1.0 / band[0]), settle_s, band[0])
-    lines = chosen_lines(period_s, band, (f, spacing), wish.per_octave, wish.kind)
-    lines = with_line_near(lines, crossover_hz, period_s, wish.kind)
+    step = 1.0 if required.kind != "odd" else 2.0
+    period_s, ramp_s, notes = _period(required, rate, max(step / narrow, 1.0 / band[0]), settle_s, band[0])
+    lines = chosen_lines(period_s, band, (f, spacing), required.per_octave, required.kind)
+    lines = with_line_near(lines, crossover_hz, period_s, required.kind)
     x = int(np.argmin(np.abs(lines - crossover_hz)))
     H_u, H_y = (between(lines, f, H) for H in (first.to_input, first.to_output))
     noise = np.exp(np.interp(np.log(lines), np.log(f), np.log(first.noise)))
     need = noise / (2.0 * np.abs(H_y) ** 2)
-    levels = tuple(levels_of(need, x, wish.level_ratio).tolist())
+    levels = tuple(levels_of(need, x, required.level_ratio).tolist())
     ends = float(lines[0]) * (1.0 - 1e-6), float(lines[-1]) * (1.0 + 1e-6)
     made = Multisine(
-        *ends, period_s, 1.0, 1, wish.seed, ramp_s=0.0, lines_hz=tuple(lines.tolist()), levels=levels
+        *ends, period_s, 1.0, 1, required.seed, ramp_s=0.0, lines_hz=tuple(lines.tolist()), levels=levels
     )  # fmt: skip
     N = np.fft.rfft(made.signal(rate))
     bins, n = np.round(lines * period_s).astype(int), round(period_s * rate)
@@ -205,13 +205,13 @@ def _shape(
         peak_input=_peak(N, bins, H_u, n),
         peak_output=_peak(N, bins, H_y, n),
         need=need,
-        floor=planned_floor(first, lines, line_input, period_s, odd_lines=wish.kind == "odd"),
+        floor=planned_floor(first, lines, line_input, period_s, odd_lines=required.kind == "odd"),
     )
     return shape, notes
 
 
 def _period(
-    wish: Wish, rate_hz: float, least_s: float, settle_s: float, f_low_hz: float
+    required: Required, rate_hz: float, least_s: float, settle_s: float, f_low_hz: float
 ) -> tuple[float, float, tuple[str, ...]]:
     """Period and ramp in s; a shorter period than the resonances ask for, with a note, where the time is short."""
     period_s = round_period_s(least_s, rate_hz)
@@ -219,14 +219,14 @@ def _period(
     def ramp_of(period: float) -> float:
         return max(2.0, np.ceil(min(settle_s, period) * rate_hz)) / rate_hz
 
-    if LEAST_PERIODS * period_s + 2.0 * ramp_of(period_s) <= wish.longest_s:
+    if LEAST_PERIODS * period_s + 2.0 * ramp_of(period_s) <= required.longest_s:
         return period_s, float(ramp_of(period_s)), ()
-    ramp_s = float(ramp_of(min(period_s, 0.1 * wish.longest_s)))
-    period_s = float(np.floor((wish.longest_s - 2.0 * ramp_s) / LEAST_PERIODS * rate_hz) / rate_hz)
+    ramp_s = float(ramp_of(min(period_s, 0.1 * required.longest_s)))
+    period_s = float(np.floor((required.longest_s - 2.0 * ramp_s) / LEAST_PERIODS * rate_hz) / rate_hz)
     if period_s < 1.0 / f_low_hz:
         raise WrongUseError(
             f"the longest time holds no {LEAST_PERIODS} periods of the lowest frequency",
-            f"{wish.longest_s:g} s and {f_low_hz:.3g} Hz",
+            f"{required.longest_s:g} s and {f_low_hz:.3g} Hz",
             f"allow {LEAST_PERIODS / f_low_hz + 2.0 * ramp_s:.3g} s, or begin at a higher frequency",
         )
     note = f"the longest time leaves a period of {period_s:.3g} s where resonances ask for {least_s:.3g} s"
@@ -240,13 +240,13 @@ def _peak(N: Any, bins: np.ndarray, H: Any, n: int) -> float:
     return float(np.abs(np.fft.irfft(out, n)).max())
 
 
-def _most(first: FirstRecord, wish: Wish, shape: _Shape) -> tuple[float, str]:
+def _most(first: FirstRecord, required: Required, shape: _Shape) -> tuple[float, str]:
     """Largest amplitude within all limits, and which limit it is; refuses one that rest and noise already break."""
     rest = abs(first.input_rest) + NOISE_PEAK * first.input_noise
-    limits = {"amplitude": wish.max_amplitude or first.amplitude}
+    limits = {"amplitude": required.max_amplitude or first.amplitude}
     rooms = (
-        ("input", wish.max_input, rest, shape.peak_input),
-        ("output", wish.max_output, NOISE_PEAK * first.output_noise, shape.peak_output),
+        ("input", required.max_input, rest, shape.peak_input),
+        ("output", required.max_output, NOISE_PEAK * first.output_noise, shape.peak_output),
     )
     for word, limit, taken, each in rooms:
         if limit is None:

@@ -16,7 +16,7 @@ from loopshape.identify.plan_lines import KINDS
 
 
 @dataclass(frozen=True)
-class Wish:
+class Required:
     """What is wanted, and what the rig allows; signals in stored units.
 
     `std` is the relative std of |G| at the crossover, which is that of the phase in rad (0.0116 is 0.1 dB or 0.66 deg);
@@ -72,7 +72,7 @@ class Plan(Plain):
         "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
         "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std",
         "notes", "sentence", period_s="excitation.period_s", periods="excitation.periods", ramp_s="excitation.ramp_s",
-        amplitude="excitation.amplitude", wished_std="wish.std", std_at_crossover="at_crossover", std_before="before",
+        amplitude="excitation.amplitude", wished_std="required.std", std_at_crossover="at_crossover", std_before="before",
         std_known_to="sure", distortion_std="floor",
     )  # fmt: skip
 
@@ -81,7 +81,7 @@ class Plan(Plain):
     injection: str
     column: str
     unit: str
-    wish: Wish
+    required: Required
     excitation: Multisine
     realisations: int
     lines_hz: Array
@@ -112,7 +112,7 @@ class Plan(Plain):
     @property
     def met(self) -> bool:
         """Whether the first record already has what is wanted, so that nothing is to be measured."""
-        return self.before <= self.wish.std
+        return self.before <= self.required.std
 
     @property
     def sentence(self) -> str:

@@ -10,7 +10,7 @@ from loopshape.core.units import db, deg
 from loopshape.identify.distortion import HOW
 
 if TYPE_CHECKING:
-    from loopshape.identify.plan import Plan, Wish
+    from loopshape.identify.plan import Plan, Required
     from loopshape.identify.plan_record import FirstRecord
 
 _BINDS = {
@@ -51,7 +51,7 @@ def sentence(p: Plan) -> str:
     return f"{short}, or {times} times the amplitude, which {_BINDS[p.binds]} forbids"
 
 
-def cannot_know(first: FirstRecord, wish: Wish, floor: float, amplitude: float) -> tuple[str, ...]:
+def cannot_know(first: FirstRecord, required: Required, floor: float, amplitude: float) -> tuple[str, ...]:
     """What the plan rests on without knowing it."""
     found, notes = first.distortion, []
     if found is None:
@@ -74,6 +74,6 @@ def cannot_know(first: FirstRecord, wish: Wish, floor: float, amplitude: float) 
         )
     elif floor > 0.0:
         notes.append("distortion depends on the frequencies too; the prediction takes it as in the first record")
-    if wish.kind != "odd":
+    if required.kind != "odd":
         notes.append(f"these frequencies do not show distortion afterwards; for that: {HOW}")
     return tuple(notes)

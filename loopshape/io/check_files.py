@@ -160,7 +160,7 @@ def _single_loops(
             "give a controller file of this run's loops",
         )
     asked = requirements if profile is None else tuple(map(profile.joined, requirements))
-    return tuple(_check(frfs, controller_of(controllers, wished.loop), wished, fits) for wished in asked)
+    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits) for required in asked)
 
 
 def _several_loops(
@@ -181,10 +181,10 @@ def _several_loops(
     return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
 
 
-def _check(frfs: Sequence[FRF], controller: Controller, wished: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:
-    mine = tuple(one for one in frfs if one.loop == wished.loop)
-    verdict, loops = check_loops(mine, controller, wished, fits)
-    return LoopCheck(mine, wished, fits, checked(verdict, controller, mine), loops)
+def _check(frfs: Sequence[FRF], controller: Controller, required: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:
+    mine = tuple(one for one in frfs if one.loop == required.loop)
+    verdict, loops = check_loops(mine, controller, required, fits)
+    return LoopCheck(mine, required, fits, checked(verdict, controller, mine), loops)
 
 
 def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:

@@ -39,8 +39,8 @@ def gather(
     run, frfs, matrices = _measured(folder)
     fits = fits_of(folder)
     controllers = read_controllers(controller) if controller is not None else ()
-    wishes = read_requirements(require) if require is not None else ()
-    checked = _checked(frfs, controllers, wishes, fits)
+    requirements = read_requirements(require) if require is not None else ()
+    checked = _checked(frfs, controllers, requirements, fits)
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()
     pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
@@ -58,9 +58,9 @@ def gather(
         matrices=matrices,
         fits=_with_modes(fits),
         checked=checked,
-        unchecked=tuple(wish.loop for wish in wishes if wish.loop not in done),
+        unchecked=tuple(required.loop for required in requirements if required.loop not in done),
         controllers=controllers,
-        missing=_missing(run, frfs, matrices, fits, controllers, wishes),
+        missing=_missing(run, frfs, matrices, fits, controllers, requirements),
         figures=figures,
         figures_left_out=left,
         files=input_files(folder, [path for path in (controller, require) if path is not None]),
@@ -82,7 +82,7 @@ def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...
 
 
 def _checked(
-    frfs: Sequence[FRF], controllers: Sequence[Controller], wishes: Sequence[Requirements], fits: Sequence[Fit]
+    frfs: Sequence[FRF], controllers: Sequence[Controller], requirements: Sequence[Requirements], fits: Sequence[Fit]
 ) -> tuple[CheckedLoop, ...]:
     """Each controller whose loop was measured, compared with its requirements (against none where none are given)."""
     found = []
@@ -90,10 +90,10 @@ def _checked(
         mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
         if not mine:
             continue
-        wish = next((w for w in wishes if w.loop == own.loop), None)
-        asked = wish or Requirements(own.loop)
+        required = next((w for w in requirements if w.loop == own.loop), None)
+        asked = required or Requirements(own.loop)
         verdict, loops = check_loops(mine, own, asked, fits)
-        found.append(CheckedLoop(mine, loops, own, wish, verdict))
+        found.append(CheckedLoop(mine, loops, own, required, verdict))
     return tuple(found)
 
 
@@ -146,7 +146,7 @@ def _missing(
     matrices: Sequence[FRF],
     fits: Sequence[Fit],
     controllers: Sequence[Controller],
-    wishes: Sequence[Requirements],
+    requirements: Sequence[Requirements],
 ) -> tuple[Missing, ...]:
     """What would be there after the whole chain and is not, each with its command."""
     judged = "loopshape report RUN --controller controller.toml --require requirements.toml"
@@ -162,7 +162,7 @@ def _missing(
         tune = "loopshape tune RUN --require requirements.toml --out controller.toml"
         found.append(Missing("No controller was given, so there are no loops, margins and verdict; make one:", tune))
         found.append(Missing("and name it:", judged))
-    if controllers and not wishes:
+    if controllers and not requirements:
         found.append(Missing("No requirements were given, so margins are reported without verdict:", judged))
     measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
     found += [
@@ -170,11 +170,11 @@ def _missing(
         for c in controllers
         if c.loop not in measured
     ]
-    for wish in wishes if controllers else ():
-        if wish.loop not in measured:
-            found.append(Missing(f"Requirements name loop {wish.loop}, which has no frequency response."))
-        elif wish.loop not in governed:
-            found.append(Missing(f"Requirements name loop {wish.loop}, for which the controller file has none."))
+    for required in requirements if controllers else ():
+        if required.loop not in measured:
+            found.append(Missing(f"Requirements name loop {required.loop}, which has no frequency response."))
+        elif required.loop not in governed:
+            found.append(Missing(f"Requirements name loop {required.loop}, for which the controller file has none."))
     return tuple(found)
 
 

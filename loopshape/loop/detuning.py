@@ -298,9 +298,9 @@ class _Search:
     def _lost(self, percent: float, j: int) -> Lost:
         limit, x = self.limits[j], self.reading(percent)
         left = _own_unit(limit, float(x.values[self.columns[j]] - self.bias[j]))
-        wished = _own_unit(limit, float(self.wished[j]))
+        required = _own_unit(limit, float(self.wished[j]))
         nominal = float(getattr(self.margins, limit.name))
-        return Lost(percent, limit.name, limit.unit, nominal, left, wished, float(x.at_hz[self.columns[j]]))
+        return Lost(percent, limit.name, limit.unit, nominal, left, required, float(x.at_hz[self.columns[j]]))
 
 
 def _explained(whole: _Search, lost: Lost, plant: Plant, seen: tuple[Resonance, ...]) -> Lost:

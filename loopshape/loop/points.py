@@ -29,7 +29,7 @@ class Worst:
     why: str
 
 
-def point_outcome(margins: Margins, quantity: str, wished: float) -> str:
+def point_outcome(margins: Margins, quantity: str, required: float) -> str:
     """What these data say of one requirement at one operating point: "passed", "failed" or "undecided"."""
     value = getattr(margins, quantity)
     if value != value:
@@ -39,7 +39,7 @@ def point_outcome(margins: Margins, quantity: str, wished: float) -> str:
     if quantity in margins.bounds:
         best = margins.bounds[quantity]
         low, high = (low, max(high, best)) if at_least else (min(low, best), high)
-    surely, perhaps = (low >= wished, high >= wished) if at_least else (high <= wished, low <= wished)
+    surely, perhaps = (low >= required, high >= required) if at_least else (high <= required, low <= required)
     return "passed" if surely else "undecided" if perhaps else "failed"
 
 

@@ -58,7 +58,7 @@ def verdict_on_matrices(
     margins = {recording: several_margins(matrix) for recording, matrix in matrices.items()}
     said = [f"{recording}: {text}" for recording, m in margins.items() for text in m.notes]
     _refuse_mixed(several, margins)
-    by_loop = {wished.loop: wished for wished in requirements}
+    by_loop = {required.loop: required for required in requirements}
     each = tuple(_one(name, matrices, margins, by_loop.get(name)) for name in names)
     warnings = tuple(dict.fromkeys([*notes, *said]))
     return Verdict(" + ".join(names), worst_lines(dict.fromkeys(margins, several), margins), margins, warnings, each)
@@ -108,7 +108,7 @@ def _controllers(names: Sequence[str], controllers: Sequence[Controller]) -> tup
 
 
 def _refuse_strays(requirements: Sequence[Requirements], names: Sequence[str]) -> None:
-    if strays := [wished.loop for wished in requirements if wished.loop not in names]:
+    if strays := [required.loop for required in requirements if required.loop not in names]:
         what = "requirements are of no loop that is closed"
         raise WrongUseError(what, ", ".join(strays), f"loops: {', '.join(names)}")
 
@@ -170,12 +170,12 @@ def _one(
     name: str,
     matrices: Mapping[str, LoopMatrix],
     margins: Mapping[str, SeveralMargins],
-    wished: Requirements | None,
+    required: Requirements | None,
 ) -> Verdict:
     """A loop's verdict with all others closed; whether it is stable is what the count of all loops says."""
-    wished = replace(wished or Requirements(name), integrators=None, unstable_poles=None)
+    required = replace(required or Requirements(name), integrators=None, unstable_poles=None)
     controllers = {own.loop: own for m in matrices.values() for own in m.controllers}
-    found = check(plants_met(name, matrices), controllers[name], wished, detuned=False, counted=False)
+    found = check(plants_met(name, matrices), controllers[name], required, detuned=False, counted=False)
     together = {
         recording: replace(
             found.margins[recording],
@@ -200,13 +200,13 @@ def plants_met(name: str, matrices: Mapping[str, LoopMatrix]) -> tuple[FRF, ...]
     )
 
 
-def unstable_poles_met(name: str, matrices: Mapping[str, LoopMatrix], wished: Requirements) -> int | None:
+def unstable_poles_met(name: str, matrices: Mapping[str, LoopMatrix], required: Requirements) -> int | None:
     """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
 
     Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where
     operating points differ.
     """
-    asked, counts = replace(wished, integrators=None, unstable_poles=0), set()
+    asked, counts = replace(required, integrators=None, unstable_poles=0), set()
     for plant, m in zip(plants_met(name, matrices), matrices.values(), strict=True):
         (own,) = (one for one in m.controllers if one.loop == name)
         (loop,), _ = loops_of([plant], own, asked, counted=False)

@@ -277,12 +277,12 @@ def shape(
     from loopshape.verbs.shaping import SeveralLoops, page_of, shaped
 
     plants = _plants([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
-    wished = (R,) if isinstance(R, Requirements) else tuple(R or ())
+    required = (R,) if isinstance(R, Requirements) else tuple(R or ())
     if isinstance(C, Sequence):
-        loops = SeveralLoops(plants, wished, together).shaped(C)
+        loops = SeveralLoops(plants, required, together).shaped(C)
     else:
         own = None if C is None else _controller(C)
-        loops = [shaped(plants, own, wished[0] if wished else None, tuple(fits))]
+        loops = [shaped(plants, own, required[0] if required else None, tuple(fits))]
     write_bytes_whole(Path(out), page_of(loops, "Shape"))
     return Path(out)
 

@@ -15,7 +15,7 @@ from loopshape.data.run import Run
 from loopshape.data.study import ExperimentTemplate, Study
 from loopshape.identify.frequency_response import excited_recordings
 from loopshape.identify.plan import plan as plan_from
-from loopshape.identify.plan_nouns import Plan, Wish
+from loopshape.identify.plan_nouns import Plan, Required
 from loopshape.identify.plan_record import first_record
 from loopshape.io.check_files import controller_of
 from loopshape.io.files import make_folder, write_text_whole, write_toml
@@ -56,7 +56,9 @@ def plan(
     chosen = _first(whole, recording)
     loop = whole.loop(str(chosen.info.excites))
     own = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
-    return plan_from(first_record(chosen, loop), Wish(std, **limits), controller_of(own, loop.name) if own else None)
+    return plan_from(
+        first_record(chosen, loop), Required(std, **limits), controller_of(own, loop.name) if own else None
+    )
 
 
 def _first(run: Run, name: str | None) -> Recording:
@@ -121,7 +123,7 @@ def study_of(run: Run, plan: Plan) -> Study:
         experiments=(template,),
         operating_points=(dict(info.operating_point),),
         rate_hz=run.rate_hz,
-        seed=plan.wish.seed,
+        seed=plan.required.seed,
         solver=plant.solvers[0],
         changes=dict(run.extra.get("parameters", {})),
         effects=dict(run.extra.get("effects", {})),  # the rig keeps them; nothing that is planned reads them

@@ -82,8 +82,8 @@ class ShapeServer:
 
         start = _controller(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
-        wished = replace(one.judged(_requirements(asked)), structure=structure)
-        found = tune(one.frfs, wished, one.fits, start=start, starts=1)
+        required = replace(one.judged(_requirements(asked)), structure=structure)
+        found = tune(one.frfs, required, one.fits, start=start, starts=1)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
 

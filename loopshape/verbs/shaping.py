@@ -27,8 +27,8 @@ def shaped(
     if not frfs:
         raise WrongUseError("there is no FRF to shape a loop on", "none", "estimate one: loopshape frf RUN")
     start = controller or _gain_of_one(frfs[0])
-    wished = requirements or Requirements(start.loop)
-    return Shaped(tuple(frfs), start, wished, tuple(fits), check(frfs, start, wished, fits))
+    required = requirements or Requirements(start.loop)
+    return Shaped(tuple(frfs), start, required, tuple(fits), check(frfs, start, required, fits))
 
 
 def _gain_of_one(frf: FRF) -> Controller:
@@ -56,11 +56,11 @@ class SeveralLoops:
         return [self._one(own, controllers, matrices) for own in controllers]
 
     def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, LoopMatrix]) -> Shaped:
-        wished = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
+        required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
         met = plants_met(own.loop, matrices)
         rest = tuple(one for one in controllers if one is not own)
-        others = Others(rest, unstable_poles_met(own.loop, matrices, wished))
-        return Shaped(met, own, wished, (), check(met, own, others.judged(wished)), others)
+        others = Others(rest, unstable_poles_met(own.loop, matrices, required))
+        return Shaped(met, own, required, (), check(met, own, others.judged(required)), others)
 
 
 def page_of(loops: Sequence[Shaped], title: str) -> bytes:
@@ -80,8 +80,8 @@ def several_run(run: Path, require: Path | None, controller: Path) -> tuple[Seve
     from loopshape.io.frfs import read_several_loops
     from loopshape.io.requirements import read_required
 
-    wished, together = read_required(require) if require else ((), None)
-    made = SeveralLoops(read_several_loops(run), wished, together, recorded_under(run))
+    required, together = read_required(require) if require else ((), None)
+    made = SeveralLoops(read_several_loops(run), required, together, recorded_under(run))
     return made, made.shaped(read_controllers(controller))
 
 
@@ -93,10 +93,10 @@ def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[
     from loopshape.io.requirements import read_requirements
 
     frfs, fits = read_frfs(run), fits_of(run)
-    wished = {} if require is None else {one.loop: one for one in read_requirements(require)}
+    required = {} if require is None else {one.loop: one for one in read_requirements(require)}
     controllers = {} if controller is None else {one.loop: one for one in read_controllers(controller)}
     measured = list(dict.fromkeys(frf.loop for frf in frfs))
-    asked = list(wished or controllers) or measured
+    asked = list(required or controllers) or measured
     names = [name for name in asked if name in measured]
     if not names:
         raise WrongUseError(
@@ -105,4 +105,4 @@ def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[
             "give files of this run's loops",
         )
     mine = {name: [frf for frf in frfs if frf.loop == name] for name in names}
-    return [shaped(mine[name], controllers.get(name), wished.get(name), fits) for name in names]
+    return [shaped(mine[name], controllers.get(name), required.get(name), fits) for name in names]

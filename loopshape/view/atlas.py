@@ -85,10 +85,10 @@ def sorted_points(loops: Sequence[Loop]) -> list[int]:
     return sorted(range(len(loops)), key=lambda k: tuple(loops[k].plant.operating_point[name] for name in keys))
 
 
-def _row(loop: Loop, k: int, wished: Requirements | None, verdict: Verdict | None) -> Row:
+def _row(loop: Loop, k: int, required: Requirements | None, verdict: Verdict | None) -> Row:
     use = loop.plant.trusted if loop.plant.trusted.any() else np.ones(loop.frequency_hz.size, dtype=bool)
     f, size = loop.frequency_hz[use], db(loop.S)[use]
-    margins, limit = margins_of(loop, k, verdict), None if wished is None else closest_db(wished)
+    margins, limit = margins_of(loop, k, verdict), None if required is None else closest_db(required)
     name = loop.plant.recording or f"frf {k + 1}"
     peak, at_hz, interval = float(size.max()), float(f[np.argmax(size)]), None
     outcome = "passed" if limit is None or peak <= limit else "failed"

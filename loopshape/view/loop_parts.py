@@ -192,39 +192,39 @@ def shown(look: dict[str, Any]) -> dict[str, Any]:
     return {name: look[name] for name in names if name in look}
 
 
-def guides(panels: dict[Any, Axes], wished: Requirements | None, verdict: Verdict | None) -> None:
+def guides(panels: dict[Any, Axes], required: Requirements | None, verdict: Verdict | None) -> None:
     """0 dB, the stability limit's phases, and limits and bandwidths where they are known."""
     panels["L"].axhline(0.0, color="0.3", linewidth=0.7, zorder=1.5)
     low, high = panels["l"].get_ylim()
     for shift in turns(low, high):
         panels["l"].axhline(shift - 180.0, color="0.3", linewidth=0.7, zorder=1.5)
-    if wished is not None:
-        ceiling(panels["S"], wished.sensitivity_peak_db)
-        ceiling(panels["T"], wished.complementary_peak_db)
-        for mask in (mask for name in "LST" for mask in wished.masks_on(name)):
+    if required is not None:
+        ceiling(panels["S"], required.sensitivity_peak_db)
+        ceiling(panels["T"], required.complementary_peak_db)
+        for mask in (mask for name in "LST" for mask in required.masks_on(name)):
             mask_line(panels[mask.response], mask)
-        if wished.phase_margin_deg is not None:
-            panels["l"].axhline(wished.phase_margin_deg - 180.0, color=LIMIT, linewidth=0.9, linestyle="--")
-        if wished.bandwidth_hz is not None:
+        if required.phase_margin_deg is not None:
+            panels["l"].axhline(required.phase_margin_deg - 180.0, color=LIMIT, linewidth=0.9, linestyle="--")
+        if required.bandwidth_hz is not None:
             for name in "LlST":
-                panels[name].axvline(wished.bandwidth_hz, color=LIMIT, linewidth=0.9, gid="bandwidth required")
+                panels[name].axvline(required.bandwidth_hz, color=LIMIT, linewidth=0.9, gid="bandwidth required")
     panels["l"].set_ylim(low, high)
     found = [] if verdict is None else [m.bandwidth_hz for m in verdict.margins.values() if np.isfinite(m.bandwidth_hz)]
     for name in "LlST" if found and max(found) > min(found) else "":
         panels[name].axvspan(min(found), max(found), color=QUIET, alpha=0.15, linewidth=0.0, zorder=1.0)
 
 
-def limit_entries(wished: Requirements | None, verdict: Verdict | None) -> list[Entry]:
+def limit_entries(required: Requirements | None, verdict: Verdict | None) -> list[Entry]:
     """What the notes say of limits and bandwidths."""
     entries: list[Entry] = []
-    if wished is not None and wished.sensitivity_peak_db is not None:
-        entries.append((f"|S| at most {wished.sensitivity_peak_db:g} dB", {"color": LIMIT, "linewidth": 1.1}))
-    if wished is not None and wished.bandwidth_hz is not None:
-        entries.append((f"bandwidth at least {wished.bandwidth_hz:g} Hz", {"color": LIMIT, "linewidth": 0.9}))
-    if wished is not None and wished.phase_margin_deg is not None:
-        text = f"phase margin {wished.phase_margin_deg:g} deg"
+    if required is not None and required.sensitivity_peak_db is not None:
+        entries.append((f"|S| at most {required.sensitivity_peak_db:g} dB", {"color": LIMIT, "linewidth": 1.1}))
+    if required is not None and required.bandwidth_hz is not None:
+        entries.append((f"bandwidth at least {required.bandwidth_hz:g} Hz", {"color": LIMIT, "linewidth": 0.9}))
+    if required is not None and required.phase_margin_deg is not None:
+        text = f"phase margin {required.phase_margin_deg:g} deg"
         entries.append((text, {"color": LIMIT, "linestyle": "--", "linewidth": 0.9}))
-    if wished is not None and any(wished.masks_on(name) for name in "LST"):
+    if required is not None and any(required.masks_on(name) for name in "LST"):
         entries.append(("masks", {"color": LIMIT, "linewidth": 1.1}))
     if verdict is not None and len(verdict.margins) > 1:
         entries.append(("bandwidths found", {"color": QUIET, "alpha": 0.3, "linewidth": 6.0, "solid_capstyle": "butt"}))

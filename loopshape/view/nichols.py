@@ -88,16 +88,16 @@ def nichols(
     return ax
 
 
-def _guides(ax: Axes, one: _Curve, worst: Worst, wished: Requirements | None, entries: Sequence[Entry]) -> None:
+def _guides(ax: Axes, one: _Curve, worst: Worst, required: Requirements | None, entries: Sequence[Entry]) -> None:
     """Words where there is room for them: notes, the worst point's name, the contours' levels."""
     crowd = Crowd(ax, _SIZE_IN)
     loc = corner_with_room(ax, crowd, entries)
     crowd.add_corner(loc, entries)
-    closest = None if wished is None else closest_db(wished)
-    if wished is None:
+    closest = None if required is None else closest_db(required)
+    if required is None:
         centre_marks(ax)
     else:
-        forbidden(ax, crowd, wished, closest)
+        forbidden(ax, crowd, required, closest)
     _name(ax, crowd, one, worst)
     _frequencies(ax, crowd, one)
     contours(ax, crowd, closest)

@@ -22,11 +22,11 @@ _T: dict[str, Any] = {"color": "0.66", "linewidth": 0.7, "linestyle": (0, (5, 3)
 CONTOUR_ENTRIES: tuple[Entry, ...] = (("|S| constant", _S), ("|T| constant", _T))
 
 
-def closest_db(wished: Requirements) -> float | None:
+def closest_db(required: Requirements) -> float | None:
     """The sharper of the limits on |S|'s peak and on the modulus margin, as |S| in dB; None without either."""
-    limits = [] if wished.sensitivity_peak_db is None else [wished.sensitivity_peak_db]
-    if wished.modulus_margin is not None:
-        limits.append(-float(db(wished.modulus_margin)))
+    limits = [] if required.sensitivity_peak_db is None else [required.sensitivity_peak_db]
+    if required.modulus_margin is not None:
+        limits.append(-float(db(required.modulus_margin)))
     limits = [limit for limit in limits if limit > 0.0]
     return min(limits) if limits else None
 
@@ -60,9 +60,9 @@ def _label(ax: Axes, x: float, y: float, text: str) -> None:
     ax.text(x, y, text, color="0.4", zorder=1.6, clip_on=True, **style)
 
 
-def forbidden(ax: Axes, crowd: Crowd, wished: Requirements, closest: float | None) -> None:
+def forbidden(ax: Axes, crowd: Crowd, required: Requirements, closest: float | None) -> None:
     """The regions that limits of |S| and |T| forbid, and crosses of the required margins, at every critical point."""
-    t_limit = wished.complementary_peak_db
+    t_limit = required.complementary_peak_db
     for shift in turns(*ax.get_xlim()):
         if closest is not None:
             x, y = _shifted(constant_s(closest), shift)
@@ -74,17 +74,17 @@ def forbidden(ax: Axes, crowd: Crowd, wished: Requirements, closest: float | Non
             x, y = _shifted(constant_t(t_limit), shift)
             style: dict[str, Any] = {"color": LIMIT, "linewidth": 0.9, "linestyle": ":", "zorder": 2.5}
             ax.plot(x, y, scalex=False, scaley=False, gid="limit |T|", **style)
-        _cross(ax, wished, shift - 180.0)
+        _cross(ax, required, shift - 180.0)
 
 
-def forbidden_entries(wished: Requirements, closest: float | None) -> list[Entry]:
+def forbidden_entries(required: Requirements, closest: float | None) -> list[Entry]:
     """What the notes say of them."""
     entries: list[Entry] = []
     if closest is not None:
         entries.append((f"|S| at most {closest:.3g} dB", {"color": LIMIT, "linewidth": 1.1}))
-    if wished.complementary_peak_db is not None and wished.complementary_peak_db > 0.0:
-        entries.append((f"|T| at most {wished.complementary_peak_db:g} dB", {"color": LIMIT, "linestyle": ":"}))
-    if text := _cross_text(wished):
+    if required.complementary_peak_db is not None and required.complementary_peak_db > 0.0:
+        entries.append((f"|T| at most {required.complementary_peak_db:g} dB", {"color": LIMIT, "linestyle": ":"}))
+    if text := _cross_text(required):
         entries.append((text, {"color": LIMIT, "linewidth": 1.8}))
     return entries
 
@@ -94,11 +94,11 @@ def _shifted(open_loop: ComplexArray, shift_deg: float) -> tuple[Array, Array]:
     return phase + shift_deg, size
 
 
-def _cross(ax: Axes, wished: Requirements, phase_deg: float) -> None:
+def _cross(ax: Axes, required: Requirements, phase_deg: float) -> None:
     """Required margins as a cross at a critical point: left and right the phase, down the gain, up its reduction."""
     style: dict[str, Any] = {"color": LIMIT, "linewidth": 1.8, "solid_capstyle": "butt", "zorder": 2.6}
     free: dict[str, Any] = {"scalex": False, "scaley": False}
-    pm, gm, up = wished.phase_margin_deg, wished.gain_margin_db, wished.gain_reduction_margin_db
+    pm, gm, up = required.phase_margin_deg, required.gain_margin_db, required.gain_reduction_margin_db
     if pm is not None:
         ax.plot([phase_deg - pm, phase_deg + pm], [0.0, 0.0], gid="phase margin", **style, **free)
     if gm is not None or up is not None:
@@ -106,14 +106,14 @@ def _cross(ax: Axes, wished: Requirements, phase_deg: float) -> None:
     ax.plot([phase_deg], [0.0], "+", color="black", markersize=7.0, zorder=2.7, gid="critical point", **free)
 
 
-def _cross_text(wished: Requirements) -> str:
+def _cross_text(required: Requirements) -> str:
     parts = []
-    if wished.phase_margin_deg is not None:
-        parts.append(f"phase ±{wished.phase_margin_deg:g} deg")
-    if wished.gain_margin_db is not None:
-        parts.append(f"gain \N{MINUS SIGN}{wished.gain_margin_db:g} dB")
-    if wished.gain_reduction_margin_db is not None:
-        parts.append(f"+{wished.gain_reduction_margin_db:g} dB")
+    if required.phase_margin_deg is not None:
+        parts.append(f"phase ±{required.phase_margin_deg:g} deg")
+    if required.gain_margin_db is not None:
+        parts.append(f"gain \N{MINUS SIGN}{required.gain_margin_db:g} dB")
+    if required.gain_reduction_margin_db is not None:
+        parts.append(f"+{required.gain_reduction_margin_db:g} dB")
     return "margins " + ", ".join(parts) if parts else ""
 
 

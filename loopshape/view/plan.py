@@ -28,7 +28,7 @@ def accuracy(plan: Plan, *, ax: Axes | None = None) -> Axes:
             plan.lines_hz, floor, color=COLOURS[1], linewidth=0.9, linestyle=":",
             label="of which distortion", gid="floor",
         )  # fmt: skip
-    ax.axhline(100.0 * plan.wish.std, color=LIMIT, linewidth=1.0, linestyle="--", label="required", gid="wish")
+    ax.axhline(100.0 * plan.required.std, color=LIMIT, linewidth=1.0, linestyle="--", label="required", gid="required")
     crossover_line(plan, ax)
     _percent_axis(ax)
     frequency_axis(ax, *_band(plan))
@@ -88,8 +88,8 @@ def _percent_axis(ax: Axes) -> None:
     values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines if line.get_gid() is None])
     values = values[np.isfinite(values) & (values > 0.0)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.1, 10.0)
-    wish = [float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in ax.lines if line.get_gid() == "wish"]
-    low, high = min([low, *wish]), max([high, *wish])
+    required = [float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in ax.lines if line.get_gid() == "required"]
+    low, high = min([low, *required]), max([high, *required])
     ax.set_yscale("log")
     ax.set_ylim(low / 1.6, 2.5 * high)
     _plain_numbers(ax, high / low)

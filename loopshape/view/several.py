@@ -93,7 +93,7 @@ def singular_values(
 
 
 @styled()
-def disk_margins(loops: LoopMatrix, found: SeveralMargins, wished: float | None, *, ax: Axes | None = None) -> Axes:
+def disk_margins(loops: LoopMatrix, found: SeveralMargins, required: float | None, *, ax: Axes | None = None) -> Axes:
     """The disk margin that each frequency leaves: all loops at once, and each loop alone with the others closed."""
     ax = axes_or_new(ax, (3.5, 2.6))
     f = loops.frequency_hz
@@ -104,8 +104,8 @@ def disk_margins(loops: LoopMatrix, found: SeveralMargins, wished: float | None,
     interval = found.intervals.get("disk_margin", (found.disk_margin,) * 2)
     reach = np.abs(np.array(interval)[:, None] - found.disk_margin)
     ax.errorbar([found.at_hz["disk_margin"]], [found.disk_margin], yerr=reach, fmt="o", color="black", markersize=3.5)
-    if wished is not None:
-        ax.axhline(wished, color=LIMIT, linewidth=1.1, gid="limit")
+    if required is not None:
+        ax.axhline(required, color=LIMIT, linewidth=1.1, gid="limit")
     frequency_axis(ax, float(f[0]), float(f[-1]))
     ax.set_ylim(0.0, 2.5)
     ax.set_ylabel("disk margin left")
@@ -126,7 +126,7 @@ def _one_at_a_time(loops: LoopMatrix) -> list[Array]:
 
 @styled()
 def summary(
-    each: Mapping[str, Margins], found: SeveralMargins, wished: float | None, *, ax: Axes | None = None
+    each: Mapping[str, Margins], found: SeveralMargins, required: float | None, *, ax: Axes | None = None
 ) -> Axes:
     """Disk margins with their 95 % intervals: each loop with the others closed, all at once, both ends at once."""
     ax = axes_or_new(ax, (3.5, 2.6))
@@ -141,8 +141,8 @@ def summary(
         low, high = interval or (value, value)
         ax.plot([low, high], [k, k], color=colour, linewidth=1.4)
         ax.plot([value], [k], "o", color=colour, markersize=4.5)
-    if wished is not None:
-        ax.axvline(wished, color=LIMIT, linewidth=1.1, gid="limit")
+    if required is not None:
+        ax.axvline(required, color=LIMIT, linewidth=1.1, gid="limit")
     ax.set_yticks(range(len(rows)), [row[0] for row in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(0.0, max(1.05 * max(row[2][1] if row[2] else row[1] for row in rows), 1.0))
@@ -152,20 +152,20 @@ def summary(
 
 @styled()
 def several_page(
-    loops: LoopMatrix, found: SeveralMargins, each: Mapping[str, Margins], wished: SeveralRequirements | None = None
+    loops: LoopMatrix, found: SeveralMargins, each: Mapping[str, Margins], required: SeveralRequirements | None = None
 ) -> Figure:
     """All loops of one operating point: loci and det(I + L) above, S and T with limits, disk margins below."""
-    wished = wished or SeveralRequirements()
+    required = required or SeveralRequirements()
     figure = new_figure(3, 2, (FULL_WIDTH_IN, 8.6))
     a, b, c, d, e, f = figure.axes
     scaled = bool(np.isnan(found.sensitivity_peak_db))
     loci(loops, ax=a)
     determinant(loops, ax=b)
-    modulus_db = None if wished.modulus_margin is None else -float(db(wished.modulus_margin))
-    singular_values(loops, "S", modulus_db if scaled else wished.sensitivity_peak_db, scaled=scaled, ax=c)
-    singular_values(loops, "T", None if scaled else wished.complementary_peak_db, scaled=scaled, ax=d)
-    disk_margins(loops, found, wished.disk_margin, ax=e)
-    summary(each, found, wished.disk_margin, ax=f)
+    modulus_db = None if required.modulus_margin is None else -float(db(required.modulus_margin))
+    singular_values(loops, "S", modulus_db if scaled else required.sensitivity_peak_db, scaled=scaled, ax=c)
+    singular_values(loops, "T", None if scaled else required.complementary_peak_db, scaled=scaled, ax=d)
+    disk_margins(loops, found, required.disk_margin, ax=e)
+    summary(each, found, required.disk_margin, ax=f)
     e.set_xlabel("frequency [Hz]; colours as on the right")
     if any(line.get_gid() == "limit" for ax in figure.axes for line in ax.lines):
         place_notes(f, [("limit", {"color": LIMIT, "linewidth": 1.1})], "lower right")

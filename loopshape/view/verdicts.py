@@ -45,8 +45,8 @@ def margin(verdict: Verdict, line: Line, *, ax: Axes | None = None) -> Axes:
     ax.set_xlim(-0.6, len(names) - 0.4)
     ax.set_xticks(np.arange(len(names)), names, rotation=90.0)
     unit = "" if limit.unit == "1" else f" {limit.unit}"
-    wish = f"{limit.label}, {limit.sense.replace('_', ' ')} {number(line.wished)}{unit}"
-    ax.set_title(f"{wish}: {WORDS[line.outcome]}", loc="left", fontsize=8.0, pad=2.5)
+    required = f"{limit.label}, {limit.sense.replace('_', ' ')} {number(line.wished)}{unit}"
+    ax.set_title(f"{required}: {WORDS[line.outcome]}", loc="left", fontsize=8.0, pad=2.5)
     ax.set_ylabel(bracket(limit.unit).strip() or "[1]")
     return ax
 
@@ -76,9 +76,9 @@ def _only_undecided(verdict: Verdict) -> bool:
     return all(verdict.margins[name].stable == "undecided" for name in verdict.unstable)
 
 
-def _span(found: Array, ends: Array, wished: float) -> tuple[float, float]:
+def _span(found: Array, ends: Array, required: float) -> tuple[float, float]:
     """Limits about values and requirement, and about intervals as far as these are no wider than what they surround."""
-    seen = np.append(found[np.isfinite(found)], wished)
+    seen = np.append(found[np.isfinite(found)], required)
     room = 0.15 * (float(np.ptp(seen)) or abs(float(seen[0])) or 1.0)
     low, high = float(seen.min()) - room, float(seen.max()) + room
     finite = ends[np.isfinite(ends).all(axis=1)]

@@ -11,7 +11,7 @@ import known_loops as known
 
 from loopshape.data.excitation import Multisine
 from loopshape.identify.plan import plan
-from loopshape.identify.plan_nouns import Wish
+from loopshape.identify.plan_nouns import Required
 from loopshape.identify.plan_record import first_record
 from loopshape.view.plan import plan_page
 from loopshape.view.style import png
@@ -23,7 +23,7 @@ def planned():
     n = signal.signal(known.RATE)
     z, y = known.run_loop("controller_input", n, 0.05 * np.random.default_rng(1).standard_normal(n.size))
     record = known.record("controller_input", "multisine", n, z, y, period_s=10.0, from_s=1.0)
-    return plan(first_record(record, known.LOOP), Wish(0.01, at_hz=6.0))
+    return plan(first_record(record, known.LOOP), Required(0.01, at_hz=6.0))
 
 
 def test_accuracy_above_and_what_is_injected_below(planned):
@@ -33,8 +33,8 @@ def test_accuracy_above_and_what_is_injected_below(planned):
     np.testing.assert_allclose(before.get_ydata(), 100.0 * planned.before_std)
     np.testing.assert_allclose(after.get_xdata(), planned.lines_hz)
     np.testing.assert_allclose(after.get_ydata(), 100.0 * planned.std)
-    (wish,) = (line for line in top.lines if line.get_gid() == "wish")
-    assert wish.get_ydata()[0] == pytest.approx(1.0)
+    (required,) = (line for line in top.lines if line.get_gid() == "required")
+    assert required.get_ydata()[0] == pytest.approx(1.0)
     for ax in (top, bottom):
         (at,) = (line for line in ax.lines if line.get_gid() == "crossover")
         assert at.get_xdata()[0] == pytest.approx(6.0)

@@ -13,7 +13,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.excitation import Multisine
 from loopshape.data.experiment import LoopSetup
 from loopshape.identify.plan import plan
-from loopshape.identify.plan_nouns import Wish
+from loopshape.identify.plan_nouns import Required
 from loopshape.identify.plan_record import first_record
 
 
@@ -37,7 +37,7 @@ def record():
 )
 def test_wishes_that_are_none(words, sentence):
     with pytest.raises(WrongUseError, match=sentence):
-        Wish(**words)
+        Required(**words)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_wishes_that_are_none(words, sentence):
 )
 def test_wishes_beside_what_the_record_knows(record, words, sentence):
     with pytest.raises(WrongUseError, match=sentence):
-        plan(record, Wish(0.01, **words))
+        plan(record, Required(0.01, **words))
 
 
 def test_a_crossover_needs_a_controller_and_a_loop_that_crosses(record):
@@ -63,9 +63,9 @@ def test_a_crossover_needs_a_controller_and_a_loop_that_crosses(record):
 
     unknown = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
     with pytest.raises(WrongUseError, match="--at HZ"):
-        plan(replace(record, loop=unknown), Wish(0.01))
+        plan(replace(record, loop=unknown), Required(0.01))
     with pytest.raises(WrongUseError, match="no crossover where the first recording is sure"):
-        plan(record, Wish(0.01), Controller("axis", (Block("gain", {"gain": 1e-6}),), known.RATE))
+        plan(record, Required(0.01), Controller("axis", (Block("gain", {"gain": 1e-6}),), known.RATE))
 
 
 def test_a_record_that_only_shows_the_inverse_controller_is_refused():

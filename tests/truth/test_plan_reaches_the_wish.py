@@ -12,7 +12,7 @@ from loopshape.data.excitation import BandNoise, Multisine, Sweep
 from loopshape.data.excitation_sets import realised
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.identify.plan import plan
-from loopshape.identify.plan_nouns import Wish
+from loopshape.identify.plan_nouns import Required
 from loopshape.identify.plan_record import first_record
 
 AT_HZ, STD, REPEATS = 6.0, 0.01, 60
@@ -68,7 +68,7 @@ def carried_out(place, found, repeats=REPEATS):
     [("control", "noise"), ("controller_input", "multisine"), ("plant_input", "sweep"), ("reference", "sweep")],
 )
 def test_the_scatter_at_the_crossover_is_the_wish(place, kind):
-    found = plan(first(place, kind), Wish(STD, at_hz=AT_HZ, max_amplitude=1.0))
+    found = plan(first(place, kind), Required(STD, at_hz=AT_HZ, max_amplitude=1.0))
     assert found.reached
     assert found.binds == "amplitude"
     x = crossover(found)
@@ -84,7 +84,7 @@ def test_the_scatter_at_the_crossover_is_the_wish(place, kind):
 
 
 def test_all_lines_are_as_sure_as_predicted_and_alike_where_the_ratio_allows():
-    found = plan(first("plant_input", "multisine"), Wish(STD, at_hz=AT_HZ, max_amplitude=1.0))
+    found = plan(first("plant_input", "multisine"), Required(STD, at_hz=AT_HZ, max_amplitude=1.0))
     n = found.excitation.signal(known.RATE)
     v = sensor_noise((REPEATS, n.size), 8)
     frfs = known.estimates("plant_input", "multisine", n, v, **period(found.excitation))
@@ -94,18 +94,18 @@ def test_all_lines_are_as_sure_as_predicted_and_alike_where_the_ratio_allows():
     np.testing.assert_allclose(scatter, found.std, rtol=0.45)  # single lines: 6 % and the first record's own error
     assert np.median(scatter / found.std) == pytest.approx(1.0, abs=0.12)
     amplitude = found.line_amplitude
-    assert amplitude.max() / amplitude.min() <= found.wish.level_ratio * (1.0 + 1e-9)
+    assert amplitude.max() / amplitude.min() <= found.required.level_ratio * (1.0 + 1e-9)
     free = (amplitude > 1.001 * amplitude.min()) & (amplitude < 0.999 * amplitude.max())
     np.testing.assert_allclose(found.std[free], found.at_crossover, rtol=1e-6)
 
 
 def test_twice_as_strict_takes_four_times_as_long_or_twice_the_amplitude():
     record = first("controller_input", "multisine")
-    one, strict = (plan(record, Wish(s, at_hz=AT_HZ, max_amplitude=1.0, longest_s=5e3)) for s in (STD, STD / 2.0))
+    one, strict = (plan(record, Required(s, at_hz=AT_HZ, max_amplitude=1.0, longest_s=5e3)) for s in (STD, STD / 2.0))
     assert strict.measured_s == pytest.approx(4.0 * one.measured_s, abs=4.0 * one.excitation.period_s)
-    larger = plan(record, Wish(STD / 2.0, at_hz=AT_HZ, max_amplitude=2.0))
+    larger = plan(record, Required(STD / 2.0, at_hz=AT_HZ, max_amplitude=2.0))
     assert larger.measured_s == pytest.approx(one.measured_s, abs=one.excitation.period_s)
-    near, far = (plan(record, Wish(s, at_hz=AT_HZ, max_amplitude=50.0)) for s in (0.02, 0.01))
+    near, far = (plan(record, Required(s, at_hz=AT_HZ, max_amplitude=50.0)) for s in (0.02, 0.01))
     assert near.binds == far.binds == "shortest"
     assert near.excitation.periods == far.excitation.periods == 4
     assert far.excitation.amplitude == pytest.approx(2.0 * near.excitation.amplitude)
@@ -114,10 +114,10 @@ def test_twice_as_strict_takes_four_times_as_long_or_twice_the_amplitude():
 @pytest.mark.parametrize("place", ["controller_input", "plant_input", "control"])
 def test_limits_hold_in_what_is_carried_out(place):
     record = first(place, "multisine")
-    loose = plan(record, Wish(STD, at_hz=AT_HZ, max_amplitude=50.0, longest_s=2e3))
+    loose = plan(record, Required(STD, at_hz=AT_HZ, max_amplitude=50.0, longest_s=2e3))
     u_most, y_most = 0.8 * loose.peak_input, 0.8 * loose.peak_output
     for limit in ({"max_input": u_most}, {"max_output": y_most}):
-        found = plan(record, Wish(STD, at_hz=AT_HZ, max_amplitude=50.0, longest_s=2e3, **limit))
+        found = plan(record, Required(STD, at_hz=AT_HZ, max_amplitude=50.0, longest_s=2e3, **limit))
         n = found.excitation.signal(known.RATE)
         z, y = known.run_loop(place, n, sensor_noise(n.size, 11))
         u = z + n if place == "plant_input" else z
@@ -129,15 +129,15 @@ def test_limits_hold_in_what_is_carried_out(place):
 
 def test_out_of_reach_says_by_how_much_and_what_would_do():
     record = first("controller_input", "multisine")
-    found = plan(record, Wish(0.002, at_hz=AT_HZ, max_amplitude=1.0, longest_s=120.0))
+    found = plan(record, Required(0.002, at_hz=AT_HZ, max_amplitude=1.0, longest_s=120.0))
     assert not found.reached
     assert found.duration_s <= 120.0
     assert found.short_by == pytest.approx(found.at_crossover / 0.002)
     assert "out of reach" in found.sentence
     assert "times the required one" in found.sentence
-    more = plan(record, replace(found.wish, longest_s=found.needed_s + found.excitation.period_s))
+    more = plan(record, replace(found.required, longest_s=found.needed_s + found.excitation.period_s))
     assert more.at_crossover == pytest.approx(0.002, rel=0.1)
-    louder = plan(record, replace(found.wish, max_amplitude=1.001 * found.needed_amplitude))
+    louder = plan(record, replace(found.required, max_amplitude=1.001 * found.needed_amplitude))
     assert louder.reached
 
 
@@ -152,7 +152,7 @@ def test_distortion_of_the_first_record_is_a_floor_that_realisations_average():
     lines = tuple(0.2 * k for k in range(3, 150, 2) if k % 8 != 7)
     signal = Multisine(0.5, 31.0, 5.0, 1.5, 5, 2, ramp_s=1.0, lines_hz=lines)
     record = first_record(bent(signal, 1), known.LOOP)
-    single = plan(record, Wish(0.3, at_hz=AT_HZ))
+    single = plan(record, Required(0.3, at_hz=AT_HZ))
     x = crossover(single)
     assert single.floor[x] > 0.003
     assert single.realisations == 1
@@ -169,12 +169,12 @@ def test_distortion_of_the_first_record_is_a_floor_that_realisations_average():
         return float(np.sqrt(np.sum(np.abs(G / G.mean() - 1.0) ** 2) / (draws - 1) / 2.0))
 
     assert scatter(single, 40) == pytest.approx(single.at_crossover, rel=0.4)  # a few silent lines tell it roughly
-    wish = 0.8 * float(single.floor[x])
-    averaged = plan(record, Wish(wish, at_hz=AT_HZ))
+    required = 0.8 * float(single.floor[x])
+    averaged = plan(record, Required(required, at_hz=AT_HZ))
     assert averaged.realisations > 1
     assert averaged.binds == "distortion"
-    assert scatter(averaged, 30) < 1.15 * wish
-    tight = plan(record, Wish(0.05 * float(single.floor[x]), at_hz=AT_HZ, longest_s=60.0))
+    assert scatter(averaged, 30) < 1.15 * required
+    tight = plan(record, Required(0.05 * float(single.floor[x]), at_hz=AT_HZ, longest_s=60.0))
     assert not tight.reached
     assert "realisations only" in tight.sentence
 
@@ -183,5 +183,5 @@ def test_without_distortion_there_is_no_floor_however_little_noise():
     lines = tuple(0.2 * k for k in range(3, 150, 2) if k % 8 != 7)
     for seed in range(5):
         signal = Multisine(0.5, 31.0, 5.0, 1.5, 5, seed, ramp_s=1.0, lines_hz=lines)
-        found = plan(first_record(bent(signal, seed, cubic=0.0), known.LOOP), Wish(0.001, at_hz=AT_HZ))
+        found = plan(first_record(bent(signal, seed, cubic=0.0), known.LOOP), Required(0.001, at_hz=AT_HZ))
         assert not found.floor.any()
