@@ -72,8 +72,8 @@ class Plan(Plain):
         "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
         "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std",
         "notes", "sentence", period_s="excitation.period_s", periods="excitation.periods", ramp_s="excitation.ramp_s",
-        amplitude="excitation.amplitude", wished_std="required.std", std_at_crossover="at_crossover", std_before="before",
-        std_known_to="sure", distortion_std="floor",
+        amplitude="excitation.amplitude", wished_std="required.std", std_at_crossover="at_crossover",
+        std_before="before", std_known_to="sure", distortion_std="floor",
     )  # fmt: skip
 
     loop: str

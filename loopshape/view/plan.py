@@ -88,8 +88,8 @@ def _percent_axis(ax: Axes) -> None:
     values = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in ax.lines if line.get_gid() is None])
     values = values[np.isfinite(values) & (values > 0.0)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.1, 10.0)
-    required = [float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in ax.lines if line.get_gid() == "required"]
-    low, high = min([low, *required]), max([high, *required])
+    asked = [float(np.asarray(line.get_ydata(), dtype=float)[0]) for line in ax.lines if line.get_gid() == "required"]
+    low, high = min([low, *asked]), max([high, *asked])
     ax.set_yscale("log")
     ax.set_ylim(low / 1.6, 2.5 * high)
     _plain_numbers(ax, high / low)
