@@ -141,8 +141,8 @@ class Arm1(Arm):
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
         m = np.empty(memory.SIZE)
         memory.start(c, x, m)
-        how = (SOLVERS[solver], steps, start_state(e.seed))
-        return kernel.run(c, sensor_constants(vector), x, m, *signals, *how, out)
+        how = (SOLVERS[solver], steps, start_state(e.seed), out)
+        return kernel.run(c, sensor_constants(vector), x, m, *(*signals, *how))
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         columns = {"true_theta2_rad": logged["angle"], "true_velocity_rad_s": logged["velocity"]}

@@ -78,7 +78,7 @@ class Arm2(Arm):
     ) -> tuple[int, int]:
         c = constants2(vector, self.strategy.shared)
         x = self._rest(c, e.operating_point)
-        return kernel.run2(c, sensor_constants2(vector), x, *signals, steps, start_state(e.seed), out)
+        return kernel.run2(c, sensor_constants2(vector), x, *(*signals, steps, start_state(e.seed), out))
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         columns = {f"true_theta{j}_rad": logged[f"angle{j}"] for j in (1, 2)}

@@ -154,11 +154,16 @@ class Sensors(NamedTuple):
 def sensor_constants(vector: Array) -> Sensors:
     """The sensors that a parameter vector of `ARM1_PARAMETERS` describes."""
     p = dict(zip(ARM1_PARAMETERS.names, vector.tolist(), strict=True))
-    codes = 2.0 ** p["converter_bits"]
-    on = p["converter_bits"] > 0
-    angle_step = float(rad(p["angle_span_deg"])) / codes if on else 0.0
-    pressure_step = 1e5 * p["pressure_span_bar"] / codes if on else 0.0
-    noise = [float(rad(p["angle_noise_deg"])), 1e5 * p["pressure_noise_bar"]]
-    limits = [float(rad(p["range_angle_deg"])), 1e5 * p["range_low_bar"], 1e5 * p["range_high_bar"]]
-    spans = [0.5 * float(rad(p["angle_span_deg"])), 1e5 * p["pressure_span_bar"]]
-    return Sensors(*noise, angle_step, pressure_step, *limits, *spans)
+    on, codes = p["converter_bits"] > 0, 2.0 ** p["converter_bits"]
+    span_rad, span_pa = float(rad(p["angle_span_deg"])), 1e5 * p["pressure_span_bar"]
+    return Sensors(
+        noise_rad=float(rad(p["angle_noise_deg"])),
+        noise_pa=1e5 * p["pressure_noise_bar"],
+        step_rad=span_rad / codes if on else 0.0,
+        step_pa=span_pa / codes if on else 0.0,
+        limit_rad=float(rad(p["range_angle_deg"])),
+        lowest_pa=1e5 * p["range_low_bar"],
+        highest_pa=1e5 * p["range_high_bar"],
+        reach_rad=0.5 * span_rad,
+        reach_pa=span_pa,
+    )
