@@ -38,7 +38,7 @@ def sentence(p: Plan) -> str:
     if p.met:
         return (
             f"{p.recording} already has a std of {accuracy(p.before)} {there}, within the required"
-            f" {accuracy(p.wish.std)}: no further experiment is proposed"
+            f" {accuracy(p.required.std)}: no further experiment is proposed"
         )
     if p.reached:
         why = "no shorter record is sensible" if p.binds == "shortest" else f"{_BINDS[p.binds]} sets the length"
