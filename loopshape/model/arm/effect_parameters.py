@@ -111,21 +111,20 @@ EFFECT_ROWS = (
     TORQUES, LATE, DAHL_ELEMENTS, LINE_TURBULENT, SPLIT, LINE_Z, SHORTEST, LAG_DAMPING, CURRENT, ALONE,
     TRAVEL, TRAVEL_BACK, DAHL_DAMPING, BRAID_STEEPER,
     WHOLE_LATE, CREEP_LENGTH,
-) = _PLACES = range(34, 101)  # fmt: skip
+) = range(34, 101)  # fmt: skip
 
 _AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
 _SOUND_M_S = 343.0
 
 
-def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> list[float]:
-    """Constants 34 to 100 of the kernel, SI, from parameters by name; places as named above.
+def effect_constants(p: Mapping[str, float], inertia_kgm2: float, gravity_nm: float) -> dict[int, float]:
+    """The kernel's constants of effects by place, SI, from parameters by name; places as named above.
 
     `inertia_kgm2` and `gravity_nm` are those of the whole body, the payload included.
     """
     by_place = _valve(p) | _supply(p) | _line(p) | _leaks(p) | _length(p) | _creep(p) | _braid(p) | _joint(p)
-    by_place |= _body(p, inertia_kgm2, gravity_nm) | _sensor(p) | _switches(p)
-    return [float(by_place[place]) for place in _PLACES]
+    return by_place | _body(p, inertia_kgm2, gravity_nm) | _sensor(p) | _switches(p)
 
 
 def _valve(p: Mapping[str, float]) -> dict[int, float]:

@@ -7,6 +7,7 @@ actuated by nonlinear artificial muscles, DCT 2007.002 (2007). Effects move the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -108,29 +109,55 @@ def constants(vector: Array) -> Array:
     # the density's 1/(2 R T) goes under the root with the pressures; beta takes its root along
     betas = [beta[k] * np.sqrt(gas) for k in ("in", "supply", "out")]
     mm = {k[:-3]: 1e-3 * v for k, v in p.items() if k.endswith("_mm")}
-    stiffness = [1e5 * p[k] for k in ("stiffness_k0", "stiffness_k1", "stiffness_k2")]
-    offsets = [p["stiffness_b_bar"] * c for c in (p["stiffness_c0"], p["stiffness_c1"], 1.0)]
     inertia = p["m2_kg"] * mm["l12"] ** 2 + p["jzz2_kgm2"] + p["payload_kg"] * p["payload_radius_m"] ** 2
     gravity = p["gravity_m_s2"] * (p["m2_kg"] * mm["l12"] + p["payload_kg"] * p["payload_radius_m"])
-    factors = [
-        p[f"stiffness_factor_{k}"] * ((1.0 + p["stiffness_error"]) * (1.0 + sign * p["stiffness_mismatch"]))
-        for k, sign in (("a", 0.5), ("b", -0.5))
-    ]
-    return np.array(
-        [p["gas_constant_j_kgk"] * p["temperature_k"], *betas]
-        + [1e5 * (p["supply_bar"] - p["supply_drop_bar"]), 2e5 * p["atmosphere_bar"], p["capacity_m3"]]
-        + [mm["l11x"] - mm["lab"], mm["l11y"] - mm["l1a"], mm["l11y"] + mm["l1b"]]
-        + [mm["l12"] - mm["l2a"], mm["l12"] - mm["l2b"], mm["fitting"]]
-        + [(1.0 - p["flexible_share"]) * inertia, (1.0 - p["flexible_share"] * p["flexible_gravity"]) * gravity]
-        + [4.0 * mm["braid_length"] ** 2, p["braid_turns"] * np.pi]
-        + [3.0 * mm["end_diameter"] ** 2, 4.0 * mm["end_diameter"]]
-        + [2.0 * mm["braid_length"], p["nominal_length_s1_m"], p["nominal_length_s2_bar"]]
-        + [b * k for b, k in zip(offsets, stiffness, strict=True)]
-        + stiffness
-        + [p["damping_ns_m"], p["damping_per_bar_ns_m"], *factors]
-        + [1e5 * p["atmosphere_bar"] * p["gas_absolute_share"], p["polytropic_exponent"]]
-        + effect_constants(p, inertia, gravity)
-    )
+    by_place = {
+        RT: p["gas_constant_j_kgk"] * p["temperature_k"],
+        BETA_IN: betas[0],
+        BETA_S: betas[1],
+        BETA_OUT: betas[2],
+        P_IN: 1e5 * (p["supply_bar"] - p["supply_drop_bar"]),
+        P_ATM2: 2e5 * p["atmosphere_bar"],
+        V_C: p["capacity_m3"],
+        X: mm["l11x"] - mm["lab"],
+        YA: mm["l11y"] - mm["l1a"],
+        YB: mm["l11y"] + mm["l1b"],
+        R_A: mm["l12"] - mm["l2a"],
+        R_B: mm["l12"] - mm["l2b"],
+        FITTING: mm["fitting"],
+        INERTIA: (1.0 - p["flexible_share"]) * inertia,
+        GRAVITY: (1.0 - p["flexible_share"] * p["flexible_gravity"]) * gravity,
+        ABSOLUTE: 1e5 * p["atmosphere_bar"] * p["gas_absolute_share"],
+        EXPONENT: p["polytropic_exponent"],
+    }
+    by_place |= _muscle(p, mm) | effect_constants(p, inertia, gravity)
+    return np.array([float(by_place[place]) for place in range(len(by_place))])
+
+
+def _muscle(p: Mapping[str, float], mm: Mapping[str, float]) -> dict[int, float]:
+    """Braid, stiffness and damping of a muscle, and both muscles' factors."""
+    k0, k1, k2 = (1e5 * p[f"stiffness_k{j}"] for j in range(3))
+    bar, c0, c1 = p["stiffness_b_bar"], p["stiffness_c0"], p["stiffness_c1"]
+    whole, half = 1.0 + p["stiffness_error"], 0.5 * p["stiffness_mismatch"]
+    return {
+        FOUR_L2: 4.0 * mm["braid_length"] ** 2,
+        N_PI: p["braid_turns"] * np.pi,
+        D1_SQ3: 3.0 * mm["end_diameter"] ** 2,
+        D1_X4: 4.0 * mm["end_diameter"],
+        TWO_L: 2.0 * mm["braid_length"],
+        S1: p["nominal_length_s1_m"],
+        S2: p["nominal_length_s2_bar"],
+        BK0: bar * c0 * k0,
+        BK1: bar * c1 * k1,
+        BK2: bar * k2,
+        K0: k0,
+        K1: k1,
+        K2: k2,
+        D0: p["damping_ns_m"],
+        D1: p["damping_per_bar_ns_m"],
+        FACTOR_A: p["stiffness_factor_a"] * (whole * (1.0 + half)),
+        FACTOR_B: p["stiffness_factor_b"] * (whole * (1.0 - half)),
+    }
 
 
 class Sensors(NamedTuple):

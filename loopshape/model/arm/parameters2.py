@@ -83,17 +83,32 @@ def constants2(vector: Array, shared: float = 0.0) -> Array:
     weight_y = g * (p["msv_kg"] * mm["lsvy"] + p["m1_kg"] * mm["l01y"] + m2 * mm["l1y"])
     inertia1 = p["msv_kg"] * (mm["lsvx"] ** 2 + mm["lsvy"] ** 2) + p["jzz1_kgm2"]
     inertia1 += p["m1_kg"] * (mm["l01x"] ** 2 + mm["l01y"] ** 2) + m2 * (mm["l1x"] ** 2 + mm["l1y"] ** 2)
-    more = [p["stiffness_factor_c"], p["stiffness_factor_d"], mm["fitting_cd"]]
-    for side, foot in (("c", -mm["l0c"]), ("d", mm["l0d"]), ("s", mm["l0s"])):
-        more += _link(foot, mm["l0"], mm["l01x"] - mm[f"l1{side}"])
-    more += [p["spring_n_m"], mm["spring_length"], weight_x, weight_y, inertia1]
-    more += [m2 * mm["l12"] * mm["l1x"], m2 * mm["l12"] * mm["l1y"], shared]
+    by_place = {
+        FACTOR_C: p["stiffness_factor_c"],
+        FACTOR_D: p["stiffness_factor_d"],
+        FITTING_CD: mm["fitting_cd"],
+        SPRING: p["spring_n_m"],
+        SPRING_LENGTH: mm["spring_length"],
+        WEIGHT_X: weight_x,
+        WEIGHT_Y: weight_y,
+        INERTIA_1: inertia1,
+        COUPLING_X: m2 * mm["l12"] * mm["l1x"],
+        COUPLING_Y: m2 * mm["l12"] * mm["l1y"],
+        SHARED: shared,
+    }
+    for side, places, foot in (
+        ("c", (SQUARE_C, ALONG_C, ACROSS_C), -mm["l0c"]),
+        ("d", (SQUARE_D, ALONG_D, ACROSS_D), mm["l0d"]),
+        ("s", (SQUARE_S, ALONG_S, ACROSS_S), mm["l0s"]),
+    ):
+        by_place |= dict(zip(places, _link(foot, mm["l0"], mm["l01x"] - mm[f"l1{side}"]), strict=True))
+    more = [by_place[place] for place in range(FIRST, FIRST + len(by_place))]
     return np.concatenate([constants(ARM1_PARAMETERS.holding(p).vector()), more])
 
 
-def _link(foot_m: float, height_m: float, radius_m: float) -> list[float]:
+def _link(foot_m: float, height_m: float, radius_m: float) -> tuple[float, float, float]:
     """Of the vector [foot + r cos, height + r sin]: its constant square, and r times its height and its foot."""
-    return [foot_m**2 + height_m**2 + radius_m**2, radius_m * height_m, radius_m * foot_m]
+    return foot_m**2 + height_m**2 + radius_m**2, radius_m * height_m, radius_m * foot_m
 
 
 def sensor_constants2(vector: Array) -> Sensors:
