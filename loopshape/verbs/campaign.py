@@ -41,7 +41,6 @@ def campaign(
     parts once they are recorded. Processes import the script that calls this: guard its body by
     `if __name__ == "__main__":`. Raises WrongUseError for what the machines cannot do, before anything is written.
     """
-    from loopshape.io.campaigns import write_index
     from loopshape.io.files import make_folder
     from loopshape.io.run_folder import alone
     from loopshape.rig.many import check_workers
@@ -52,7 +51,6 @@ def campaign(
     folder = Path(out) / of.name if of else Path(out)
     make_folder(folder)
     with alone(folder):
-        write_index(folder, planned.machines)
         made = (
             _merge(folder, planned) if merge else _record(folder, planned, of, (workers, cluster), watch or Unwatched())
         )
@@ -111,9 +109,11 @@ def _read(file: Path) -> tuple[Campaign, Path]:
 
 def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], watch: Watch) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
+    from loopshape.io.campaigns import write_index
     from loopshape.io.run_folder import sweep
     from loopshape.rig.many import carried_out
 
+    write_index(out, planned.machines)
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
     begun, made = set[str](), 0
@@ -219,10 +219,11 @@ def _run(study: Study, machine: str, plant: Rig, origin: Mapping[str, Any]) -> R
 
 def _merge(out: Path, planned: _Planned) -> int:
     """Join the recordings of all parts in the runs of a whole campaign, then remove the parts."""
-    from loopshape.io.campaigns import refuse_parts_at_work, remove_parts
+    from loopshape.io.campaigns import refuse_parts_at_work, remove_parts, write_index
     from loopshape.io.run_folder import finished
 
     refuse_parts_at_work(out)
+    write_index(out, planned.machines)
     lacking = [machine for machine in planned.machines if not finished(out / machine.name).issuperset(planned.names)]
     made = _joined(out, planned, lacking) if lacking else 0
     remove_parts(out)
