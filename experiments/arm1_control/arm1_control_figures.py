@@ -27,6 +27,7 @@ PRINTED = {
     "figure_4_14": "simulated, (0 deg, 1.0 bar)",
     "figure_4_15.simulated": "simulated, (30 deg, 0.8 bar)",
 }
+NOTCHES = tuple(f"notch at {value(key):g} Hz" for key in ("table_5_1.notch", "figure_5_7.notch"))
 
 
 @styled()
@@ -41,7 +42,7 @@ def draw_printed(rows: Sequence[tuple[str, str, float, Loop, Any]]) -> Figure:
             size.semilogx(loop.frequency_hz, db(loop.S), color=colour, linewidth=1.0, label=PRINTED[place])
         _nichols_axes(nichols)
         _sensitivity_axes(size)
-        nichols.set_title(f"controller: {words}", loc="left")
+        nichols.set_title(NOTCHES[k], loc="left")
     figure.axes[0].set_ylabel("open loop |L| [dB]")
     figure.axes[2].set_ylabel("|S| [dB]")
     figure.legend(*figure.axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=2)
@@ -98,7 +99,7 @@ def draw_loops(columns: Sequence[Judged], words: Sequence[str]) -> Figure:
     keys = [Line2D([], [], color=c, label=f"{p:g} bar") for p, c in colours.items()]
     keys += [Line2D([], [], color="black", linestyle=d, label=f"{t:g} deg, both sides") for t, d in DASHES.items()]
     figure.legend(handles=keys, loc="outside lower center", ncols=5)
-    head(figure, "The angle loop under the source's controller at 24 equilibria, simulated arms",
+    head(figure, "The angle loop of simulated arms at 24 equilibria, the source's controller and the shipped one",
          "shaded: the source's span of bandwidth; red: its limit of |S|")  # fmt: skip
     return figure
 

@@ -110,8 +110,8 @@ def shipped() -> tuple[Controller, Controller]:
 def controllers(word: str) -> tuple[str, tuple[Controller, ...]]:
     """Words for, and controllers of both loops; the pressure's is table 5.2 in any case."""
     if word == "source":
-        return "tables 5.1 and 5.2", (angle_controller(), pressure_controller())
-    return "shipped angle controller, table 5.2", (shipped()[0], pressure_controller())
+        return "the source's controllers", (angle_controller(), pressure_controller())
+    return "shipped angle controller, the source's for p_AB", (shipped()[0], pressure_controller())
 
 
 def motion(
@@ -138,7 +138,10 @@ def motion(
     write_scores(HERE / "scores.csv", scores)
     for score in scores:
         print(f"{score.item:10} {score.verdict:9} {score.quantity}: {score.ours}")
-    named = {"printed plant, table 5.1": computed["linear"], "the same, |z| at most 1 V": computed["limited"]}
+    named = {
+        "printed plant, source's controller": computed["linear"],
+        "the same, |z| at most 1 V": computed["limited"],
+    }
     pictures(results, named, times["theta2"][0])
 
 
@@ -172,7 +175,7 @@ def tracking_row(m: Moved, f: Followed) -> list[Any]:
 def pictures(r: Results, computed: Mapping[str, Any], at_s: float) -> None:
     """All figures."""
     shown = [r.angle["nominal", "source"], r.angle["nominal", "shipped"], r.angle["closest", "source"]]
-    words = ["table 5.1, model as printed", "shipped, model as printed", "table 5.1, closest arm"]
+    words = ["source's, model as printed", "shipped, model as printed", "source's, closest arm"]
     write_bytes_whole(FIGURES / "printed_plants.png", png(draw_printed(r.printed)))
     write_bytes_whole(FIGURES / "angle_loops.png", png(draw_loops(shown, words)))
     write_bytes_whole(FIGURES / "pressure_loop.png", png(draw_pressure(list(r.pressure.values()))))

@@ -21,6 +21,7 @@ from loopshape.view.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figur
 LOW_HZ, HIGH_HZ = 0.15, 12.0
 SIZE_DB = (-50.0, 15.0)
 DASHES: dict[float, Any] = {0.0: "-", 15.0: (0, (5, 2)), 30.0: (0, (1, 1.2))}
+ARM_COLOURS = (COLOURS[3], COLOURS[4])  # blue, red and green are the spectra's
 PUBLISHED: dict[str, dict[str, Any]] = {
     "measured": {"color": LIMIT, "linestyle": "--", "linewidth": 1.2},
     "simulated": {"color": QUIET, "linestyle": (0, (1, 1)), "linewidth": 1.4},
@@ -45,7 +46,7 @@ def draw_frfs(arms: Sequence[Sequence[Found]]) -> Figure:
     keys = [Line2D([], [], color=c, label=f"{p:g} bar") for p, c in colours.items()]
     keys += [Line2D([], [], color="black", linestyle=d, label=f"{t:g} deg, both sides") for t, d in DASHES.items()]
     figure.legend(handles=keys, loc="outside lower center", ncols=5)
-    head(figure, "The response of the angle at 24 equilibria, simulated arms", "trusted lines only")
+    head(figure, "The response of the angle at 24 equilibria, simulated arms", "within the valid band")
     return figure
 
 
@@ -120,7 +121,7 @@ def draw_sensitivity(arms: Sequence[Found], published: Mapping[str, str]) -> Fig
     """FRF, spectra and coherence as in the source's figures, with its two fitted curves beside ours."""
     figure = new_figure(2, 2, (7.0, 5.4), sharex=True)
     size, power, angle, coherent = figure.axes
-    for f, colour in zip(arms, COLOURS, strict=False):
+    for f, colour in zip(arms, ARM_COLOURS, strict=True):
         _bode(size, angle, f, color=colour, linewidth=1.0, label=f.arm.label)
     f = np.geomspace(LOW_HZ, HIGH_HZ, 500)
     for kind, place in published.items():
@@ -139,13 +140,13 @@ def draw_sensitivity(arms: Sequence[Found], published: Mapping[str, str]) -> Fig
         frequency_axis(ax, LOW_HZ, HIGH_HZ, label=ax is coherent)
     theta, p = arms[0].point
     title = f"The angle's response from its sensitivity at ({theta:g} deg, {p:g} bar)"
-    head(figure, title, f"spectra: {arms[0].arm.label}; shaded: band that the source's text trusts at (0 deg, 1 bar)")
+    head(figure, title, f"spectra: {arms[0].arm.label}; shaded: the source's band of good coherence at (0 deg, 1 bar)")
     return figure
 
 
 def _coherence(ax: Axes, arms: Sequence[Found]) -> None:
     ax.axvspan(value("identification.coherent_from"), value("identification.coherent_to"), color="0.93", zorder=0.5)
-    for f, colour in zip(arms, COLOURS, strict=False):
+    for f, colour in zip(arms, ARM_COLOURS, strict=True):
         ax.semilogx(f.frf.frequency_hz, f.frf.coherence, color=colour, linewidth=0.9)
     ax.set_ylim(0.0, 1.05)
     ax.set_ylabel("coherence [1]")

@@ -66,15 +66,15 @@ def surfaces(found: Found, words: Mapping[str, Any], folder: Path) -> None:
     heat, errors = ("viridis", (0.0, 28.0)), ("RdBu", (-70.0, 70.0))
     small = ("RdBu", (-25.0, 25.0))
     panels = (
-        (1e-3 * bench, "G.5: bench, closed valves [kN/m]", ".1f", heat),
-        (1e-3 * fit, "4.6: six parameters on it [kN/m]", ".1f", heat),
-        (1e-3 * analytical, "4.6: analytical [kN/m]", ".1f", heat),
-        (1e-3 * printed().stiffness(p, h), "4.6: table 4.1 as printed [kN/m]", ".1f", heat),
-        (1e-3 * near, "4.6: digits nearest G.3 [kN/m]", ".1f", heat),
-        (100.0 * (analytical / near - 1.0), "G.6: analytical over nearest [%]", ".0f", errors),
-        (100.0 * (fit / bench - 1.0), "G.6: six parameters, error [%]", ".1f", small),
-        (d, "G.5: damping, bench [N s/m]", ".1f", ("viridis", (9.0, 15.0))),
-        (100.0 * (damping(p) / d - 1.0), "G.7: damping model, error [%]", ".1f", small),
+        (1e-3 * bench, "bench, closed valves [kN/m]", ".1f", heat),
+        (1e-3 * fit, "six parameters on it [kN/m]", ".1f", heat),
+        (1e-3 * analytical, "analytical [kN/m]", ".1f", heat),
+        (1e-3 * printed().stiffness(p, h), "printed digits [kN/m]", ".1f", heat),
+        (1e-3 * near, "nearest digits [kN/m]", ".1f", heat),
+        (100.0 * (analytical / near - 1.0), "analytical over nearest [%]", ".0f", errors),
+        (100.0 * (fit / bench - 1.0), "six parameters, error [%]", ".1f", small),
+        (d, "damping, bench [N s/m]", ".1f", ("viridis", (9.0, 15.0))),
+        (100.0 * (damping(p) / d - 1.0), "damping model, error [%]", ".1f", small),
     )
     for ax, (values, title, form, (colours, limits)) in zip(figure.axes, panels, strict=True):
         _tiles(ax, words, _table(found, words, values), title, form, colours, limits)

@@ -51,16 +51,16 @@ def filling(runs: dict[str, models.Filling], b: models.Bench) -> Figure:
     pressures(d8, runs["tuned"], FOUR, "--")
     pressures(d8, runs["pts2"], FOUR, named=False)
     d8.plot(runs["pts1"].t_s, runs["pts1"].p_bar[:, 3], ":", color=LOOK["p_m"], label="$p_m$, by dimensions")
-    decorate(d8, "figure D.8: PTS1 tuned (dashed) to PTS2 (solid)", value("figure_d_8.duration"))
+    decorate(d8, "PTS1 tuned (dashed) to PTS2 (solid)", value("figure_d_8.duration"))
     pressures(d9, models.explicit(models.pts2(b), short_s, 5e-4, models.BOGACKI_SHAMPINE, keep=1), FOUR)
     d9.plot(*_curve(runs["pts2"], 3), color="black", linewidth=0.9, dashes=(2, 3), label="$p_m$, Radau")
-    decorate(d9, "figure D.9: PTS2, third-order steps of 0.5 ms", short_s)
+    decorate(d9, "PTS2, third-order steps of 0.5 ms", short_s)
     pressures(d10, runs["pts2_pulsed"], FOUR)
-    decorate(d10, "figure D.10: PTS2, block signal of 25 Hz, 50 %", short_s)
+    decorate(d10, "PTS2, block signal of 25 Hz, 50 %", short_s)
     d12.plot(*_curve(runs["pts3"], 0), color=LOOK["p_c"], label="$p_c$, PTS3")
     d12.plot(*_curve(runs["pts3"], 1), color=LOOK["p_m"], label="$p_m$, PTS3")
     d12.plot(*_curve(runs["pts2"], 3), color="black", linewidth=0.8, dashes=(2, 3), label="$p_m$, PTS2")
-    decorate(d12, "figure D.12: PTS3, no small volumes", short_s)
+    decorate(d12, "PTS3, no small volumes", short_s)
     for ax in figure.axes:
         ax.legend(loc="lower right", ncols=2 if ax is not d8 else 1)
     head(figure, "Filling a fixed volume through a valve: throttles fill with a knee, Poiseuille with a tail")
@@ -81,7 +81,7 @@ def flows(found: dict[str, Any], b: models.Bench) -> Figure:
             models.explicit(models.pts2(b), value("figure_d_9.duration"), step, models.BOGACKI_SHAMPINE, keep=1),
             found["runs"]["pts2"],
         )
-        ax.set_title(f"figure D.11: PTS2's flows, steps of {1e3 * step:g} ms")
+        ax.set_title(f"PTS2's flows, steps of {1e3 * step:g} ms")
     for line in figure.axes[1].legend(loc="upper right").get_lines():
         line.set_linewidth(1.4)
     size, onset = figure.axes[2:]
@@ -95,7 +95,7 @@ def flows(found: dict[str, Any], b: models.Bench) -> Figure:
     size.set_ylabel("error of $q_1$ [$10^{-4}$ kg/s]")
     size.set_title("its amplitude goes with the step, not with the digits")
     onset.axhline(
-        value("figure_d_9.unstable_from"), color=QUIET, linestyle="--", linewidth=0.9, label="source, figure D.9"
+        value("figure_d_9.unstable_from"), color=QUIET, linestyle="--", linewidth=0.9, label="source"
     )
     onset.set_ylim(0.0, 1.6)
     onset.set_ylabel("rattles from [s]")

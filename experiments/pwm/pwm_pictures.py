@@ -71,7 +71,7 @@ def ripple(found: dict[str, Any]) -> Figure:
             ):
                 ax.plot(run.t_s, run.p_bar[:, column], color=colour, linewidth=0.8, label=label)
             ax.set_xlabel("time [s]")
-        whole.set_title(f"figure C.{k + 2}: {value(name + '.frequency'):g} Hz")
+        whole.set_title(f"block signal of {value(name + '.frequency'):g} Hz")
         whole.set_xlim(0.0, value("figure_c_2.duration"))
         whole.set_ylim(0.0, 1.05)
         middle = float(run.t_s[np.argmax(run.p_bar[:, 3] >= 0.5)])
@@ -151,6 +151,6 @@ def rest(found: dict[str, Any]) -> Figure:
     head(
         figure,
         "What keeps the arm moving at rest: noise, converters, and valves that close late",
-        "marks at 1e-4 deg: that or less; dashed: the dead zone of figure C.6",
+        "marks at 1e-4 deg: that or less; dashed: the source's dead zone",
     )
     return figure

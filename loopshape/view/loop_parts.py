@@ -18,7 +18,7 @@ from loopshape.loop.bands import band
 from loopshape.loop.points import NEAREST, Worst, margins_of
 from loopshape.view.contours import turns
 from loopshape.view.curves import draw_band, fit_decibels, fit_degrees, frequency_axis, shown_band_hz
-from loopshape.view.key import Entry, Key, count, curve
+from loopshape.view.key import Entry, Key, count, curve, varying
 from loopshape.view.labels import decibel, point, ratio, symbol, units_of
 from loopshape.view.phase import controller_phase_deg, draw_known, loop_phase_deg, plant_phase_deg
 from loopshape.view.style import COLOURS, LIMIT, QUIET
@@ -55,9 +55,11 @@ def worst_text(loops: Sequence[Loop], worst: Worst, verdict: Verdict | None) -> 
     return f"worst: {named(loop)}, {what}" if len(loops) > 1 else what
 
 
-def named(loop: Loop) -> str:
-    """The operating point of a loop; the recording where none was stated."""
-    return point(loop.plant.operating_point) or loop.plant.recording
+def named(loop: Loop, among: Sequence[Loop] = ()) -> str:
+    """A loop's operating point, or what of it differs among those loops; the recording where none was stated."""
+    at = loop.plant.operating_point
+    own = {key: at[key] for key in varying([other.plant for other in among])}
+    return point(own or at) or loop.plant.recording
 
 
 def with_interval(margins: Margins, quantity: str, last_hz: float = np.inf) -> str:
@@ -179,7 +181,7 @@ def worst_entries(loops: Sequence[Loop], looks: Sequence[dict[str, Any]], worst:
     """What the notes say of the worst curve and of bands."""
     entries: list[Entry] = []
     if len(loops) > 1:
-        entries.append((f"worst: {named(loops[worst])}", shown(looks[worst])))
+        entries.append((f"worst: {named(loops[worst], loops)}", shown(looks[worst])))
     if np.any(loops[worst].plant.variance):
         text = "its 95 %, each frequency by itself" if len(loops) > 1 else "95 %, each frequency by itself"
         entries.append((text, {"color": BAND_COLOUR, "alpha": 0.5, "linewidth": 6.0, "solid_capstyle": "butt"}))
