@@ -114,4 +114,4 @@ def _distance_axes(ax: Axes, names: Sequence[str], rows: Sequence[Submodel]) -> 
     ax.tick_params(axis="y", length=0.0)
     ax.axhline(0.5, color="0.6", linewidth=0.6)
     ax.grid(visible=False, axis="y")
-    ax.set_xlabel("measured − simulated, rms relative to the noise floor")
+    ax.set_xlabel("measured − simulated,\nrms relative to the noise floor")

@@ -38,7 +38,7 @@ def gap_figure(report: GapReport) -> Figure:
     figure.suptitle(title, x=0.012, ha="left", fontsize=10.0, linespacing=1.25)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     _headed(chain(report.where, ax=parts[0].subplots()), "a", "Where", "probability that the gap lies in each block")
-    left, right = parts[1].subplots(1, 2, gridspec_kw={"width_ratios": [1.0, 1.0]})
+    left, right = parts[1].subplots(1, 2, gridspec_kw={"width_ratios": [0.92, 1.08]})
     _headed(hypotheses(report, ax=left), "b", "Which", "leading hypotheses, size and 95 % interval")
     _headed(distances(report, ax=right), "c", "How far", _distance(report))
     handles, texts = right.get_legend_handles_labels()
