@@ -96,7 +96,7 @@ def draw_tracking(way: Path, recordings: Mapping[str, Recording], tables: Tables
         figure.axes[1].plot(t[:n], deg(way.derivative[0])[:n] - angle, color=COLOURS[k], label=name, linewidth=0.9)
     figure.axes[0].set(
         ylabel=r"$\theta_2$ [deg]",
-        title="a third-order profile at $p_{AB}$ = 1 bar",
+        title="figure 5.7: a third-order profile at $p_{AB}$ = 1 bar",
     )
     figure.axes[1].set(xlabel="time [s]", ylabel="error [deg]", title="tracking error by feedforward, same feedback")
     figure.axes[1].set_ylim(-3.5, 8.0)

@@ -94,9 +94,7 @@ def flows(found: dict[str, Any], b: models.Bench) -> Figure:
         size.loglog(float(row[3]), 1e4 * r.off, mark, color="black", markersize=9, label=f"third order, {kind}")
     size.set_ylabel("error of $q_1$ [$10^{-4}$ kg/s]")
     size.set_title("its amplitude goes with the step, not with the digits")
-    onset.axhline(
-        value("figure_d_9.unstable_from"), color=QUIET, linestyle="--", linewidth=0.9, label="source"
-    )
+    onset.axhline(value("figure_d_9.unstable_from"), color=QUIET, linestyle="--", linewidth=0.9, label="source")
     onset.set_ylim(0.0, 1.6)
     onset.set_ylabel("rattles from [s]")
     onset.set_title("and so does its onset")
