@@ -104,7 +104,7 @@ def peers_of(name: str, case: Case, grown: Tuning) -> Iterator[list[str]]:
     structure = (*asked.structure, *(kinds[step.added] for step in grown.growth[1:]))
     asked = replace(asked, structure=structure)
     unit = replace(grown.controller, blocks=loops[0].controller.blocks)
-    p, _ = Task(tuple(frfs), tuple(fits), asked, tuple(loops), unit, "double").problem(copies_for(asked, 1), asked)
+    p, _ = Task(tuple(frfs), tuple(fits), asked, tuple(loops), (), unit, "double").problem(copies_for(asked, 1), asked)
     begun = time.process_time()
     bounds = list(zip(p.low, p.high, strict=True))
 

@@ -36,7 +36,20 @@ class Dense:
         business. Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all
         places; it lies off it by no more than half of how far the response moves from line to line about there.
         """
-        f, at = self.frequency_hz, frequency_hz
+        here = np.isin(frequency_hz, self.frequency_hz)
+        if not here.any():
+            return self._between(frequency_hz)
+        own, new = np.searchsorted(self.frequency_hz, frequency_hz[here]), self._between(frequency_hz[~here])
+        made = [np.empty((here.size, *self.response.shape[1:]), dtype=complex) for _ in range(2)]
+        deviations = np.empty((len(self.deviations), *made[0].shape), dtype=complex)
+        for one, known, between in zip(made, (self.response, self.reference), (new.response, new.reference), strict=True):
+            one[here], one[~here] = known[own], between
+        deviations[:, here], deviations[:, ~here] = self.deviations[:, own], new.deviations
+        return Dense(frequency_hz, made[0], made[1], deviations)
+
+    def _between(self, at: Array) -> Dense:
+        """`at` frequencies that are none of its own."""
+        f = self.frequency_hz
         each = (-1, *[1] * (self.response.ndim - 1))
         k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 2)
         share, power = ((at - f[k]) / (f[k + 1] - f[k])).reshape(each), _power(f, self.response)

@@ -12,7 +12,7 @@ from loopshape.data.block import BlockTemplate, Free
 from loopshape.design.problem import Problem
 from loopshape.design.search import Found, begin
 from loopshape.design.settle import Judge, Settled, settle
-from loopshape.design.starts import race, random_starts
+from loopshape.design.starts import polished, race, random_starts
 from loopshape.design.structure import variables_of
 
 #: parameters of a block that make it 1 where they are equal
@@ -22,12 +22,14 @@ PAIRS: dict[str, tuple[tuple[str, str], ...]] = {
 }
 #: of a structure and all that it contains at most so many are searched, the largest first
 STRUCTURES = 8
+#: ends nearer to each other than this (ln of every parameter) are one; on coarse lines the merit is known this closely
+SAME, CLOSE = 1e-2, 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """A problem, the ends of its searches, best first, the steps they took, and the same of each structure with one
-    block less, by the number of that block."""
+    """A problem, the ends of its searches on coarse lines, best first, the steps they took, and the same of each
+    structure with one block less, by the number of that block."""
 
     p: Problem
     ends: list[Found]
@@ -43,7 +45,7 @@ def raced(p: Problem, candidates: Sequence[Found], seed: int, draws: int, starts
     """
     done: list[Raced] = []
     for one in reversed(contained(p) if starts > 1 else []):  # what is contained comes first
-        done.append(_race(one, random_starts(one, np.random.default_rng(seed), draws, starts), seed, done))
+        done.append(_race(one, random_starts(one.coarse, np.random.default_rng(seed), draws, starts), seed, done))
     last = _race(p, candidates, seed, done)
     return replace(last, steps=last.steps + sum(one.steps for one in done))
 
@@ -52,9 +54,9 @@ def _race(p: Problem, candidates: Sequence[Found], seed: int, done: Sequence[Rac
     """A race of candidates and of what the structures with one block less ended at."""
     found = ((k, [one for one in done if same(one.p.templates, less.templates)]) for k, less in without_one(p))
     less = tuple((k, known[0]) for k, known in found if known)
-    also = [begin(p, embedded(p, k, one.ends[0].x)) for k, one in less]
+    also = [begin(p.coarse, embedded(p, k, one.ends[0].x)) for k, one in less]
     mine = candidates[: (len(candidates) + 1) // 2] if less else candidates
-    ends, steps = race(p, mine, np.random.default_rng([seed, 1]), also)
+    ends, steps = race(p.coarse, mine, np.random.default_rng([seed, 1]), also)
     return Raced(p, [*ends, *also], steps, less)
 
 
@@ -63,22 +65,37 @@ def settled(r: Raced, judge: Judge) -> tuple[Settled, int]:
 
     What a smaller structure settles at is tried too where that may be better, or where no end passes.
     """
-    best = settle(r.p, r.ends[0], judge)
-    steps = best.found.steps - r.ends[0].steps
-    for end in r.ends[1:]:
-        if not np.isfinite(end.merit) or (best.verdict.passed and end.merit > best.rank[-1]):
+    best, steps = None, 0
+    seen: list[Array] = []
+    for end in r.ends:
+        if best is not None and (not np.isfinite(end.merit) or _hopeless(end.merit - CLOSE, best) or _near(end.x, seen)):
             continue
-        again = settle(r.p, end, judge)
-        steps += again.found.steps - end.steps
-        best = min([best, again], key=lambda one: one.rank)
+        found = polished(r.p, end)
+        steps += found.steps - end.steps
+        if best is not None and (not np.isfinite(found.merit) or _hopeless(found.merit, best) or _near(found.x, seen)):
+            continue
+        seen += [end.x, found.x]
+        again = settle(r.p, found, judge)
+        steps += again.found.steps - found.steps
+        best = again if best is None else min([best, again], key=lambda one: one.rank)
+    assert best is not None, "a race has an end"
     for k, less in r.less:
-        if best.verdict.passed and less.ends[0].merit > best.rank[-1]:
+        if _hopeless(less.ends[0].merit - CLOSE, best):
             continue
         smaller, more = settled(less, judge)
         found = begin(r.p, embedded(r.p, k, smaller.found.x))
         again = Settled(found, judge(r.p.controller(found.x)), smaller.tighten)
         steps, best = steps + more, min([best, again], key=lambda one: one.rank)
     return best, steps
+
+
+def _hopeless(merit: float, best: Settled) -> bool:
+    """Whether what has a merit in a search cannot end better than a best that passes."""
+    return best.verdict.passed and merit > best.rank[-1]
+
+
+def _near(x: Array, seen: Sequence[Array]) -> bool:
+    return any(float(np.abs(x - other).max()) < SAME for other in seen)
 
 
 def contained(p: Problem) -> list[Problem]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.rows import DIP, Rows, Tighten, between_lines, on_lines, scaled, wished
@@ -41,17 +42,17 @@ def unit_crossings(e: Evaluation) -> Crossings:
     return Crossings(at, share, turn, p.ln_f[at] + share * span, -span / rise, span)
 
 
-def crossing_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
-    """Rows of every limit at a crossing that the requirements make."""
+def crossing_rows(e: Evaluation, tighten: Tighten, c: Crossings) -> Iterator[Rows]:
+    """Rows of every limit at a crossing that the requirements make; c are all 0 dB crossings."""
     limits = e.p.limits
     if "phase_margin_deg" in limits or "delay_margin_s" in limits:
-        yield from _phase_rows(e, tighten, unit_crossings(e))
+        yield from _phase_rows(e, tighten, c)
     if "gain_margin_db" in limits or "gain_reduction_margin_db" in limits:
         yield from _gain_rows(e, tighten)
     if e.p.requirements.objective.bandwidth:
         yield _dips(e, tighten)
     if "bandwidth_hz" in limits:
-        yield _at_least(bandwidth(e), "bandwidth_hz", e, tighten)
+        yield _at_least(bandwidth(e, c), "bandwidth_hz", e, tighten)
     if "sensitivity_bandwidth_hz" in limits:
         yield _at_least(_sensitivity_bandwidth(e), "sensitivity_bandwidth_hz", e, tighten)
     if "complementary_bandwidth_hz" in limits:
@@ -102,9 +103,9 @@ def _gain_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
             yield on_lines(name, p, -e.ln_L[e.last] - limit, e.last, np.full(p.points, -1.0))
 
 
-def bandwidth(e: Evaluation) -> Rows:
+def bandwidth(e: Evaluation, c: Crossings) -> Rows:
     """Rows of ln f of the first 0 dB crossing; below the lowest line along the integrators' slope."""
-    p, c = e.p, unit_crossings(e)
+    p = e.p
     start, first = p.first[:-1], np.searchsorted(c.at, p.first[:-1])
     seen = (e.ln_L[start] >= 0.0) & (first < np.searchsorted(c.at, p.first[1:]))
     order = np.maximum(p.integrators, 1)
@@ -120,17 +121,9 @@ def _dips(e: Evaluation, tighten: Tighten) -> Rows:
     Without them a linearised step lets |L| fall through 1 there, the first crossing jumps, and the search gives up.
     """
     p, size = e.p, e.ln_L
-    low = np.flatnonzero((size[1:-1] <= size[:-2]) & (size[1:-1] < size[2:]) & p.inside[:-1] & p.inside[1:]) + 1
-    shallow = low[(size[low] > 0.0) & (size[low] < np.log(SHALLOW))]
-    at = shallow[shallow < _first_below(size, p.first)[p.owner[shallow]]]
+    at = kernel.dips(size, p.first, float(np.log(SHALLOW)))
     margin = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points)
     return on_lines(DIP, p, size[at] - margin[p.owner[at]], at, np.ones(at.size))
-
-
-def _first_below(size: Array, first: np.ndarray) -> np.ndarray:
-    """Flat line of each operating point where ln |L| is first below zero; one past its last where it never is."""
-    below = np.append(np.flatnonzero(size < 0.0), size.size)
-    return np.minimum(below[np.searchsorted(below, first[:-1])], first[1:])
 
 
 def _sensitivity_bandwidth(e: Evaluation) -> Rows:

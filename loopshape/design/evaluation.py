@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Block, series_response
-from loopshape.design.problem import Problem
-from loopshape.loop.stability import count_unstable
+from loopshape.design.problem import Problem, coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,23 @@ class Evaluation:
         return self.p.blocks(self.x)
 
     @cached_property
+    def sections(self) -> Array:
+        """Coefficients of the blocks (blocks, 6)."""
+        return coefficients(self.blocks)
+
+    @cached_property
     def C(self) -> ComplexArray:
         """C on the columns, without its integral terms on the wide ones."""
         s, wide = self.p.s, self.p.wide
-        every = series_response(self.blocks, s[: wide.start])
+        every = kernel.series(self.sections, s[: wide.start])
         if self.p.f_wide.size:
             every = np.concatenate([every, series_response(self.blocks, s[wide], bounded=True)])
         return every if self.p.outside is None else every * self.p.outside
+
+    @cached_property
+    def below(self) -> ComplexArray:
+        """L below the lowest lines, by the models of the plants, flat."""
+        return kernel.series(self.sections, self.p.s_below) * self.p.P_below
 
     @cached_property
     def ln_C(self) -> Array:
@@ -40,19 +50,23 @@ class Evaluation:
         return np.log(np.abs(self.C))
 
     @cached_property
+    def _loops(self) -> tuple[ComplexArray, Array, Array]:
+        return kernel.loops(self.C, self.p.line, self.p.P)
+
+    @property
     def L(self) -> ComplexArray:
         """L on the flat lines."""
-        return self.C[self.p.line] * self.p.P
+        return self._loops[0]
 
-    @cached_property
+    @property
     def ln_L(self) -> Array:
         """ln |L|."""
-        return self.ln_C[self.p.line] + self.p.ln_P
+        return self._loops[1]
 
-    @cached_property
+    @property
     def ln_S(self) -> Array:
         """ln |S|, S = 1/(1 + L)."""
-        return -_ln_size(1.0 + self.L)
+        return self._loops[2]
 
     @cached_property
     def ln_disk(self) -> Array:
@@ -85,19 +99,8 @@ class Evaluation:
         """Whether |L| ends below 1 and the bare Nyquist count is zero at every operating point."""
         if self.ln_L[self.last].max() >= 0.0:
             return False
-        p, below = self.p, self.p.below(self.blocks)
-        turning = np.unique(np.concatenate([p.first[:-1], self.last, self.axis, self.axis + 1]))
-        cut = np.searchsorted(turning, p.first)
-        for i, (k, u) in enumerate(zip(p.integrators, p.unstable, strict=True)):
-            # between passages of the real axis 1 + L turns by what its ends say
-            mine = self.L[turning[cut[i] : cut[i + 1]]]
-            before = below[p.first_below[i] : p.first_below[i + 1]]
-            poles = count_unstable(mine, int(k), int(u), before if p.fitted[i] else before[:0])
-            if poles is None and before.size and not p.fitted[i]:
-                poles = count_unstable(mine, int(k), int(u), before)
-            if poles != 0:
-                return False
-        return True
+        p = self.p
+        return bool(kernel.all_stable(self.L, p.first, self.below, p.first_below, p.fitted, p.integrators, p.unstable))
 
 
 def _ln_size(z: ComplexArray) -> Array:

@@ -27,7 +27,7 @@ from loopshape.design.search import Goal, begin, search, step_within
 from loopshape.design.settle import Judge, Settled, settle
 from loopshape.design.shifts import Copy, closer, judged, shifted_loops
 from loopshape.design.starts import leaps
-from loopshape.loop.verdict import check
+from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
 
 #: a block that gains less of the bandwidth than this is not added
 LEAST_GAIN = 0.01
@@ -47,12 +47,13 @@ SHIFTED, MORE = 8, 100
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a tuning is for: FRFs with their fits, requirements, loops, and how the controller runs."""
+    """What a tuning is for: FRFs with their fits, requirements, loops and what was assumed of them, and how it runs."""
 
     frfs: tuple[FRF, ...]
     fits: tuple[Fit, ...]
     requirements: Requirements
     loops: tuple[Loop, ...]
+    notes: tuple[str, ...]
     unit: Controller
     precision: str
 
@@ -67,8 +68,14 @@ class Task:
         return p, judge_of
 
     def check(self, p: Problem, best: Settled) -> Verdict:
-        """What `check` says of it at the plants as they are."""
-        return check(self.frfs, p.controller(best.found.x), self.requirements, self.fits)
+        """What `check` says of it at the plants as they are; margins that its judge read there are not read again."""
+        C = p.controller(best.found.x)
+        if self.requirements.detuning_percent is not None:
+            return check(self.frfs, C, self.requirements, self.fits)
+        loops = [replace(loop, controller=C) for loop in self.loops]
+        named = dict(zip(points_of(self.frfs), loops, strict=True))
+        found = verdict_from(best.verdict.margins, named, self.requirements)
+        return with_warnings(found, loops, self.requirements, self.notes)
 
 
 @dataclass(frozen=True, eq=False)

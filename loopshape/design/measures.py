@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.design.crossings import bandwidth, crossing_rows
+from loopshape.design.crossings import bandwidth, crossing_rows, unit_crossings
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.peaks import peak_rows
 from loopshape.design.problem import Problem
@@ -100,16 +100,16 @@ class Measures:
 def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
     e = Evaluation(p, x)
-    return Measures(e, (*peak_rows(e, tighten), *crossing_rows(e, tighten)), bandwidth(e))
+    crossed = unit_crossings(e)
+    return Measures(e, (*peak_rows(e, tighten), *crossing_rows(e, tighten, crossed)), bandwidth(e, crossed))
 
 
 def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
     """Slopes (m, n) of rows by x."""
     i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
     a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
-    columns, place = np.unique(np.concatenate([i, j]), return_inverse=True)
-    D = e.p.slopes(e.blocks, columns)
-    return np.real(a * D[:, place[: i.size]] + b * D[:, place[i.size :]]).T
+    D = e.p.slopes(e.blocks, np.concatenate([i, j]))
+    return np.real(a * D[:, : i.size] + b * D[:, i.size :]).T
 
 
 def rejection(e: Evaluation) -> Array:
@@ -132,8 +132,7 @@ def rejection_slopes(e: Evaluation) -> Array:
     weights = low_weights(p)
     k = np.flatnonzero(weights)
     T = e.L[k] / (1.0 + e.L[k])
-    columns, place = np.unique(p.line[k], return_inverse=True)
-    each = np.real(weights[k] * T * p.slopes(e.blocks, columns)[:, place])
+    each = np.real(weights[k] * T * p.slopes(e.blocks, p.line[k]))
     return np.array([np.bincount(p.owner[k], weights=row, minlength=p.points) for row in each]).T
 
 

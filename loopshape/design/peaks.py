@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.units import Array, ComplexArray, rad
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.problem import Problem
@@ -92,16 +93,7 @@ def _from_hz(p: Problem, name: str) -> float:
 
 def _chosen(p: Problem, size: Array, above: Array) -> np.ndarray:
     """Flat lines that are local maxima above a level or their neighbours, the largest of each point, and plateaus."""
-    level = above[0] if np.ptp(above) == 0.0 else above[p.owner]
-    k = np.flatnonzero(size > level)
-    here, end = size[k], p.f.size - 1
-    rises = (here >= size[np.maximum(k - 1, 0)]) | (k == p.first[p.owner[k]])
-    falls = (here >= size[np.minimum(k + 1, end)]) | (k == p.first[p.owner[k] + 1] - 1)
-    peaks = k[rises & falls]
-    before, after = peaks[peaks > p.first[p.owner[peaks]]] - 1, peaks[peaks < p.first[p.owner[peaks] + 1] - 1] + 1
-    plateau = k[(here > (level if np.ndim(level) == 0 else level[k]) + FAR - PLATEAU) & (k % EVERY == 0)]
-    chosen = np.unique(np.concatenate([peaks, before, after, p.largest(size), plateau]))
-    return chosen[np.isfinite(size[chosen])]
+    return kernel.peaks(size, above, p.first, FAR - PLATEAU, EVERY)
 
 
 def _above(e: Evaluation, name: str, level: Array, from_hz: float) -> Iterator[Rows]:
@@ -138,20 +130,14 @@ def _control_above(e: Evaluation, name: str, left: Array, slope: Array, from_hz:
     p, size = e.p, e.ln_C[e.p.above]
     low = np.maximum(p.f[e.last], from_hz) * (1.0 - 1e-12)
     seen = np.flatnonzero(low <= p.f_above[-1])
-    highest = {f: _highest(p.f_above, size, f) for f in set(low[seen].tolist())}
     worst = int(np.argmin(left))
     over = np.where(p.f_above >= low[worst], size, -np.inf)
     near = np.flatnonzero(over > over.max() - 0.05)
     point = np.concatenate([seen, np.full(near.size, worst)])
-    k = np.concatenate([np.array([highest[f] for f in low[seen].tolist()], dtype=int), near])
+    k = np.concatenate([kernel.highest(size, np.searchsorted(p.f_above, low[seen])), near])
     a, b = np.full(k.size, -1.0 + 0.0j), np.asarray(-slope[point], dtype=complex)
     column, room = p.above.start + k, left[point] - size[k]
     return Rows(name, room, p.f.size + k, point, column, a, p.line[e.last[point]], b)
-
-
-def _highest(f: Array, size: Array, from_hz: float) -> int:
-    start = int(np.searchsorted(f, from_hz))
-    return start + int(np.argmax(size[start:]))
 
 
 def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
@@ -180,10 +166,12 @@ def _ends(e: Evaluation) -> Iterator[Rows]:
     p, first = e.p, e.p.first[:-1] + e.p.led
     yield on_lines(SURE, p, -1e-3 - e.ln_L[e.last], e.last, np.full(p.points, -1.0))
     blind, unfitted = first[np.diff(p.first_below) == 0], first[~p.fitted]
-    owner = p.owner[blind]
-    swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
-    yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
-    yield on_lines(SURE, p, e.ln_L[unfitted] - 1e-3, unfitted, np.ones(unfitted.size))
+    if blind.size:
+        owner = p.owner[blind]
+        swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
+        yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
+    if unfitted.size:
+        yield on_lines(SURE, p, e.ln_L[unfitted] - 1e-3, unfitted, np.ones(unfitted.size))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:

@@ -12,9 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
+from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.block import BlockTemplate
-from loopshape.data.controller import Block, Controller, series_response
+from loopshape.data.block import BLOCK_KINDS, BlockTemplate
+from loopshape.data.controller import Block, Controller
 from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
 from loopshape.data.requirements import LIMIT_OF, Requirements
@@ -131,13 +132,6 @@ class Problem:
         """Which flat lines have the next one at the same operating point, all but the last."""
         return np.diff(self.owner) == 0
 
-    def largest(self, size: Array) -> np.ndarray:
-        """Flat line of each operating point where `size` (flat) is largest."""
-        counts = np.diff(self.first)
-        if np.ptp(counts) == 0:
-            return self.first[:-1] + size.reshape(self.points, -1).argmax(axis=1)
-        return np.array([a + np.argmax(size[a : a + n]) for a, n in zip(self.first[:-1], counts, strict=True)])
-
     @cached_property
     def s(self) -> ComplexArray:
         """Columns: every s at which the controller is looked at (unique lines, above, beyond, wide)."""
@@ -184,10 +178,6 @@ class Problem:
         """The same plants and structure under other limits."""
         return replace(self, requirements=requirements, f_wide=_wide(requirements, self.unit.rate_hz))
 
-    def below(self, blocks: Sequence[Block]) -> ComplexArray:
-        """L below the lowest lines, by the models of the plants, flat."""
-        return series_response(blocks, self.s_below) * self.P_below
-
     def place(self, at: int, point: int) -> tuple[str, float]:
         """Operating point (-1: every one) and frequency in Hz of a flat line, or of a column above all lines."""
         name = self.names[point] if point >= 0 else "every operating point"
@@ -197,17 +187,55 @@ class Problem:
 
     def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
         """d ln C/d x (variables, columns), exact; without integral terms on the wide columns."""
-        s, wide = self.s[columns], columns >= self.wide.start
-        by_block = {k: blocks[k].log_slopes(s) for k in {v.block for v in self.variables}}
-        for k in by_block if wide.any() else ():
-            for name, slope in blocks[k].log_slopes(s[wide], bounded=True).items():
-                by_block[k][name][wide] = slope
-        rows = np.empty((len(self.variables), s.size), dtype=complex)
-        for row, v in zip(rows, self.variables, strict=True):
-            template = self.templates[v.block]
-            names = [v.name, *(k for k, target in template.tie.items() if target == v.name)]
-            row[:] = blocks[v.block].parameters[v.name] * sum(by_block[v.block][name] for name in names)
+        rows = kernel.log_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s[columns])
+        wide = np.flatnonzero(columns >= self.wide.start)
+        if wide.size:
+            s = self.s[columns[wide]]
+            by_block = {k: blocks[k].log_slopes(s, bounded=True) for k in {v.block for v in self.variables}}
+            for row, v in zip(rows, self.variables, strict=True):
+                names = _moved_with(self.templates[v.block], v.name)
+                row[wide] = blocks[v.block].parameters[v.name] * sum(by_block[v.block][name] for name in names)
         return rows
+
+    def _changes(self, blocks: Sequence[Block]) -> Array:
+        """d section/d x (variables, 6), of each variable's block."""
+        slopes = {k: BLOCK_KINDS[blocks[k].kind].slopes(blocks[k].parameters) for k in {v.block for v in self.variables}}
+        out = []
+        for v in self.variables:
+            parts = [slopes[v.block][name] for name in _moved_with(self.templates[v.block], v.name)]
+            value = blocks[v.block].parameters[v.name]
+            out.append([value * sum(every) for every in zip(*((*num, *den) for num, den in parts), strict=True)])
+        return np.array(out)
+
+    @cached_property
+    def _block_of(self) -> np.ndarray:
+        return np.array([v.block for v in self.variables])
+
+    @cached_property
+    def coarse(self) -> Problem:
+        """The same on fewer lines, for races: between them ln P runs straight over ln f, or is not known better.
+
+        Itself where that would leave most of the lines.
+        """
+        cut = zip(self.first[:-1], self.first[1:], strict=True)
+        phase = np.concatenate([np.unwrap(np.angle(self.P[a:b])) for a, b in cut])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.maximum(STRAIGHT, self.reach / np.abs(self.P))
+        led = [np.arange(a, a + n + 1) for a, n in zip(self.first, self.led, strict=False)]
+        keep = np.union1d(kernel.thinned(self.ln_f, self.ln_P, phase, off, self.first, GAP), np.concatenate(led))
+        if keep.size > WORTH * self.f.size:
+            return self
+        columns, line = np.unique(self.line[keep], return_inverse=True)
+        return replace(
+            self,
+            f=self.f[keep],
+            P=self.P[keep],
+            reach=self.reach[keep],
+            first=np.searchsorted(keep, self.first),
+            unique_f=self.unique_f[columns],
+            unique_s=self.unique_s[columns],
+            line=line,
+        )
 
 
 #: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
@@ -216,6 +244,9 @@ OUTSIDE = 0.05
 NONE_DB = 300.0
 #: where L is led below its first line, as shares of its frequency
 DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
+#: lines of a race: ln P may lie off a straight line between them by this, they lie no farther apart than this in ln f,
+#: and they are worth their while where they are no more than this share of all
+STRAIGHT, GAP, WORTH = 0.02, 0.08, 0.6
 
 
 def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, precision: str = "double") -> Problem:
@@ -262,6 +293,16 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         f_wide=_wide(requirements, rate_hz),
         places=tuple(loop.plant.operating_point for loop in loops),
     )
+
+
+def _moved_with(template: BlockTemplate, name: str) -> list[str]:
+    """Parameters of a block that a free one moves: itself and those tied to it."""
+    return [name, *(k for k, target in template.tie.items() if target == name)]
+
+
+def coefficients(blocks: Sequence[Block]) -> Array:
+    """Coefficients of blocks (blocks, 6): s^0, s^1, s^2 of the numerator, and of the denominator."""
+    return np.array([(*num, *den) for num, den in (block.section() for block in blocks)])
 
 
 def _none(name: str) -> float:

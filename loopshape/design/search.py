@@ -44,6 +44,8 @@ class Goal:
 
     def softs(self, m: Measures) -> np.ndarray:
         """Which rows are of soft quantities."""
+        if self.soft is not None and not self.soft:
+            return np.zeros(m.room.size, dtype=bool)
         flags = [np.full(r.value.size, self.soft is None or r.what in self.soft) for r in m.rows]
         return np.concatenate([np.zeros(0, dtype=bool), *flags])
 
@@ -83,8 +85,8 @@ def begin(p: Problem, x: Array, goal: Goal = LARGEST, radius: float = START_RADI
     return Found(x, measure(p, x, goal.tighten), radius, steps, False)
 
 
-def search(p: Problem, found: Found, goal: Goal, most: int) -> Found:
-    """Search on from where another search ended, for at most `most` steps.
+def search(p: Problem, found: Found, goal: Goal, most: int, settled: float = SETTLED) -> Found:
+    """Search on from where another search ended, for at most `most` steps, until one promises less than `settled`.
 
     A step that does not pay may be followed by a second one before it is given up (a watchdog, Chamberlain
     et al. 1982): along curved limits the first step alone looks bad because it cuts the corner.
@@ -92,7 +94,7 @@ def search(p: Problem, found: Found, goal: Goal, most: int) -> Found:
     x, here, radius = found.x, found.measures, found.radius
     for step in range(most):
         dx, promised = step_within(p, x, here, radius, goal)
-        if promised < SETTLED:
+        if promised < settled:
             return Found(x, here, radius, found.steps + step, True)
         tried, there, gained = _try(p, x, here, dx, promised, radius, goal)
         if gained > 0.0:

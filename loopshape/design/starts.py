@@ -7,18 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.design.evaluation import Evaluation
+from loopshape.design.glance import glanced, scaled_start
 from loopshape.design.problem import Problem
 from loopshape.design.search import LARGEST, Found, begin, search
 
 #: steps that a search is given in the race's three heats, and after a leap; a leap that comes this near goes on
 HEATS, LEAP, NEAR = (15, 40, 60), 15, 0.05
-#: most steps of the last search
-MOST = 300
+#: most steps of the last search, and its trust radius to begin with where the lines are others
+MOST, ON = 300, 0.1
 #: random starts are drawn anew up to so many times, until this many of them are stable
 AGAIN, FEWEST = 12, 4
-#: at most so many ranges of the gain between passages of -1, the widest ones, are tried for a stable start
-RANGES = 8
+#: searches of a race end where a step promises less merit than this; a leap that gains less than that did not pay
+ROUGH, PAYS, FEWEST_LEAPS = 1e-5, 1e-3, 6
 
 
 def random_starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[Found]:
@@ -44,42 +44,9 @@ def _drawn(p: Problem, rng: np.random.Generator, draws: int) -> list[Array]:
 
 def _best(p: Problem, trials: Sequence[Array], keep: int) -> list[Found]:
     """The best of starts from some x."""
-    return sorted((scaled_start(p, x) for x in trials), key=lambda found: found.merit)[:keep]
-
-
-def scaled_start(p: Problem, x: Array, halvings: int = 6) -> Found:
-    """A start from x, its first free gain (where there is one) about as large as all requirements allow, by halving.
-
-    Where halving meets no stable loop the gain may have to be larger: an unstable plant needs a least gain.
-    """
-    best = begin(p, x)
-    k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
-    if k is None:
-        return best
-    low, high = float(p.low[k]), float(p.high[k])
-    for _ in range(halvings):
-        trial = x.copy()
-        trial[k] = 0.5 * (low + high)
-        found = begin(p, trial)
-        holds = found.measures.worst >= 0.0 and found.measures.stable
-        low, high = (trial[k], high) if holds else (low, trial[k])
-        if LARGEST.bare_merit(found.measures) < best.merit and found.measures.stable:
-            best = found
-    return best if best.measures.stable else min([best, *_between_passages(p, x, k)], key=lambda one: one.merit)
-
-
-def _between_passages(p: Problem, x: Array, k: int) -> list[Found]:
-    """Stable starts from x with its gain, variable k, in the middle of each range in which no L passes -1.
-
-    A gain moves every passage of the negative real axis alike, and within such a range the count does not change.
-    """
-    e = Evaluation(p, x)
-    at = e.axis[e.L.real[e.axis] < 0.0]
-    passes = x[k] - e.ln_L[np.concatenate([at, p.first[:-1]])]  # ln of the gain at which each lies at -1
-    edges = np.unique(np.clip([p.low[k], *passes, p.high[k]], p.low[k], p.high[k]))
-    widest = np.argsort(edges[:-1] - edges[1:], kind="stable")[:RANGES]
-    trials = [np.where(np.arange(x.size) == k, 0.5 * (edges[i] + edges[i + 1]), x) for i in widest]
-    return [begin(p, trial) for trial in trials if Evaluation(p, trial).stable]
+    q = glanced(p)
+    seen = sorted((scaled_start(p, q, x) for x in trials), key=lambda sight: sight.merit)[:keep]
+    return sorted((begin(p, sight.x) for sight in seen), key=lambda found: found.merit)
 
 
 def race(
@@ -95,26 +62,39 @@ def race(
     running = list(candidates)
     for keep, most in zip((count, max(3, count // 3), 2), HEATS, strict=True):
         dropped += sum(found.steps for found in running[keep:])
-        running = sorted((search(p, found, LARGEST, most) for found in running[:keep]), key=lambda found: found.merit)
-    running = sorted([*running, *(search(p, found, LARGEST, HEATS[-1]) for found in also)], key=lambda one: one.merit)
+        running = sorted((search(p, one, LARGEST, most, ROUGH) for one in running[:keep]), key=lambda one: one.merit)
+    joined = (search(p, found, LARGEST, HEATS[-1], ROUGH) for found in also)
+    running = sorted([*running, *joined], key=lambda one: one.merit)
     best, steps = leaps(p, running[0], rng, count if count > 1 else 0)
     steps += dropped + sum(found.steps for found in running)
     last = search(p, best, LARGEST, MOST)
     return [last, *(found for found in running if found is not best)], steps + last.steps - best.steps
 
 
+def polished(p: Problem, end: Found) -> Found:
+    """The end of a race on coarse lines, searched on, on all of them."""
+    found = end if end.measures.evaluation.p is p else begin(p, end.x, radius=ON, steps=end.steps)
+    return search(p, found, LARGEST, MOST)
+
+
 def leaps(p: Problem, best: Found, rng: np.random.Generator, count: int) -> tuple[Found, int]:
-    """The best after leaps, each to the best of four draws of one block; with the steps taken."""
+    """The best after at most `count` leaps, each to the best of four draws of one block; with the steps taken.
+
+    They end after two rounds of all blocks, six leaps at least, in which none paid.
+    """
     blocks = sorted({v.block for v in p.variables if v.name != "gain"})
-    steps = 0
+    steps, q, idle = 0, glanced(p), 0
     for k in range(count if blocks else 0):
         mine = np.array([v.block == blocks[k % len(blocks)] for v in p.variables])
         draws = [np.where(mine, p.low + rng.random(mine.size) * (p.high - p.low), best.x) for _ in range(4)]
-        found = min((scaled_start(p, x, 5) for x in draws), key=lambda found: found.merit)
-        found = search(p, found, LARGEST, LEAP)
+        seen = min((scaled_start(p, q, x, 5) for x in draws), key=lambda sight: sight.merit)
+        found = search(p, begin(p, seen.x), LARGEST, LEAP, ROUGH)
         if found.merit < best.merit + NEAR:
-            found = search(p, found, LARGEST, HEATS[-1])
+            found = search(p, found, LARGEST, HEATS[-1], ROUGH)
         steps += found.steps
+        idle = 0 if found.merit < best.merit - PAYS else idle + 1
         if found.merit < best.merit:
             best = found
+        if idle >= max(2 * len(blocks), FEWEST_LEAPS):
+            break
     return best, steps

@@ -24,7 +24,7 @@ from loopshape.design.settle import Judge, Settled
 from loopshape.design.shifts import copies_for
 from loopshape.design.starts import random_starts
 from loopshape.design.warm import warm_start
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.verdict import loops_of, refuse_too_high
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,10 @@ def tune(
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to tune for", "", "measure or import one")
     unit = _unit(frfs, requirements, start)
-    loops, _ = loops_of(frfs, unit, requirements, fits)
+    refuse_too_high(requirements, unit)
+    loops, notes = loops_of(frfs, unit, requirements, fits)
     precision = "double" if start is None else start.precision
-    task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), unit, precision)
+    task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), notes, unit, precision)
     copies = copies_for(requirements, len(loops))
     p, judge_of = task.problem(copies, requirements)
     judge = judge_of(requirements)
@@ -162,10 +163,10 @@ def _candidates(
 ) -> tuple[list[Found], tuple[str, ...]]:
     """Where searches begin, the warm start first, and what it had to leave."""
     if start is None:
-        return random_starts(p, rng, draws, starts), ()
+        return random_starts(p.coarse, rng, draws, starts), ()
     x, moved = warm_start(p, start)
-    others = random_starts(p, rng, draws, starts - 1) if starts > 1 else []
-    return [begin(p, x), *others], moved
+    others = random_starts(p.coarse, rng, draws, starts - 1) if starts > 1 else []
+    return [begin(p.coarse, x), *others], moved
 
 
 def _no_worse(p: Problem, best: Settled, x: Array, judge: Judge) -> Settled:

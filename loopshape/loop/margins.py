@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +76,15 @@ class _Judged:
     C: ComplexArray
     reference: ComplexArray | None
     deviations: ComplexArray | None
+
+    @cached_property
+    def drowned(self) -> bool:
+        """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
+        if self.deviations is None:
+            return False
+        large = np.abs(self.L) > 0.1
+        relative = np.std(self.deviations[:, large], axis=0) / np.abs(self.L[large])
+        return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
 
 def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: Sequence[Mask] = ()) -> Margins:
@@ -221,7 +231,7 @@ def _with_intervals(
         return found, found, found
     drawn, _ = _read(loop, j, j.reference + j.deviations, reader, bounded=bounded)
     reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
-    if _drowned(j):
+    if j.drowned:
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
     ordered = np.sort(drawn, axis=0)
     usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
@@ -244,15 +254,6 @@ def _of_one_piece(ordered: Array) -> np.ndarray:
     core = (ordered[round(0.84 * last)] - ordered[round(0.16 * last)]) / 1.989
     tiny = 1e-12
     return np.asarray((spread <= 2.0 * core + tiny) & (ordered[-1] - ordered[0] >= 4.0 * spread - tiny))
-
-
-def _drowned(j: _Judged) -> bool:
-    """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
-    if j.deviations is None:
-        return False
-    large = np.abs(j.L) > 0.1
-    relative = np.std(j.deviations[:, large], axis=0) / np.abs(j.L[large])
-    return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
 
 def _fields(columns: Array) -> dict[str, float]:

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.core.kernels import encirclements as kernel
+from loopshape.core.kernels.encirclements import FIT_DEG as FIT_DEG
 from loopshape.core.units import ComplexArray, deg
 from loopshape.data.loop import Loop
 from loopshape.identify.resonances import Phase, resonances
@@ -19,8 +21,6 @@ from loopshape.loop.between import measured, path_of
 from loopshape.loop.low_end import crossover_below, judged_lines, low_hz, low_models
 from loopshape.loop.obstacles import Obstacle, obstacle, sampling, unseen_resonance
 
-#: without a model L must start this close to the phase of its integrators, in deg
-FIT_DEG = 75.0
 UNKNOWN_POLES = (
     "the number of unstable poles of the plant is not known: declare unstable_poles in the requirements' [[loop]], name"
     " the controller of the recorded loop in the map, or fit a model that leaves nothing but noise"
@@ -153,32 +153,7 @@ def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below
     sampling. With P unstable open-loop poles and k integrators, passed on the right, the turn of 1 + L over
     s = j0+ ... j inf is pi (P + k/2 - Z) for Z unstable closed-loop poles.
     """
-    path = 1.0 + np.concatenate([below, L])
-    start = _turn_to_first(complex(path[0]) - 1.0, integrators, unstable_poles % 2 == 1, below.size > 0)
-    if start is None:
-        return None
-    turn = start + float(np.sum(np.angle(path[1:] / path[:-1]))) - float(np.angle(path[-1]))
-    return round(unstable_poles + 0.5 * max(integrators, 0) - turn / np.pi)
-
-
-def _turn_to_first(first: complex, integrators: int, negative: bool, either_sign: bool) -> float | None:
-    """Angle in rad that 1 + L turns from s = j0+ to L = `first`, None where the phase there fits badly.
-
-    With k integrators L starts infinite at -90 k deg, swings to the phase of `first` and shrinks along it as f^-k;
-    without any it starts on the real axis, and with zeros at s = 0 (k below 0) at 0. A stable plant is taken to have a
-    positive gain there, one with an odd number of unstable poles a `negative` one (as k/(s - a) has); close to zero
-    frequency, where a model leads, the sign is read off.
-    """
-    ahead = first * 1j**integrators
-    if either_sign:
-        negative = ahead.real < 0.0
-    swing = float(np.angle(-ahead if negative else ahead))
-    if abs(deg(swing)) > FIT_DEG:
-        return None
-    if integrators < 0:  # from L = 0 straight to the first
-        return float(np.angle(1.0 + first))
-    if integrators:
-        return swing + float(np.angle((1.0 + first) / first))
-    if negative and not either_sign and first.real > -1.0:
-        return None
-    return float(np.angle(1.0 + first)) - (np.pi if first.real < -1.0 else 0.0) * float(np.sign(first.imag or 1.0))
+    poles = kernel.count_unstable(
+        np.ascontiguousarray(L), integrators, unstable_poles, np.asarray(below, dtype=complex)
+    )
+    return None if poles == kernel.NO_FIT else poles

@@ -251,18 +251,26 @@ def check_loops(
     """`check`, and the loops that it looked at, for pictures."""
     if not frfs:
         raise WrongUseError(f"there is no FRF of loop {requirements.loop!r} to check", "", "measure or import one")
+    refuse_too_high(requirements, controller)
+    loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
+    named = dict(zip(points_of(frfs), loops, strict=True))
+    return with_warnings(verdict_on(named, requirements, detuned=detuned), loops, requirements, notes), tuple(loops)
+
+
+def refuse_too_high(requirements: Requirements, controller: Controller) -> None:
+    """Refuse a high-frequency limit on |CS| that begins where the controller cannot be read any more."""
     from_hz = requirements.control_high_frequency_from_hz
     if from_hz is not None and from_hz >= 0.45 * controller.rate_hz:
         raise WrongUseError(
             f"control_high_frequency_from_hz of loop {requirements.loop!r} must lie below 0.45 of the rate",
             f"{from_hz:g} Hz at {controller.rate_hz:g} Hz",
         )
-    loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
-    named = dict(zip(points_of(frfs), loops, strict=True))
-    found = verdict_on(named, requirements, detuned=detuned)
+
+
+def with_warnings(found: Verdict, loops: Sequence[Loop], requirements: Requirements, notes: tuple[str, ...]) -> Verdict:
+    """A verdict on loops with what had to be assumed of them (`notes`) and what it warns of."""
     unseen = outside_warnings(requirements, loops)
-    warnings = (*notes, *unseen, *detuning_warnings(found.margins, controller))
-    return replace(found, warnings=warnings), tuple(loops)
+    return replace(found, warnings=(*notes, *unseen, *detuning_warnings(found.margins, loops[0].controller)))
 
 
 def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple[str, ...]:
@@ -290,6 +298,14 @@ def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned
     found = {
         name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks) for name, loop in loops.items()
     }
+    return verdict_from(found, loops, requirements, detuned=detuned)
+
+
+def verdict_from(
+    found: Mapping[str, Margins], loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True
+) -> Verdict:
+    """The verdict on loops whose margins are known; detuning margins are looked for where `detuned`."""
+    asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
     if detuned or requirements.detuning_percent is not None:
         found = {name: with_detuning(loop, found[name], asked[name]) for name, loop in loops.items()}
     return Verdict(requirements.loop, worst_lines(asked, found), found)
