@@ -42,7 +42,9 @@ class Dense:
         own, new = np.searchsorted(self.frequency_hz, frequency_hz[here]), self._between(frequency_hz[~here])
         made = [np.empty((here.size, *self.response.shape[1:]), dtype=complex) for _ in range(2)]
         deviations = np.empty((len(self.deviations), *made[0].shape), dtype=complex)
-        for one, known, between in zip(made, (self.response, self.reference), (new.response, new.reference), strict=True):
+        for one, known, between in zip(
+            made, (self.response, self.reference), (new.response, new.reference), strict=True
+        ):
             one[here], one[~here] = known[own], between
         deviations[:, here], deviations[:, ~here] = self.deviations[:, own], new.deviations
         return Dense(frequency_hz, made[0], made[1], deviations)

@@ -68,7 +68,9 @@ def settled(r: Raced, judge: Judge) -> tuple[Settled, int]:
     best, steps = None, 0
     seen: list[Array] = []
     for end in r.ends:
-        if best is not None and (not np.isfinite(end.merit) or _hopeless(end.merit - CLOSE, best) or _near(end.x, seen)):
+        if best is not None and (
+            not np.isfinite(end.merit) or _hopeless(end.merit - CLOSE, best) or _near(end.x, seen)
+        ):
             continue
         found = polished(r.p, end)
         steps += found.steps - end.steps

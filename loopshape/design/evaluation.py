@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.kernels import flat_loops as kernel
+from loopshape.core.kernels.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Block, series_response
 from loopshape.design.problem import Problem, coefficients
@@ -69,14 +70,13 @@ class Evaluation:
         return self._loops[2]
 
     @cached_property
-    def ln_disk(self) -> Array:
-        """ln |(1 - L)/(1 + L)|, large where a disk of changes is soon too much."""
-        return _ln_size(1.0 - self.L) + self.ln_S
-
-    @cached_property
-    def S(self) -> ComplexArray:
-        """S on the flat lines."""
-        return np.asarray(1.0 / (1.0 + self.L))
+    def flat(self) -> Flat:
+        """The lines as the kernels of rows take them."""
+        p = self.p
+        return Flat(
+            p.f, p.ln_f, self.L, self.ln_L, self.ln_S, p.ln_P, self.ln_C, p.ln_reach, p.line, p.first, p.led, p.f_above,
+            p.above.start,
+        )  # fmt: skip
 
     @cached_property
     def axis(self) -> np.ndarray:
@@ -101,8 +101,3 @@ class Evaluation:
             return False
         p = self.p
         return bool(kernel.all_stable(self.L, p.first, self.below, p.first_below, p.fitted, p.integrators, p.unstable))
-
-
-def _ln_size(z: ComplexArray) -> Array:
-    """ln |z|, faster than by abs."""
-    return np.asarray(0.5 * np.log(z.real**2 + z.imag**2))

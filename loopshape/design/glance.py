@@ -1,4 +1,4 @@
-"""Starts of a tuning at first sight: each with its gain as large as allowed, read by the kernel that `check` reads with.
+"""Starts of a tuning at first sight: each with its gain as large as allowed, read by the kernel of `check`.
 
 Thousands of starts are looked at so and few are followed; these are then measured by rows.
 """
@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.core.kernels import flat_loops
 from loopshape.core.kernels import margins as columns
 from loopshape.core.kernels.glance import Glanced, glance
 from loopshape.core.units import Array

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.design.crossings import bandwidth, crossing_rows, unit_crossings
+from loopshape.design.crossings import crossing_rows
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.peaks import peak_rows
 from loopshape.design.problem import Problem
@@ -100,16 +100,15 @@ class Measures:
 def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
     e = Evaluation(p, x)
-    crossed = unit_crossings(e)
-    return Measures(e, (*peak_rows(e, tighten), *crossing_rows(e, tighten, crossed)), bandwidth(e, crossed))
+    crossing, bandwidths = crossing_rows(e, tighten)
+    return Measures(e, (*peak_rows(e, tighten), *crossing), bandwidths)
 
 
 def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
     """Slopes (m, n) of rows by x."""
     i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
     a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
-    D = e.p.slopes(e.blocks, np.concatenate([i, j]))
-    return np.real(a * D[:, : i.size] + b * D[:, i.size :]).T
+    return e.p.row_slopes(e.blocks, i, a, j, b)
 
 
 def rejection(e: Evaluation) -> Array:

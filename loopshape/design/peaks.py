@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loopshape.core.kernels import flat_loops as kernel
-from loopshape.core.units import Array, ComplexArray, rad
+from loopshape.core.kernels import tuning_rows as kernel
+from loopshape.core.units import Array, rad
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.problem import Problem
-from loopshape.design.rows import SURE, Rows, Tighten, on_lines, scaled, wished
+from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability import FIT_DEG
 
@@ -21,38 +23,28 @@ PLATEAU, EVERY = 0.1, 4
 _OF_C = "controller_bandwidth_hz"
 
 
-def _S(L: ComplexArray) -> ComplexArray:
-    return np.asarray(1.0 / (1.0 + L))
-
-
-def _minus_T(L: ComplexArray) -> ComplexArray:
-    return np.asarray(-L / (1.0 + L))
-
-
-def _disk(L: ComplexArray) -> ComplexArray:
-    return np.asarray(-2.0 * L / (1.0 - L**2))
-
-
-def _one(L: ComplexArray) -> ComplexArray:
-    return np.ones_like(L)
-
-
-#: quantity -> ln of its magnitude on the flat lines, and d of it/d ln L
-_PEAKS: dict[str, tuple[Callable[[Evaluation], Array], Callable[[ComplexArray], ComplexArray]]] = {
-    "sensitivity_peak_db": (lambda e: e.ln_S, _minus_T),
-    "modulus_margin": (lambda e: e.ln_S, _minus_T),
-    "complementary_peak_db": (lambda e: e.ln_L + e.ln_S, _S),
-    "control_peak_db": (lambda e: e.ln_C[e.p.line] + e.ln_S, _S),
-    "control_high_frequency_db": (lambda e: e.ln_C[e.p.line] + e.ln_S, _S),
-    "process_peak_db": (lambda e: e.p.ln_P + e.ln_S, _minus_T),
-    "disk_margin": (lambda e: e.ln_disk, _disk),
-    "sensitivity_mask_db": (lambda e: e.ln_S - e.p.masks["sensitivity_mask_db"], _minus_T),
-    "complementary_mask_db": (lambda e: e.ln_L + e.ln_S - e.p.masks["complementary_mask_db"], _S),
-    "control_mask_db": (lambda e: e.ln_C[e.p.line] + e.ln_S - e.p.masks["control_mask_db"], _S),
-    "process_mask_db": (lambda e: e.p.ln_P + e.ln_S - e.p.masks["process_mask_db"], _minus_T),
-    "loop_mask_db": (lambda e: e.ln_L - e.p.masks["loop_mask_db"], _one),
-    "loop_floor_db": (lambda e: e.p.masks["loop_floor_db"] - e.ln_L, lambda L: -_one(L)),
+#: quantity -> magnitude
+_KINDS = {
+    "sensitivity_peak_db": kernel.S,
+    "modulus_margin": kernel.S,
+    "complementary_peak_db": kernel.T,
+    "control_peak_db": kernel.CS,
+    "control_high_frequency_db": kernel.CS,
+    "process_peak_db": kernel.PS,
+    "disk_margin": kernel.DISK,
+    "sensitivity_mask_db": kernel.S,
+    "complementary_mask_db": kernel.T,
+    "control_mask_db": kernel.CS,
+    "process_mask_db": kernel.PS,
+    "loop_mask_db": kernel.LOOP,
+    "loop_floor_db": kernel.FLOOR,
+    SURE: kernel.SURE,
 }
+#: quantities that go on above the last line, where |L| stays below its last value
+_STAY = (
+    "sensitivity_peak_db", "modulus_margin", "complementary_peak_db", "disk_margin", "control_peak_db",
+    "control_high_frequency_db",
+)  # fmt: skip
 #: above the last line, where |L| <= l, a masked response is at most |C|^own l^share (1/(1 - l))^worst
 _ABOVE = {
     "sensitivity_mask_db": (0.0, 0.0, 1.0),
@@ -63,25 +55,71 @@ _ABOVE = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What the kernel is told of a problem's limits on magnitudes, and their levels without tightening."""
+
+    names: tuple[str, ...]
+    kinds: np.ndarray
+    from_hz: Array
+    above: np.ndarray
+    masks: Array
+    masked: np.ndarray
+    level: Array
+
+
+_ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
+
+
+def _asked(p: Problem) -> _Asked:
+    """The limits on magnitudes of a problem, made once."""
+    if p not in _ASKED:
+        names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.reach.any()))
+        masks = [x for x in names if x in p.masks]
+        _ASKED[p] = _Asked(
+            names=names,
+            kinds=np.array([_KINDS[x] for x in names], dtype=np.int64),
+            from_hz=np.array([_from_hz(p, x) for x in names], dtype=float),
+            above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
+            masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
+            masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
+            level=_levels(p, names, {}),
+        )
+    return _ASKED[p]
+
+
+def _levels(p: Problem, names: Sequence[str], tighten: Tighten) -> Array:
+    """ln of the largest magnitudes allowed (names, points)."""
+    return np.array([_level(p, x, tighten) for x in names]).reshape(len(names), p.points)
+
+
 def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
-    """Rows of every limit on a magnitude that the requirements make."""
-    for name, (size_of, factor_of) in _PEAKS.items():
-        if name not in e.p.limits:
-            continue
-        level = _level(name, wished(e.p, name, tighten))
-        from_hz = _from_hz(e.p, name)
-        size = size_of(e) if from_hz == 0.0 else np.where(e.p.f >= from_hz, size_of(e), -np.inf)
-        at = _chosen(e.p, size, level - FAR)
-        yield on_lines(name, e.p, level[e.p.owner[at]] - size[at], at, -factor_of(e.L[at]))
-        yield from _above(e, name, level, from_hz)
-    yield from _sure(e, tighten)
-    yield from _ends(e)
-    if e.p.f_wide.size:
+    """Rows of every limit on a magnitude that the requirements make, and of what keeps stability countable.
+
+    They lie at local peaks and beside them, at the highest of each operating point, and on plateaus.
+    """
+    p, asked = e.p, _asked(e.p)
+    level = _levels(p, asked.names, tighten) if tighten else asked.level
+    made = kernel.magnitude_rows(
+        e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, FAR, FAR - PLATEAU, EVERY
+    )
+    yield from of_kernel(asked.names, *made)
+    for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
+        if name in _ABOVE:
+            yield _mask_above(e, name, mine)
+    yield from _beyond(e)
+    blind = np.diff(p.first_below) == 0
+    ends = kernel.end_rows(e.flat, 0, blind, ~p.fitted, p.integrators, p.unstable, float(rad(FIT_DEG)))
+    yield from of_kernel((SURE,), *ends)
+    if p.f_wide.size:
         yield _controller_bandwidth(e, tighten)
 
 
-def _level(name: str, limit: Array) -> Array:
-    """ln of the largest magnitude allowed."""
+def _level(p: Problem, name: str, tighten: Tighten) -> Array:
+    """ln of the largest magnitude allowed (points,)."""
+    if name == SURE:
+        return -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), p.points)
+    limit = wished(p, name, tighten)
     if name == "modulus_margin":
         return -scaled(name, limit)
     return np.log(2.0) - scaled(name, limit) if name == "disk_margin" else scaled(name, limit)
@@ -89,27 +127,6 @@ def _level(name: str, limit: Array) -> Array:
 
 def _from_hz(p: Problem, name: str) -> float:
     return (p.requirements.control_high_frequency_from_hz or 0.0) if name == "control_high_frequency_db" else 0.0
-
-
-def _chosen(p: Problem, size: Array, above: Array) -> np.ndarray:
-    """Flat lines that are local maxima above a level or their neighbours, the largest of each point, and plateaus."""
-    return kernel.peaks(size, above, p.first, FAR - PLATEAU, EVERY)
-
-
-def _above(e: Evaluation, name: str, level: Array, from_hz: float) -> Iterator[Rows]:
-    """Rows above the last lines, where |L| <= l, its last value: |S| <= 1/(1-l), |T| <= l/(1-l), |CS| <= |C|/(1-l)."""
-    share, last, p = e.share_above, e.last, e.p
-    worst, slope = -np.log1p(-share), share / (1.0 - share)
-    if name in ("sensitivity_peak_db", "modulus_margin"):
-        yield on_lines(name, p, level - worst, last, -slope)
-    elif name == "complementary_peak_db":
-        yield on_lines(name, p, level - np.log(share) - worst, last, -1.0 - slope)
-    elif name == "disk_margin":
-        yield on_lines(name, p, level - np.log1p(share) - worst, last, -2.0 * share / (1.0 - share**2))
-    elif name in _ABOVE and p.f_above.size:
-        yield _mask_above(e, name, level)
-    elif name in ("control_peak_db", "control_high_frequency_db") and p.f_above.size:
-        yield _control_above(e, name, level - worst, slope, from_hz)
 
 
 def _mask_above(e: Evaluation, name: str, level: Array) -> Rows:
@@ -125,53 +142,15 @@ def _mask_above(e: Evaluation, name: str, level: Array) -> Rows:
     return Rows(name, room, p.f.size + k, point, p.above.start + k, a, p.line[e.last[point]], b)
 
 
-def _control_above(e: Evaluation, name: str, left: Array, slope: Array, from_hz: float) -> Rows:
-    """Rows of |C| above the last lines: the highest for each point, and near peaks for the one with least room."""
-    p, size = e.p, e.ln_C[e.p.above]
-    low = np.maximum(p.f[e.last], from_hz) * (1.0 - 1e-12)
-    seen = np.flatnonzero(low <= p.f_above[-1])
-    worst = int(np.argmin(left))
-    over = np.where(p.f_above >= low[worst], size, -np.inf)
-    near = np.flatnonzero(over > over.max() - 0.05)
-    point = np.concatenate([seen, np.full(near.size, worst)])
-    k = np.concatenate([kernel.highest(size, np.searchsorted(p.f_above, low[seen])), near])
-    a, b = np.full(k.size, -1.0 + 0.0j), np.asarray(-slope[point], dtype=complex)
-    column, room = p.above.start + k, left[point] - size[k]
-    return Rows(name, room, p.f.size + k, point, column, a, p.line[e.last[point]], b)
-
-
-def _sure(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
-    """Rows that keep stability countable: -1 outside the 95 % circles of L, and |L| below 1 on lines beyond."""
-    p, level = e.p, -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), e.p.points)
-    if p.reach.any():
-        with np.errstate(divide="ignore"):
-            size = e.ln_C[p.line] + e.ln_S + np.log(p.reach)
-        if size.max() > level.min() - FAR:
-            at = _chosen(p, size, level - FAR)
-            yield on_lines(SURE, p, level[p.owner[at]] - size[at], at, -_S(e.L[at]))
+def _beyond(e: Evaluation) -> Iterator[Rows]:
+    """Rows that keep |L| below 1 on the less sure lines above those that are judged."""
+    p = e.p
     if p.f_beyond.size:
         size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
         k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
         column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
         at = p.f.size + p.f_above.size + k
         yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
-
-
-def _ends(e: Evaluation) -> Iterator[Rows]:
-    """Rows that keep both ends of L countable.
-
-    |L| is below 1 at the last lines; at the first ones, without a fit, above 1, and without any model that leads it on
-    near the phase of its integrators.
-    """
-    p, first = e.p, e.p.first[:-1] + e.p.led
-    yield on_lines(SURE, p, -1e-3 - e.ln_L[e.last], e.last, np.full(p.points, -1.0))
-    blind, unfitted = first[np.diff(p.first_below) == 0], first[~p.fitted]
-    if blind.size:
-        owner = p.owner[blind]
-        swing = np.angle(e.L[blind] * 1j ** p.integrators[owner] * np.where(p.unstable[owner] % 2 == 1, -1.0, 1.0))
-        yield on_lines(SURE, p, float(rad(FIT_DEG)) - 1e-3 - np.abs(swing), blind, 1j * np.sign(swing))
-    if unfitted.size:
-        yield on_lines(SURE, p, e.ln_L[unfitted] - 1e-3, unfitted, np.ones(unfitted.size))
 
 
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.kernels import flat_loops as kernel
+from loopshape.core.kernels import tuning_rows as rows
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.block import BLOCK_KINDS, BlockTemplate
 from loopshape.data.controller import Block, Controller
@@ -123,6 +124,12 @@ class Problem:
         return np.log(np.abs(self.P))
 
     @cached_property
+    def ln_reach(self) -> Array:
+        """ln of the radius of P's 95 % circle on the flat lines, -inf where it is known."""
+        with np.errstate(divide="ignore"):
+            return np.log(self.reach)
+
+    @cached_property
     def ln_f(self) -> Array:
         """ln f on the flat lines."""
         return np.log(self.f)
@@ -187,19 +194,31 @@ class Problem:
 
     def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
         """d ln C/d x (variables, columns), exact; without integral terms on the wide columns."""
-        rows = kernel.log_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s[columns])
+        out = kernel.log_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s[columns])
         wide = np.flatnonzero(columns >= self.wide.start)
         if wide.size:
             s = self.s[columns[wide]]
             by_block = {k: blocks[k].log_slopes(s, bounded=True) for k in {v.block for v in self.variables}}
-            for row, v in zip(rows, self.variables, strict=True):
+            for row, v in zip(out, self.variables, strict=True):
                 names = _moved_with(self.templates[v.block], v.name)
                 row[wide] = blocks[v.block].parameters[v.name] * sum(by_block[v.block][name] for name in names)
-        return rows
+        return out
+
+    def row_slopes(
+        self, blocks: Sequence[Block], i: np.ndarray, a: ComplexArray, j: np.ndarray, b: ComplexArray
+    ) -> Array:
+        """Re(a d ln C_i/d x + b d ln C_j/d x), (m, variables), of columns i and j (m,)."""
+        if max(i.max(initial=0), j.max(initial=0)) >= self.wide.start:
+            D = self.slopes(blocks, np.concatenate([i, j]))
+            return np.real(a * D[:, : i.size] + b * D[:, i.size :]).T
+        places, ab = np.stack([i, j], axis=1), np.stack([a, b], axis=1)
+        return rows.row_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s, places, ab)
 
     def _changes(self, blocks: Sequence[Block]) -> Array:
         """d section/d x (variables, 6), of each variable's block."""
-        slopes = {k: BLOCK_KINDS[blocks[k].kind].slopes(blocks[k].parameters) for k in {v.block for v in self.variables}}
+        slopes = {
+            k: BLOCK_KINDS[blocks[k].kind].slopes(blocks[k].parameters) for k in {v.block for v in self.variables}
+        }
         out = []
         for v in self.variables:
             parts = [slopes[v.block][name] for name in _moved_with(self.templates[v.block], v.name)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,20 +41,15 @@ class Rows:
     b: ComplexArray
 
 
-def on_lines(what: str, p: Problem, value: Array, at: np.ndarray, factor: ComplexArray | Array) -> Rows:
-    """Rows whose slopes are Re(factor d ln C/d x) on flat lines."""
-    columns = p.line[at]
-    a = np.asarray(factor, dtype=complex)
-    return Rows(what, value, at, p.owner[at], columns, a, columns, np.zeros(at.size, dtype=complex))
-
-
-def between_lines(
-    what: str, p: Problem, value: Array, at: np.ndarray, share: Array, factor: ComplexArray | Array
-) -> Rows:
-    """Rows whose slopes are Re(factor d ln C/d x) at a share of the way from flat lines to the next ones."""
-    i, j = p.line[at], p.line[np.minimum(at + 1, p.f.size - 1)]
-    whole = np.asarray(factor, dtype=complex)
-    return Rows(what, value, at, p.owner[at], i, (1.0 - share) * whole, j, share * whole)
+def of_kernel(names: Sequence[str], places: np.ndarray, value: Array, ab: ComplexArray) -> Iterator[Rows]:
+    """Rows as a kernel of `core.kernels.tuning_rows` writes them, by quantity."""
+    order = np.argsort(places[:, 0], kind="stable")
+    places, value, ab = places[order], value[order], ab[order]
+    cut = np.searchsorted(places[:, 0], np.arange(len(names) + 1))
+    for name, a, b in zip(names, cut[:-1], cut[1:], strict=True):
+        if a < b:
+            mine, by = places[a:b], ab[a:b]
+            yield Rows(name, value[a:b], mine[:, 1], mine[:, 2], mine[:, 3], by[:, 0], mine[:, 4], by[:, 1])
 
 
 def wished(p: Problem, name: str, tighten: Tighten) -> Array:

@@ -10,12 +10,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, servos, wished
 
 from loopshape.core.kernels.encirclements import NO_FIT, count_unstable
-from loopshape.core.kernels.flat_loops import dips, highest, peaks, series
+from loopshape.core.kernels.flat_loops import mark_peaks, series
 from loopshape.core.kernels.glance import glance
 from loopshape.data.block import series_response
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.glance import glanced, scaled_start
-from loopshape.design.search import LARGEST, begin
+from loopshape.design.search import begin
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 5.0, "control_peak_db": 20.0}
 MASKED = LIMITS | {"masks": [{"response": "S", "points": [[0.6, -20.0], [6.0, 3.0]]}]}
@@ -70,7 +70,7 @@ def test_the_count_is_that_of_the_closed_loop_s_roots() -> None:
     for _ in range(120):
         integrators = int(rng.integers(0, 3))
         den = np.polymul(np.poly(-rng.uniform(0.5, 20.0, 3)), [1.0] + [0.0] * integrators)
-        num = rng.uniform(0.1, 300.0) * np.poly(rng.uniform(-10.0, 2.0, int(rng.integers(0, 3))))
+        num = rng.uniform(0.1, 300.0) * np.atleast_1d(np.poly(rng.uniform(-10.0, 2.0, int(rng.integers(0, 3)))))
         if num[-1] < 0.0:
             num = -num
         L = np.polyval(num, s) / np.polyval(den, s)
@@ -89,11 +89,9 @@ def test_sections_in_series_are_the_blocks() -> None:
     np.testing.assert_allclose(series(e.sections, p.s), series_response(e.blocks, p.s), rtol=1e-13)
 
 
-def test_peaks_dips_and_the_highest_from_a_place_on_are_as_defined() -> None:
-    size = np.array([0.0, 3.0, 1.0, -np.inf, 2.0, 2.5, 0.5, 0.0, 0.0])
-    first = np.array([0, 4, 9])
-    assert peaks(size, np.array([0.9, 0.9]), first, 10.0, 4).tolist() == [0, 1, 2, 4, 5, 6]
-    assert peaks(size, np.array([9.0, 9.0]), first, 10.0, 4).tolist() == [1, 5]
-    assert highest(size, np.array([0, 2, 6])).tolist() == [1, 5, 6]
-    L = np.array([2.0, 0.5, 2.0, -1.0, 0.5, 2.0, 5.0, 1.0, 1.0])
-    assert dips(L, np.array([0, 9]), 1.0).tolist() == [1]  # the next lies beyond the first fall below 0
+def test_peaks_are_marked_with_their_neighbours_and_the_largest_of_each_loop() -> None:
+    size, first = np.array([0.0, 3.0, 1.0, -np.inf, 2.0, 2.5, 0.5, 0.0, 0.0]), np.array([0, 4, 9])
+    for level, expected in ((0.9, [0, 1, 2, 4, 5, 6]), (9.0, [1, 5])):
+        marked = np.zeros(9, dtype=bool)
+        assert mark_peaks(size, np.full(2, level), first, 10.0, 4, marked) == len(expected)
+        assert np.flatnonzero(marked).tolist() == expected

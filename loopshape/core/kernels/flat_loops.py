@@ -52,12 +52,12 @@ def loops(C: ComplexArray, line: np.ndarray, P: ComplexArray) -> tuple[ComplexAr
 
 
 @compiled
-def peaks(size: Array, above: Array, first: np.ndarray, plateau: float, every: int) -> np.ndarray:
-    """Flat lines that are local maxima above a level (loops,) or their neighbours, and the largest of each loop.
+def mark_peaks(size: Array, above: Array, first: np.ndarray, plateau: float, every: int, chosen: np.ndarray) -> int:
+    """Mark flat lines that are local maxima above a level (loops,) or their neighbours, and the largest of each loop.
 
-    Of lines more than `plateau` above the level every so many too. Only where `size` is finite.
+    Of lines more than `plateau` above the level every so many too. Only where `size` is finite. Returns how many.
     """
-    chosen = np.zeros(size.size, dtype=np.bool_)
+    count = 0
     for p in range(first.size - 1):
         a, b, level = first[p], first[p + 1], above[p]
         top = a
@@ -72,36 +72,10 @@ def peaks(size: Array, above: Array, first: np.ndarray, plateau: float, every: i
             if (k == a or here >= size[k - 1]) and (k == b - 1 or here >= size[k + 1]):
                 chosen[max(k - 1, a)] = chosen[k] = chosen[min(k + 1, b - 1)] = True
         chosen[top] = True
-    for k in range(size.size):
-        if not np.isfinite(size[k]):
-            chosen[k] = False
-    return np.flatnonzero(chosen)
-
-
-@compiled
-def highest(size: Array, starts: np.ndarray) -> np.ndarray:
-    """Where `size` (n,) is largest from each of `starts` (m,) on."""
-    from_here = np.empty(size.size, dtype=np.int64)
-    top = size.size - 1
-    for k in range(size.size - 1, -1, -1):
-        if size[k] >= size[top]:
-            top = k
-        from_here[k] = top
-    return from_here[starts]
-
-
-@compiled
-def dips(size: Array, first: np.ndarray, shallow: float) -> np.ndarray:
-    """Flat lines of local minima of `size` between 0 and `shallow`, before `size` first falls below 0 in their loop."""
-    chosen = np.zeros(size.size, dtype=np.bool_)
-    for p in range(first.size - 1):
-        for k in range(first[p], first[p + 1] - 1):
-            here = size[k]
-            if here < 0.0:
-                break
-            if k > first[p] and 0.0 < here < shallow and here <= size[k - 1] and here < size[k + 1]:
-                chosen[k] = True
-    return np.flatnonzero(chosen)
+        for k in range(a, b):
+            chosen[k] = chosen[k] and np.isfinite(size[k])
+            count += chosen[k]
+    return count
 
 
 @compiled

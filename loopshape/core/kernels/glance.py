@@ -1,4 +1,4 @@
-"""How good a controller is at first sight, for starts of a tuning: all limits at all operating points, without slopes."""
+"""How good a controller is at first sight: all limits at all operating points, without slopes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _room(q: Glanced, p: int, found: Array) -> float:
 
 @compiled
 def _sure(q: Glanced, p: int, L: ComplexArray, C: ComplexArray) -> float:
-    """Room of what keeps the count of encirclements sure: -1 outside the 95 % circles, |L| above 1 at the first line."""
+    """Room of what keeps the count sure: -1 outside the 95 % circles, |L| above 1 at the first line."""
     a, largest = q.first[p], 0.0
     for k in range(L.size):
         largest = max(largest, abs(C[k]) * q.reach[a + k] / max(abs(1.0 + L[k]), 1e-300))
