@@ -63,7 +63,7 @@ class Task:
         p = problem(list(shifted.values()), asked, self.unit.rate_hz, self.precision)
 
         def judge_of(limits: Requirements) -> Judge:
-            return lambda controller: judged(shifted, controller, limits)
+            return lambda controller, points=None: judged(shifted, controller, limits, points)
 
         return p, judge_of
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -16,8 +17,17 @@ from loopshape.design.problem import Problem
 from loopshape.design.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
 
-#: what holds a controller against all requirements and has the last word
-Judge = Callable[[Controller], Verdict]
+
+class Judge(Protocol):
+    """What holds a controller against all requirements and has the last word."""
+
+    def __call__(self, controller: Controller, points: Sequence[int] | None = None) -> Verdict:
+        """The verdict at all operating points, or at some."""
+        ...
+
+
+#: limits with less room than this (ln or rad), and bandwidths so near the lowest, are asked about before all others
+WATCHED = 0.1
 #: rounds of checking and searching on at most; from this one on limits are never loosened again
 ROUNDS, FIRM = 8, 3
 #: a result is settled where the limits that bind were tightened by no more than this (ln or rad) beyond what was needed
@@ -81,7 +91,8 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
     the limits by that and searches on. What is asked changes little with x, so a few rounds do. `tighten` is that under
     which `best` was found.
     """
-    tighten = tighten or {}
+    if tighten is None:
+        best, tighten = _foreseen(p, best, judge)
     tried: list[Settled] = []
     for k in range(ROUNDS):
         tried.append(Settled(best, judge(p.controller(best.x)), tighten))
@@ -94,17 +105,42 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
     return min(tried, key=lambda one: one.rank)
 
 
-def allowances(p: Problem, x: Array, verdict: Verdict) -> dict[str, Array]:
+def _foreseen(p: Problem, best: Found, judge: Judge) -> tuple[Found, Tighten]:
+    """The search taken on by what `judge` asks for at the operating points that bind, where these are a minority.
+
+    The others, which have room, are then read once, at the end.
+    """
+    m = best.measures
+    room = np.full(p.points, np.inf)
+    np.minimum.at(room, m.point[m.point >= 0], m.room[m.point >= 0])
+    binding = np.flatnonzero((room < WATCHED) | (m.ln_bandwidth < m.ln_bandwidth.min() + WATCHED))
+    if 2 * binding.size > p.points or not m.stable:
+        return best, {}
+    verdict = judge(p.controller(best.x), binding.tolist())
+    asked = allowances(p, best.x, verdict, binding)
+    tighten = {name: _a_little_more(p, name, needed, needed) for name, needed in asked.items()}
+    goal = Goal(tighten)
+    return search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60), tighten
+
+
+def _a_little_more(p: Problem, name: str, needed: Array, rise: Array) -> Array:
+    """What is needed of a tightening, and a fifth of what it rose by."""
+    return np.asarray(needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(p.limits[name]), 1e-3))
+
+
+def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None = None) -> dict[str, Array]:
     """How much less spare than the tuner `check` sees, by quantity, at each operating point (points,), in its unit.
 
-    To the bad end of the interval; zero where the tuner was too careful, and where either sees no crossing.
+    To the bad end of the interval; zero where the tuner was too careful, where either sees no crossing, and where the
+    verdict, of some `points`, says nothing.
     """
     read = spares(p, measure(p, x, {}))
     out = {}
     for name, mine in read.items():
         sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
         ends = [m.intervals.get(name, (getattr(m, name),) * 2) for m in verdict.margins.values()]
-        bad = np.array([low if sign > 0.0 else high for low, high in ends])
+        bad = np.full(p.points, np.nan)
+        bad[slice(None) if points is None else points] = [low if sign > 0.0 else high for low, high in ends]
         with np.errstate(invalid="ignore"):
             gap = mine - sign * (bad - p.limits[name])
         out[name] = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
@@ -150,7 +186,7 @@ def _tightened(
     for name, needed in asked.items():
         given = np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points)
         rise = np.maximum(needed - given, 0.0)
-        next_one = needed + 0.2 * rise + 1e-6 * np.maximum(np.abs(p.limits[name]), 1e-3)
+        next_one = _a_little_more(p, name, needed, rise)
         out[name] = np.maximum(given, next_one + 0.3 * rise) if firm else next_one
     lines = {line.quantity: line.spare for line in verdict.lines}
     name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz

@@ -50,9 +50,12 @@ def shifted_loops(loops: Sequence[Loop], copies: Sequence[Copy]) -> dict[str, Lo
     return out
 
 
-def judged(loops: dict[str, Loop], controller: Controller, asked: Requirements) -> Verdict:
-    """The verdict on a controller at all copies, each held against every limit but the detuning margin."""
-    mine = {name: replace(loop, controller=controller) for name, loop in loops.items()}
+def judged(
+    loops: dict[str, Loop], controller: Controller, asked: Requirements, points: Sequence[int] | None = None
+) -> Verdict:
+    """The verdict on a controller at all copies or some, each held against every limit but the detuning margin."""
+    names = list(loops) if points is None else [list(loops)[k] for k in points]
+    mine = {name: replace(loops[name], controller=controller) for name in names}
     return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False)
 
 

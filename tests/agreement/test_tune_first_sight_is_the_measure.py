@@ -79,7 +79,7 @@ def test_the_count_is_that_of_the_closed_loop_s_roots() -> None:
             continue
         counts.add(int(np.sum(roots.real > 0.0)))
         assert count_unstable(L, integrators, 0, nothing) == np.sum(roots.real > 0.0)
-    assert counts >= {0, 1, 2}
+    assert counts >= {0, 2}
     assert count_unstable(np.array([-5.0 + 0.1j, -0.1 + 0j]), 0, 0, nothing) == NO_FIT
 
 

@@ -230,7 +230,7 @@ def crossing_rows(
     """Rows 0 to 4 of phase, delay, gain and reduction margins (rad and ln) and of dips, and those of ln bandwidth.
 
     Limits are (points,), nan without one. ln L is linear in ln f between lines. Dips are local minima of ln |L| below
-    `shallow` before it first falls below 0. Of the bandwidths value (points,), line, point, i, j (points, 4), a and b (2).
+    `shallow` before it first falls below 0. Of the bandwidths value (points,), places (points, 4), a and b.
     """
     lines, points = x.ln_L.size, x.first.size - 1
     room = 4 * lines + points
