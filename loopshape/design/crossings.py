@@ -29,10 +29,12 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
     jumps, and the search gives up.
     """
     p, limits = e.p, e.p.limits
-    level = [scaled(x, wished(p, x, tighten)) if x in limits else np.full(p.points, np.nan) for x in _MARGINS]
+    phase, delay, gain, reduction = (
+        scaled(x, wished(p, x, tighten)) if x in limits else np.full(p.points, np.nan) for x in _MARGINS
+    )
     dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
     shallow = float(np.log(SHALLOW)) if p.requirements.objective.bandwidth else 0.0
-    *made, value, at, ab = kernel.crossing_rows(e.flat, *level, dip, shallow, p.integrators)
+    *made, value, at, ab = kernel.crossing_rows(e.flat, phase, delay, gain, reduction, dip, shallow, p.integrators)
     bandwidths = Rows("", value, at[:, 0], at[:, 1], at[:, 2], ab[:, 0], at[:, 3], ab[:, 1])
     out = list(of_kernel((*_MARGINS, DIP), *made))
     if "bandwidth_hz" in limits:

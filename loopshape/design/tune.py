@@ -96,7 +96,8 @@ def tune(
 
     Maximises the requirements' objective (the lowest bandwidth, unless they say otherwise) over all FRFs subject to
     every requirement at every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts`
-    are followed a few steps, the best third of them further, and the best leaps from there. Structures that this one
+    are followed a few steps, the best third of them further, and the best leaps from there; lines between which the
+    plant runs straight are left out until what came out best is searched on, on all of them. Structures that this one
     contains, where a lead_lag or a notch does nothing, are searched first, and their optima are starts too. What comes
     out is checked
     by `check` itself; limits are tightened by what its finer reading and its 95 % intervals ask for, and the search

@@ -7,7 +7,7 @@ structure with the tuner's own readings; the others bring a controller of theirs
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import control
@@ -17,8 +17,11 @@ from tune_workload import frfs, requirements
 
 from loopshape.core.units import angular, db, deg
 from loopshape.data.controller import Block, Controller
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
 from loopshape.design.measures import measure
 from loopshape.design.problem import Problem, problem
+from loopshape.loop.reading import Reader
 from loopshape.loop.stability import count_unstable
 from loopshape.loop.verdict import loops_of
 from loopshape.model.arm.linear import linearise
@@ -36,6 +39,25 @@ def workload_problem(lines: int = 500) -> Problem:
     plants, wished = frfs(lines), requirements()
     unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     return problem(loops_of(plants, unit, wished)[0], wished, 1000.0)
+
+
+#: what a local search from one good start needs: 20 steps of 9 evaluations for slopes by differences, and a few more
+EVALUATIONS = 200
+
+
+def bare(controller: Controller, plants: Sequence[FRF], wished: Requirements) -> float:
+    """Seconds for so many times L = C P and its margins on every line of every plant, with nothing about it.
+
+    The least that any search on all lines can take; it has no starts, no slopes, no count and no intervals.
+    """
+    reader = Reader.of(wished)
+    f, above = plants[0].frequency_hz, np.geomspace(plants[0].frequency_hz[-1], 450.0, 80)[1:]
+    P = np.array([frf.siso for frf in plants])
+    begun = time.process_time()
+    for _ in range(EVALUATIONS):
+        C = controller.response(f)
+        reader.read(f, C * P, C, above, controller.response(above))
+    return time.process_time() - begun
 
 
 def _timed(p: Problem, seconds: float) -> tuple[Callable[[np.ndarray], float], list[float]]:
