@@ -223,7 +223,8 @@ class Problem:
         for v in self.variables:
             parts = [slopes[v.block][name] for name in _moved_with(self.templates[v.block], v.name)]
             value = blocks[v.block].parameters[v.name]
-            out.append([value * sum(every) for every in zip(*((*num, *den) for num, den in parts), strict=True)])
+            moved = np.array([(*num, *den) for num, den in parts])
+            out.append(value * (moved[0] if len(parts) == 1 else moved.sum(axis=0)))
         return np.array(out)
 
     @cached_property

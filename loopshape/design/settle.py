@@ -112,7 +112,8 @@ def _foreseen(p: Problem, best: Found, judge: Judge) -> tuple[Found, Tighten]:
     """
     m = best.measures
     room = np.full(p.points, np.inf)
-    np.minimum.at(room, m.point[m.point >= 0], m.room[m.point >= 0])
+    seen = (m.point >= 0) & (m.at < p.f.size)  # above the last lines both read alike
+    np.minimum.at(room, m.point[seen], m.room[seen])
     binding = np.flatnonzero((room < WATCHED) | (m.ln_bandwidth < m.ln_bandwidth.min() + WATCHED))
     if 2 * binding.size > p.points or not m.stable:
         return best, {}

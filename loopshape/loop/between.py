@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from loopshape.core.kernels.encirclements import turns
 from loopshape.core.units import TWO_PI, Array, ComplexArray, hz
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
@@ -208,7 +209,8 @@ def _straight(at: Array, own: Array, values: ComplexArray) -> ComplexArray:
 
 def turn(path: ComplexArray) -> Array:
     """Angle in rad that a path (..., n) turns about zero, at most half a turn a step."""
-    return np.asarray(np.sum(_steps(path), axis=-1))
+    rows = np.ascontiguousarray(path).reshape(-1, path.shape[-1])
+    return np.asarray(turns(rows).reshape(path.shape[:-1]))
 
 
 def _steps(path: ComplexArray) -> Array:

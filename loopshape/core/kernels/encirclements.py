@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.core.kernels.compiled import compiled
-from loopshape.core.kernels.types import ComplexArray
+from loopshape.core.kernels.types import Array, ComplexArray
 
 #: the count where the first value of L fits neither its integrators nor its unstable poles
 NO_FIT = -1_000_000
@@ -35,6 +35,29 @@ def turn_along(L: ComplexArray, turn: float, before: complex) -> tuple[float, co
                 turn -= 2.0 * np.pi
         before = now
     return turn, before
+
+
+@compiled
+def turns(paths: ComplexArray) -> Array:
+    """Angles in rad (m,) that paths (m, n) turn about zero, at most half a turn a step; steps onto it count nothing."""
+    out = np.empty(len(paths))
+    for m in range(len(paths)):
+        turn, first, before = 0.0, 0j, 0j
+        for k in range(paths.shape[1]):
+            now = paths[m, k]
+            if now == 0.0:
+                continue
+            if before == 0.0:
+                first = now
+            elif (before.imag >= 0.0) != (now.imag >= 0.0):
+                left = before.real * now.imag - before.imag * now.real
+                if before.imag >= 0.0 and left > 0.0:
+                    turn += 2.0 * np.pi
+                elif before.imag < 0.0 and left < 0.0:
+                    turn -= 2.0 * np.pi
+            before = now
+        out[m] = turn + _angle(before) - _angle(first)
+    return out
 
 
 @compiled

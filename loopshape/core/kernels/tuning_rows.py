@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.compiled import compiled, compiled_in_line
 from loopshape.core.kernels.flat_loops import mark_peaks
 from loopshape.core.kernels.types import Array, ComplexArray
 
@@ -55,7 +55,7 @@ class Flat(NamedTuple):
     above: int
 
 
-@compiled
+@compiled_in_line
 def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: complex, j: int, b: complex) -> int:
     row = out.places[n]
     row[0], row[1], row[2], row[3], row[4] = q, at, p, i, j
@@ -64,7 +64,7 @@ def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: com
     return n + 1
 
 
-@compiled
+@compiled_in_line
 def _size(x: Flat, kind: int, k: int) -> float:
     """ln of a magnitude at flat line k."""
     if kind == S:
@@ -85,7 +85,7 @@ def _size(x: Flat, kind: int, k: int) -> float:
     return 0.5 * np.log((1.0 - L.real) ** 2 + L.imag**2) + x.ln_S[k]
 
 
-@compiled
+@compiled_in_line
 def _by_ln_L(kind: int, L: complex) -> complex:
     """-d ln magnitude/d ln L."""
     if kind in (S, PS):
@@ -97,7 +97,7 @@ def _by_ln_L(kind: int, L: complex) -> complex:
     return -1.0 + 0.0j if kind == LOOP else 1.0 + 0.0j
 
 
-@compiled
+@compiled_in_line
 def _stays(x: Flat, kind: int, level: float, last: int) -> tuple[float, float]:
     """Room and its slope by ln C at the last line where |L| stays below its value there, of |S|, |T| or the disk."""
     share = np.exp(min(x.ln_L[last], -_CLOSE))
@@ -210,14 +210,14 @@ def end_rows(
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
 
 
-@compiled
+@compiled_in_line
 def _put_between(x: Flat, out: Out, n: int, q: int, at: int, p: int, value: float, share: float, by: complex) -> int:
     """A row at a share of the way from flat line `at` to the next, moving with ln C there by a factor."""
     j = x.line[min(at + 1, x.ln_L.size - 1)]
     return _put(out, n, q, at, p, value, x.line[at], (1.0 - share) * by, j, share * by)
 
 
-@compiled
+@compiled_in_line
 def _angle(z: complex) -> float:
     return np.arctan2(z.imag, z.real)
 
@@ -272,7 +272,7 @@ def crossing_rows(
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy(), wide, wide_at, wide_ab
 
 
-@compiled
+@compiled_in_line
 def _phase_rows(
     x: Flat, out: Out, n: int, k: int, p: int, share: float, turn: float, ln_f: float, move: float, span: float,
     phase: float, delay: float,
@@ -292,7 +292,7 @@ def _phase_rows(
     return n
 
 
-@compiled
+@compiled_in_line
 def _gain_rows(x: Flat, out: Out, n: int, k: int, p: int, gain: float, reduction: float) -> int:
     """A row of the gain or the reduction margin where L passes the negative real axis."""
     to_axis, turn = _angle(-x.L[k]), _angle(x.L[k + 1] / x.L[k])
