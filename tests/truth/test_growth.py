@@ -3,6 +3,7 @@
 import sys
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import series_response
 from loopshape.design.contained import neutral
+from loopshape.design.growth import Stage
 from loopshape.design.measures import measure
 from loopshape.design.rows import DIP
 from loopshape.design.tune import tune
@@ -98,3 +100,16 @@ def test_growth_of_several_loops_at_once_is_refused(tmp_path):
     refuse_growth(0)
     with pytest.raises(WrongUseError, match="one loop at a time"):
         refuse_growth(2)
+
+
+def test_what_check_passes_needs_no_word_of_its_shifted_plants() -> None:
+    def stage(objective: float, copies: tuple[int, float], passed: bool) -> Stage:
+        best = SimpleNamespace(rank=(*copies, -objective), objective=objective)
+        return Stage((), None, None, best, SimpleNamespace(passed=passed), 0)
+
+    undecided_beyond, slower, failed = (
+        stage(3.9, (1, 0.01), True),
+        stage(3.7, (0, 0.0), True),
+        stage(4.5, (0, 0.0), False),
+    )
+    assert min([slower, failed, undecided_beyond], key=lambda one: one.rank) is undecided_beyond
