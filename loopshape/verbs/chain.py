@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from loopshape.design.schedule import Schedule
     from loopshape.design.several import SeveralTuning
     from loopshape.loop.remeasured import Remeasured
+    from loopshape.view.page.widget import ShapeWidget
 
 Plants = FRF | Sequence[FRF]
 
@@ -247,6 +248,7 @@ def _controller(given: Controller | Tuning) -> Controller:
     return given.controller if isinstance(given, Tuning) else given
 
 
+@overload
 def shape(
     P: Plants | Mapping[str, FRF],
     C: Controller | Tuning | Sequence[Controller] | None = None,
@@ -255,8 +257,33 @@ def shape(
     *,
     fits: Sequence[Fit] = (),
     together: SeveralRequirements | None = None,
-) -> Path:
+) -> Path: ...
+
+
+@overload
+def shape(
+    P: Plants | Mapping[str, FRF],
+    C: Controller | Tuning | None,
+    R: Requirements | None,
+    out: None,
+    *,
+    fits: Sequence[Fit] = (),
+) -> ShapeWidget: ...
+
+
+def shape(
+    P: Plants | Mapping[str, FRF],
+    C: Controller | Tuning | Sequence[Controller] | None = None,
+    R: Requirements | Sequence[Requirements] | None = None,
+    out: str | Path | None = "shape.html",
+    *,
+    fits: Sequence[Fit] = (),
+    together: SeveralRequirements | None = None,
+) -> Path | ShapeWidget:
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
+
+    With None for `out` it is a widget instead, for the cell of a notebook (extra `notebook`): its `controller` and
+    `requirements` follow the page and the page follows them.
 
     `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
@@ -274,7 +301,7 @@ def shape(
     'shape.html'
     """
     from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.shaping import SeveralLoops, page_of, shaped
+    from loopshape.verbs.shaping import SeveralLoops, notebook_widget, page_of, shaped
 
     plants = _plants([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required = (R,) if isinstance(R, Requirements) else tuple(R or ())
@@ -283,6 +310,8 @@ def shape(
     else:
         own = None if C is None else _controller(C)
         loops = [shaped(plants, own, required[0] if required else None, tuple(fits))]
+    if out is None:
+        return notebook_widget(loops, "Shape")
     write_bytes_whole(Path(out), page_of(loops, "Shape"))
     return Path(out)
 

@@ -17,11 +17,9 @@ from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.block import BLOCK_KINDS, Block, BlockTemplate, Free
-from loopshape.data.controller import Controller
-from loopshape.data.requirements import Requirements
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import SeveralLoops, served_page
-from loopshape.view.page.payload import Shaped, certificate_words, controller_words
+from loopshape.view.page.payload import Shaped, certificate_words, controller_from, controller_words, requirements_from
 
 #: a request of the page is far smaller
 MOST_BYTES = 1_000_000
@@ -74,15 +72,20 @@ class ShapeServer:
             return does[name](self.loops[loop], asked)
 
     def _check(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
-        verdict = check(one.frfs, _controller(asked["controller"]), one.judged(_requirements(asked)), one.fits)
+        verdict = check(
+            one.frfs,
+            controller_from(asked["controller"]),
+            one.judged(requirements_from(asked["requirements"])),
+            one.fits,
+        )
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
 
     def _tune(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.design.tune import tune
 
-        start = _controller(asked["controller"])
+        start = controller_from(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
-        required = replace(one.judged(_requirements(asked)), structure=structure)
+        required = replace(one.judged(requirements_from(asked["requirements"])), structure=structure)
         found = tune(one.frfs, required, one.fits, start=start, starts=1)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
@@ -90,26 +93,16 @@ class ShapeServer:
     def _close(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self.several is None:
             raise WrongUseError("the page has single loops", "close", "serve it with --matrix")
-        self._show(self.several.shaped([_controller(words) for words in asked["controllers"]]))
+        self._show(self.several.shaped([controller_from(words) for words in asked["controllers"]]))
         return {"words": "each loop has the others closed as they are now"}
 
     def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.controllers import write_controllers
 
-        mine = _controller(asked["controller"])
+        mine = controller_from(asked["controller"])
         self.loops[mine.loop] = replace(one, controller=mine)
         write_controllers(self.save_to, [x.controller for x in self.loops.values()], None)
         return {"words": f"saved to {self.save_to}"}
-
-
-def _controller(words: Mapping[str, Any]) -> Controller:
-    known = {name: words[name] for name in words if name != "blocks"}
-    return Controller(**known, blocks=tuple(Block(x["kind"], x["parameters"]) for x in words["blocks"]))
-
-
-def _requirements(asked: Mapping[str, Any]) -> Requirements:
-    table = dict(asked["requirements"])
-    return Requirements.from_table({"name": table.pop("loop", ""), **table})
 
 
 def _template(block: Block, locked: Sequence[str]) -> BlockTemplate:

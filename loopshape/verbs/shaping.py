@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError
@@ -18,6 +19,9 @@ from loopshape.loop.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
 from loopshape.view.page.payload import Others, Shaped
+
+if TYPE_CHECKING:
+    from loopshape.view.page.widget import ShapeWidget
 
 
 def shaped(
@@ -66,6 +70,20 @@ class SeveralLoops:
 def page_of(loops: Sequence[Shaped], title: str) -> bytes:
     """The page as bytes."""
     return shape_page(loops, title, __version__).encode("utf-8")
+
+
+def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
+    """The page of one loop for a notebook's cell."""
+    if len(loops) > 1:
+        names = ", ".join(one.controller.loop for one in loops)
+        raise WrongUseError("a widget shapes one loop", names, "write the page of several to a file: give out")
+    try:
+        from loopshape.view.page.widget import ShapeWidget
+    except ModuleNotFoundError as error:
+        raise WrongUseError(
+            "a widget needs the package anywidget", "it is not installed", "pip install 'loopshape[notebook]'"
+        ) from error
+    return ShapeWidget(loops[0], title, __version__)
 
 
 def served_page(loops: Sequence[Shaped], title: str) -> bytes:

@@ -7,7 +7,7 @@ error are made there by the same generator from the same seed.
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from loopshape.core.json_ready import json_ready
 from loopshape.data import smoothed as dense
-from loopshape.data.block import BLOCK_KINDS
+from loopshape.data.block import BLOCK_KINDS, Block
 from loopshape.data.controller import Controller
 from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.frf import FRF
@@ -176,6 +176,12 @@ def _at_points(one: AtPoints) -> dict[str, Any]:
     return {"where": one.where, **one.limits} | ({"masks": one.masks} if one.masks else {})
 
 
+def requirements_from(words: Mapping[str, Any]) -> Requirements:
+    """What the page requires."""
+    table = dict(words)
+    return Requirements.from_table({"name": table.pop("loop", ""), **table})
+
+
 def _template(block: Any) -> dict[str, Any]:
     head = {"kind": block.kind}
     order = BLOCK_KINDS[block.kind].order
@@ -199,6 +205,12 @@ def controller_words(controller: Controller) -> dict[str, Any]:
     made = {f.name: getattr(controller, f.name) for f in fields(controller)}
     blocks = [{"kind": block.kind, "parameters": dict(block.parameters)} for block in controller.blocks]
     return made | {"blocks": blocks}
+
+
+def controller_from(words: Mapping[str, Any]) -> Controller:
+    """A controller of the page."""
+    known = {name: words[name] for name in words if name != "blocks"}
+    return Controller(**known, blocks=tuple(Block(x["kind"], x["parameters"]) for x in words["blocks"]))
 
 
 def certificate_words(verdict: Verdict) -> dict[str, Any]:

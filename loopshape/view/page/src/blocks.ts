@@ -2,7 +2,7 @@
 
 import type { Controller, Kind } from "./controller";
 import { KIND_NAMES, NEW_KINDS, PARAMETER_NAMES, newBlock, parameterRefusal, type Design, type DesignBlock } from "./design";
-import { button, el, numberField, shown, written } from "./dom";
+import { button, el, focusedIn, numberField, shown, written } from "./dom";
 import { costAt } from "./handles";
 
 interface Card {
@@ -43,7 +43,7 @@ export class BlockList {
     const hz = this.crossover();
     blocks.forEach((block, k) => {
       for (const [name, field] of this.cards[k].fields) {
-        if (document.activeElement !== field) field.value = written(block.parameters[name]);
+        if (focusedIn(field) !== field) field.value = written(block.parameters[name]);
       }
       const cost = block.off ? null : costAt(controller, block, hz);
       this.cards[k].cost.textContent = block.off ? "off" : cost ? `${signed(cost.deg)}°, ${signed(cost.db)} dB` : "";
@@ -52,10 +52,10 @@ export class BlockList {
   }
 
   private rebuild(blocks: DesignBlock[]): void {
-    const focused = this.list.contains(document.activeElement) ? document.activeElement?.id : null;
+    const focused = this.list.contains(focusedIn(this.list)) ? focusedIn(this.list)?.id : null;
     this.cards = [];
     this.list.replaceChildren(...blocks.map((block, k) => this.card(block, k)));
-    if (focused) (document.getElementById(focused) ?? this.kind).focus();
+    if (focused) (this.list.querySelector<HTMLElement>(`#${focused}`) ?? this.kind).focus();
   }
 
   private card(block: DesignBlock, k: number): HTMLLIElement {
@@ -113,7 +113,7 @@ export class BlockList {
     const blocks = [...this.design().blocks];
     [blocks[k], blocks[k + by]] = [blocks[k + by], blocks[k]];
     this.change(blocks, false);
-    document.getElementById(`${by < 0 ? "up" : "down"}-${k + by}`)?.focus();
+    this.list.querySelector<HTMLElement>(`#${by < 0 ? "up" : "down"}-${k + by}`)?.focus();
   }
 
   private remove(k: number): void {

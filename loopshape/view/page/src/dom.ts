@@ -16,6 +16,10 @@ export function el<K extends keyof HTMLElementTagNameMap>(
   return made;
 }
 
+/** What has the focus, within the document or the cell that an element stands in. */
+export const focusedIn = (element: Node): HTMLElement | null =>
+  (element.getRootNode() as Document | ShadowRoot).activeElement as HTMLElement | null;
+
 export function button(text: string, label: string, click: () => void, more: Properties = {}): HTMLButtonElement {
   return el("button", { type: "button", "aria-label": label, title: label, click, ...more }, text);
 }
@@ -64,7 +68,7 @@ export function numberField(
     if (event.key === "PageUp" || event.key === "PageDown") step(event.key === "PageUp", event, true);
   });
   field.addEventListener("wheel", (event) => {
-    if (document.activeElement === field && !field.disabled) step(event.deltaY < 0, event);
+    if (focusedIn(field) === field && !field.disabled) step(event.deltaY < 0, event);
   }, { passive: false });
   field.addEventListener("change", () => set(typed(field.value), false));
   return field;

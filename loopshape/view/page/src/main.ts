@@ -4,10 +4,11 @@ import { times } from "./arrays";
 import { BlockList } from "./blocks";
 import { refusal, responseOn, type Controller } from "./controller";
 import {
-  addressOf, controllerOf, controllerText, designOf, fromAddress, History, requirementsText, withFile, type Design,
+  addressOf, controllerOf, controllerText, designOf, History, requirementsText, withFile, type Design,
   type DesignBlock,
 } from "./design";
-import { button, download, el, shown } from "./dom";
+import { button, download, el, focusedIn, shown } from "./dom";
+import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
 import { quantityOf, requirementsAt } from "./limits";
 import { unitCrossings } from "./margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
@@ -19,12 +20,12 @@ import type { Trace } from "./views";
 import { Pool, workHere, type Worked } from "./work";
 import { worstOf } from "./worst";
 
-class Page {
+class Page implements Guest {
   private readonly engines: Engine[];
-  private designs: Design[];
+  designs: Design[];
   private readonly first: string[];
   private others: (Design | null)[];
-  private readonly histories: History[];
+  private histories: History[];
   private current = 0;
   private found: Found | null = null;
   private settled = false;
@@ -42,27 +43,40 @@ class Page {
   private readonly verdict = el("span", { id: "verdict-badge" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
   private readonly closed = el("p", { id: "closed", "aria-live": "polite" });
-  private readonly root: HTMLElement;
+  private readonly redraw = (): void => this.draw();
+  private readonly sizes = new ResizeObserver(this.redraw);
+  private readonly dark = matchMedia("(prefers-color-scheme: dark)");
   /** Milliseconds from a change to its picture, its intervals, its detuning margins: read by tests and by who measures. */
   readonly timings: Record<"picture" | "intervals" | "detuning", number[]> = { picture: [], intervals: [], detuning: [] };
   private changedAt = 0;
 
   constructor(
-    private readonly payload: Payload,
+    readonly payload: Payload,
     raw: Raw,
-    script: string,
+    private readonly host: Host,
   ) {
-    this.root = document.getElementById("page") as HTMLElement;
     this.engines = payload.loops.map((loop) => new Engine(payload, loop));
     this.designs = payload.loops.map((loop) => designOf(loop.controller, loop.requirements));
     this.first = this.designs.map((design) => JSON.stringify(design));
     this.others = payload.loops.map(() => null);
-    this.readAddress();
     this.histories = this.designs.map((design) => new History(design));
-    this.pool = new Pool(raw, script, (worked) => this.worked(worked));
+    this.pool = new Pool(raw, host.script, (worked) => this.worked(worked));
     this.build();
     this.listen();
+    host.joined(this);
+    this.histories = this.designs.map((design) => new History(design)); // what it begins with cannot be undone
     this.refresh();
+  }
+
+  private get root(): HTMLElement {
+    return this.host.root;
+  }
+
+  /** Ends what goes on beside the page. */
+  left(): void {
+    this.pool.end();
+    this.sizes.disconnect();
+    this.dark.removeEventListener("change", this.redraw);
   }
 
   get loop(): PlantLoop {
@@ -73,24 +87,20 @@ class Page {
     return this.designs[this.current];
   }
 
-  private readAddress(): void {
-    const words = location.hash.slice(1).split(".");
-    words.forEach((word, k) => {
-      const design = word && k < this.designs.length ? fromAddress(word, this.payload) : null;
-      if (design && design.loop === this.payload.loops[k].name && design.rate_hz === this.payload.loops[k].rate_hz) this.designs[k] = design;
-      else if (word) this.say("The design in the address could not be read; the page starts from its own controller.");
-    });
+  replace(loop: number, design: Design): void {
+    this.designs[loop] = design;
+    this.histories[loop].push(design, false);
+    this.refresh();
+  }
+
+  controllerAt(loop: number): Controller {
+    return this.running(this.designs[loop]);
   }
 
   /** What stands behind # for these designs; nothing where they are those that the page came with. */
   get address(): string {
     const own = this.designs.map((design, k) => (JSON.stringify(design) === this.first[k] ? "" : addressOf(design)));
     return own.some(Boolean) ? own.join(".") : "";
-  }
-
-  private writeAddress(): void {
-    const { address } = this;
-    history.replaceState(null, "", address ? `#${address}` : location.pathname + location.search);
   }
 
   private build(): void {
@@ -184,7 +194,7 @@ class Page {
   /** The page again, each loop on the plant that it meets with the others as they are now; the address keeps designs. */
   private async closeOthers(): Promise<void> {
     if (!(await this.serverSays("close"))) return;
-    this.writeAddress();
+    this.host.changed(this);
     location.reload();
   }
 
@@ -225,27 +235,23 @@ class Page {
   }
 
   private listen(): void {
-    document.addEventListener("keydown", (event) => {
+    const { area } = this.host as { area: HTMLElement };
+    area.addEventListener("keydown", (event) => {
       if (!(event.ctrlKey || event.metaKey) || event.altKey) return;
       const key = event.key.toLowerCase();
       if (key !== "z" && key !== "y") return;
       event.preventDefault();
-      (document.activeElement as HTMLElement | null)?.blur();
+      focusedIn(this.root)?.blur();
       this.back(key === "y" || event.shiftKey ? 1 : -1);
     });
-    document.addEventListener("dragover", (event) => event.preventDefault());
-    document.addEventListener("drop", (event) => {
+    area.addEventListener("dragover", (event) => event.preventDefault());
+    area.addEventListener("drop", (event) => {
       event.preventDefault();
       const file = event.dataTransfer?.files[0];
       if (file) void file.text().then((text) => this.take(text, file.name));
     });
-    new ResizeObserver(() => this.draw()).observe(this.screen.element);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-    addEventListener("hashchange", () => {
-      this.readAddress();
-      this.histories[this.current].push(this.design, false);
-      this.refresh();
-    });
+    this.sizes.observe(this.screen.element);
+    this.dark.addEventListener("change", this.redraw);
   }
 
   say(words: string): void {
@@ -340,12 +346,9 @@ class Page {
     this.current = loop;
     this.otherFound = null;
     this.build();
-    this.listenAgain();
+    this.sizes.disconnect();
+    this.sizes.observe(this.screen.element);
     this.refresh();
-  }
-
-  private listenAgain(): void {
-    new ResizeObserver(() => this.draw()).observe(this.screen.element);
   }
 
   /** The command that signs what is designed here. */
@@ -410,16 +413,16 @@ class Page {
     this.intervalsFrom ??= this.changedAt;
     this.detuningFrom = this.changedAt; // each change begins them anew
     this.changedAt = 0;
-    this.writeAddressSoon();
+    this.tellSoon();
   }
 
   private intervalsFrom: number | null = null;
   private detuningFrom: number | null = null;
-  private addressTimer = 0;
+  private timer = 0;
 
-  private writeAddressSoon(): void {
-    clearTimeout(this.addressTimer);
-    this.addressTimer = setTimeout(() => this.writeAddress(), 150);
+  private tellSoon(): void {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.host.changed(this), 150);
   }
 
   private traced(controller: Controller): Trace[] {
@@ -470,10 +473,9 @@ class Page {
     this.certificate.textContent = this.isStart()
       ? `Certificate of loopshape check for this design: ${word}. ${here}`
       : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape ${this.signing}.`;
-    (document.getElementById("undo") as HTMLButtonElement).disabled = !this.histories[this.current].can(-1);
-    (document.getElementById("redo") as HTMLButtonElement).disabled = !this.histories[this.current].can(1);
-    (document.getElementById("swap") as HTMLButtonElement).disabled = !this.others[this.current];
-    document.title = `${this.decided ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`;
+    const can = { undo: this.histories[this.current].can(-1), redo: this.histories[this.current].can(1), swap: this.others[this.current] !== null };
+    for (const [id, may] of Object.entries(can)) (this.root.querySelector(`#${id}`) as HTMLButtonElement).disabled = !may;
+    this.host.titled(`${this.decided ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`);
     this.draw();
   }
 
@@ -510,9 +512,25 @@ const KEYS =
   " Keyboard: arrow keys in a number change it by 1 %, with Shift by 10 %, with Alt by 0.1 %; on a plot left and right move the cursor," +
   " up and down choose the operating point, + and − zoom, 0 shows all. Ctrl+Z and Ctrl+Y undo and redo. Files may be dropped on the page.";
 
+/** The page in a cell of a notebook (anywidget); what is given back ends it. */
+function render({ model, el: element }: { model: Model; el: HTMLElement }): () => void {
+  const raw = model.get("payload") as Raw;
+  const cell = new Cell(model, element);
+  const page = new Page(payloadOf(raw), raw, cell);
+  return () => {
+    page.left();
+    cell.left();
+  };
+}
+
+export default { render };
+
+// this module is a worker, a page of its own, or what a notebook asks to render
 if (typeof document === "undefined") workHere(self as never);
 else {
-  const script = (document.currentScript as HTMLScriptElement).textContent ?? "";
-  const raw = JSON.parse((document.getElementById("data") as HTMLScriptElement).textContent ?? "") as Raw;
-  (window as unknown as { loopshape: Page }).loopshape = new Page(payloadOf(raw), raw, script);
+  const data = document.querySelector("script#data[type='application/json']");
+  if (data) {
+    const raw = JSON.parse(data.textContent ?? "") as Raw;
+    (window as unknown as { loopshape: Page }).loopshape = new Page(payloadOf(raw), raw, new OwnDocument());
+  }
 }

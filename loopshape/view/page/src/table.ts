@@ -1,6 +1,6 @@
 // The table of requirements: what is required, the worst case with its interval, slack and verdict; and stability.
 
-import { button, el, numberField, shown } from "./dom";
+import { button, el, focusedIn, numberField, shown } from "./dom";
 import { MASKED, requirementsAt } from "./limits";
 import type { Margins } from "./margins";
 import { STABILITY, worstReach } from "./detuning";
@@ -71,7 +71,7 @@ export class RequirementTable {
       const cells = this.cells.get(limit.name);
       if (!row || !cells) continue;
       const common = everywhere[limit.name];
-      if (cells.required && document.activeElement !== cells.required) cells.required.value = String(common);
+      if (cells.required && focusedIn(cells.required) !== cells.required) cells.required.value = String(common);
       cells.own.textContent = row.wished === common ? "" : `${signOf(limit)} ${shown(row.wished)} ${unit(limit)} at this operating point`;
       this.fill(limit, row, cells, limit.name === DETUNING ? known.detuned : known.settled, before?.rows.find((one) => one.quantity === limit.name) ?? null);
     }

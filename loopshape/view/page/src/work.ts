@@ -103,7 +103,7 @@ export class Pool {
     const count = Math.max(1, Math.min(4, (navigator.hardwareConcurrency || 2) - 1, most));
     const address = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
     this.workers = Array.from({ length: count }, (_, share) => {
-      const worker = new Worker(address);
+      const worker = new Worker(address, { type: "module" });
       worker.onmessage = ({ data }: MessageEvent<Answer>) => this.answered(data);
       worker.postMessage({ raw, share, of: count } satisfies Start);
       return worker;
@@ -115,6 +115,10 @@ export class Pool {
     this.last += 1;
     this.waiting = { id: this.last, ...asked };
     if (!this.busy) this.send();
+  }
+
+  end(): void {
+    for (const worker of this.workers) worker.terminate();
   }
 
   private send(): void {

@@ -1,5 +1,6 @@
 // What a drag, the wheel, a double click and keys do to what plots show; plots over the same frequencies move together.
 
+import { focusedIn } from "./dom";
 import type { Plot } from "./plot";
 
 export class Zoom {
@@ -33,7 +34,7 @@ export class Zoom {
 
   /** The wheel zooms with Ctrl, and on the plot that has the focus; else it scrolls the page. */
   wheel(plot: Plot, event: WheelEvent): void {
-    if (!event.ctrlKey && document.activeElement !== plot.canvas) return;
+    if (!event.ctrlKey && focusedIn(plot.canvas) !== plot.canvas) return;
     event.preventDefault();
     plot.zoom(event.deltaY > 0 ? 1.15 : 1 / 1.15, event.offsetX, event.offsetY);
     this.link(plot);
