@@ -70,5 +70,16 @@ assert v.outcome is ls.Outcome.PASSED
 ls.plot.nichols(P, C, R, verdict=v)
 
 # %% [markdown]
+# By hand: with None in place of a file the page of ``shape`` stands in the cell (``pip install 'loopshape[notebook]'``).
+# Its controller and requirements are Python's too: move the notch and look at ``w.controller``, or set it and watch.
+
+# %%
+w = ls.shape(P, C, R, None, fits=[model])
+w
+
+# %%
+w.controller, w.check()
+
+# %% [markdown]
 # A warning above names a margin that rests on cancelling the resonance: require ``detuning_percent`` to have it kept.
 # The next notebook starts from arrays of your own.

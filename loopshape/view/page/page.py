@@ -18,7 +18,7 @@ def shape_page(loops: Sequence[Shaped], title: str, version: str, *, served: boo
     body = [
         tag("div", tag("p", "This page needs JavaScript."), id="page"),
         json_block("data", payload(loops, title, version) | {"served": served}),
-        tag("script", Markup(script), type="module", id="script"),
+        tag("script", Markup(script), id="script"),
     ]
     allowed = ("worker-src blob:", *["connect-src 'self'"] * served)
     top = head(f"{title} · loopshape shape", resource(STYLE), script, *allowed)

@@ -208,8 +208,8 @@ def controller_words(controller: Controller) -> dict[str, Any]:
 
 
 def controller_from(words: Mapping[str, Any]) -> Controller:
-    """A controller of the page."""
-    known = {name: words[name] for name in words if name != "blocks"}
+    """A controller of the page, which writes a whole number for a float."""
+    known: dict[str, Any] = {name: float(x) if type(x) is int else x for name, x in words.items() if name != "blocks"}
     return Controller(**known, blocks=tuple(Block(x["kind"], x["parameters"]) for x in words["blocks"]))
 
 

@@ -43,7 +43,7 @@ class ShapeWidget(anywidget.AnyWidget):  # type: ignore[misc,unused-ignore]
     controller of another loop or rate is refused: the lines of the page are of this one.
     """
 
-    _esm = resource(SCRIPT)
+    _esm = f"{resource(SCRIPT)}\nexport default shapePage.default;\n"
     script = traitlets.Unicode().tag(sync=True)
     style = traitlets.Unicode().tag(sync=True)
     payload = traitlets.Dict().tag(sync=True)
@@ -65,7 +65,7 @@ class ShapeWidget(anywidget.AnyWidget):  # type: ignore[misc,unused-ignore]
         if (made.loop, made.rate_hz) != (start.loop, start.rate_hz):
             raise WrongUseError(
                 f"this widget shapes loop {start.loop!r} at {start.rate_hz:g} Hz",
-                f"a controller of {made.loop!r} at {made.rate_hz:g} Hz", "make a widget of its own: ls.shape(..., None)",
+                f"a controller of {made.loop!r} at {made.rate_hz:g} Hz", "make a widget of its own by shape",
             )  # fmt: skip
         return made
 

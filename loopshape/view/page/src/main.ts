@@ -525,7 +525,7 @@ function render({ model, el: element }: { model: Model; el: HTMLElement }): () =
 
 export default { render };
 
-// this module is a worker, a page of its own, or what a notebook asks to render
+// this script is a worker, a page of its own, or what a notebook asks to render
 if (typeof document === "undefined") workHere(self as never);
 else {
   const data = document.querySelector("script#data[type='application/json']");

@@ -103,7 +103,7 @@ export class Pool {
     const count = Math.max(1, Math.min(4, (navigator.hardwareConcurrency || 2) - 1, most));
     const address = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
     this.workers = Array.from({ length: count }, (_, share) => {
-      const worker = new Worker(address, { type: "module" });
+      const worker = new Worker(address);
       worker.onmessage = ({ data }: MessageEvent<Answer>) => this.answered(data);
       worker.postMessage({ raw, share, of: count } satisfies Start);
       return worker;
