@@ -159,7 +159,9 @@ class Controller:
     @property
     def digest(self) -> str:
         """A short mark of the controller as it runs: sections, precision, rate, delay and hold, not its loop's name."""
-        numbers = [v.hex() for v in (*self.biquads().ravel().tolist(), float(self.rate_hz), float(self.computation_delay_s))]
+        numbers = [
+            v.hex() for v in (*self.biquads().ravel().tolist(), float(self.rate_hz), float(self.computation_delay_s))
+        ]
         return sha256(" ".join([*numbers, str(self.added_hold), self.precision]).encode()).hexdigest()[:16]
 
 

@@ -12,7 +12,7 @@ import shaped_cases
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.verbs.shaping import notebook_widget, shaped
-from loopshape.view.page.payload import controller_from, controller_words, requirements_from, requirement_words
+from loopshape.view.page.payload import controller_from, controller_words, requirement_words, requirements_from
 
 pytest.importorskip("anywidget", reason="the extra notebook (anywidget) is not installed")
 

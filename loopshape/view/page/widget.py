@@ -22,8 +22,8 @@ from loopshape.view.page.payload import (
     controller_from,
     controller_words,
     payload,
-    requirements_from,
     requirement_words,
+    requirements_from,
 )
 
 
