@@ -55,7 +55,7 @@ class Flat(NamedTuple):
     above: int
 
 
-@compiled_in_line
+@compiled
 def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: complex, j: int, b: complex) -> int:
     row = out.places[n]
     row[0], row[1], row[2], row[3], row[4] = q, at, p, i, j
@@ -64,25 +64,41 @@ def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: com
     return n + 1
 
 
-@compiled_in_line
-def _size(x: Flat, kind: int, k: int) -> float:
-    """ln of a magnitude at flat line k."""
-    if kind == S:
-        return x.ln_S[k]
+@compiled
+def _sizes(x: Flat, kind: int, from_hz: float, mask: Array, out: Array) -> float:
+    """ln of a magnitude less a mask (nf,), none where that is empty, into `out` (nf,); -inf below a frequency.
+
+    Returns the largest.
+    """
     if kind == T:
-        return x.ln_L[k] + x.ln_S[k]
-    if kind == CS:
-        return x.ln_C[x.line[k]] + x.ln_S[k]
-    if kind == PS:
-        return x.ln_P[k] + x.ln_S[k]
-    if kind == LOOP:
-        return x.ln_L[k]
-    if kind == FLOOR:
-        return -x.ln_L[k]
-    if kind == SURE:
-        return x.ln_C[x.line[k]] + x.ln_S[k] + x.ln_reach[k]
-    L = x.L[k]
-    return 0.5 * np.log((1.0 - L.real) ** 2 + L.imag**2) + x.ln_S[k]
+        out[:] = x.ln_L + x.ln_S
+    elif kind == CS or kind == SURE:  # noqa: SIM109
+        ln_C, ln_S, line = x.ln_C, x.ln_S, x.line
+        for k in range(out.size):
+            out[k] = ln_C[line[k]] + ln_S[k]
+        if kind == SURE:
+            out += x.ln_reach
+    elif kind == PS:
+        out[:] = x.ln_P + x.ln_S
+    elif kind == DISK:
+        L = x.L
+        for k in range(out.size):
+            out[k] = 0.5 * np.log((1.0 - L[k].real) ** 2 + L[k].imag ** 2)
+        out += x.ln_S
+    elif kind == LOOP:
+        out[:] = x.ln_L
+    elif kind == FLOOR:
+        out[:] = -x.ln_L
+    else:
+        out[:] = x.ln_S
+    if mask.size:
+        out -= -mask if kind == FLOOR else mask
+    largest, f = -np.inf, x.f
+    for k in range(out.size):
+        if f[k] < from_hz:
+            out[k] = -np.inf
+        largest = max(largest, out[k])
+    return largest
 
 
 @compiled_in_line
@@ -97,7 +113,7 @@ def _by_ln_L(kind: int, L: complex) -> complex:
     return -1.0 + 0.0j if kind == LOOP else 1.0 + 0.0j
 
 
-@compiled_in_line
+@compiled
 def _stays(x: Flat, kind: int, level: float, last: int) -> tuple[float, float]:
     """Room and its slope by ln C at the last line where |L| stays below its value there, of |S|, |T| or the disk."""
     share = np.exp(min(x.ln_L[last], -_CLOSE))
@@ -151,26 +167,19 @@ def magnitude_rows(
     """
     lines, points = x.ln_L.size, x.first.size - 1
     sizes, chosen = np.empty((kinds.size, lines)), np.zeros((kinds.size, lines), dtype=np.bool_)
-    room = kinds.size * 2 * (points + x.f_above.size)
+    room, none = kinds.size * 2 * (points + x.f_above.size), np.empty(0)
     for q in range(kinds.size):
-        largest = -np.inf
-        for k in range(lines):
-            size = -np.inf
-            if x.f[k] >= from_hz[q]:
-                size = _size(x, kinds[q], k)
-                if masked[q] >= 0:
-                    size -= masks[masked[q], k] * (-1.0 if kinds[q] == FLOOR else 1.0)
-            sizes[q, k] = size
-            largest = max(largest, size)
+        largest = _sizes(x, kinds[q], from_hz[q], masks[masked[q]] if masked[q] >= 0 else none, sizes[q])
         if kinds[q] != SURE or largest > level[q].min() - far:
             room += mark_peaks(sizes[q], level[q] - far, x.first, plateau, every, chosen[q])
     out = Out(np.empty((room, 5), dtype=np.int64), np.empty(room), np.empty((room, 2), dtype=np.complex128))
-    n = 0
+    n, first, line, L = 0, x.first, x.line, x.L
     for q in range(kinds.size):
+        mine = chosen[q]
         for p in range(points):
-            for k in range(x.first[p], x.first[p + 1]):
-                if chosen[q, k]:
-                    column, a = x.line[k], _by_ln_L(kinds[q], x.L[k])
+            for k in range(first[p], first[p + 1]):
+                if mine[k]:
+                    column, a = line[k], _by_ln_L(kinds[q], L[k])
                     n = _put(out, n, q, k, p, level[q, p] - sizes[q, k], column, a, column, 0.0)
             if above[q] == STAYS and kinds[q] != CS:
                 last = x.first[p + 1] - 1
@@ -210,7 +219,7 @@ def end_rows(
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
 
 
-@compiled_in_line
+@compiled
 def _put_between(x: Flat, out: Out, n: int, q: int, at: int, p: int, value: float, share: float, by: complex) -> int:
     """A row at a share of the way from flat line `at` to the next, moving with ln C there by a factor."""
     j = x.line[min(at + 1, x.ln_L.size - 1)]
@@ -272,7 +281,7 @@ def crossing_rows(
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy(), wide, wide_at, wide_ab
 
 
-@compiled_in_line
+@compiled
 def _phase_rows(
     x: Flat, out: Out, n: int, k: int, p: int, share: float, turn: float, ln_f: float, move: float, span: float,
     phase: float, delay: float,
@@ -292,7 +301,7 @@ def _phase_rows(
     return n
 
 
-@compiled_in_line
+@compiled
 def _gain_rows(x: Flat, out: Out, n: int, k: int, p: int, gain: float, reduction: float) -> int:
     """A row of the gain or the reduction margin where L passes the negative real axis."""
     to_axis, turn = _angle(-x.L[k]), _angle(x.L[k + 1] / x.L[k])
