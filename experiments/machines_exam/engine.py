@@ -1,7 +1,9 @@
 """Simulated carts and pendulums of the exam: an engine and forms of their own, nothing of the package or of MuJoCo.
 
-Semi-implicit Euler of 0.05 ms. Friction is LuGre's (Canudas de Wit 1995), play a contact after Hertz, a limit a
-sixth-power knee, lags two unequal ones, a cable and a joint's spring harden with the deflection itself.
+Semi-implicit Euler of 0.05 ms. Play is a contact after Hertz, a limit a sixth-power knee, lags two unequal ones, a
+cable and a joint's spring harden with the deflection itself. Friction is LuGre's (Canudas de Wit 1995) and drag a sum of
+the speed and its square; in `slips`, for exams since the catalogue has both, friction is five slip elements in parallel
+(Iwan 1966, Al-Bender 2005) whose level falls after Tustin (1947), and drag the root of the sum of both squares.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ class Truth(NamedTuple):
     sag: float = 0.0
     rate: float = 0.0
     scale: float = 1.0  # size of the motion
+    slips: bool = False  # slip elements instead of bristles
 
 
 @numba.njit
@@ -60,6 +63,18 @@ def actuated(u: float, m: Truth) -> float:
 
 
 @numba.njit
+def slipped(v: float, bent: np.ndarray, m: Truth) -> float:
+    """Friction of slip elements, whose deflections move on; each holds a share of the level, stiff ones slip first."""
+    level = m.friction * (1.0 + 0.3 * np.exp(-abs(v) / (0.04 * m.scale)) + 0.05 * np.sign(v))
+    force = 0.0
+    for k in range(bent.size):
+        most = 2e-4 * m.scale * 2.0**k
+        bent[k] = min(max(bent[k] + STEP_S * v, -most), most)
+        force += level * bent[k] / most / bent.size
+    return force
+
+
+@numba.njit
 def late(line: np.ndarray, k: int, seconds: float) -> float:
     """The value of some seconds ago in a ring of inner steps."""
     return line[(k - round(seconds / STEP_S)) % line.size]
@@ -70,7 +85,7 @@ def recorded(r: np.ndarray, n: np.ndarray, m: Truth, gains: tuple[float, float, 
     """Commands and readings (n,) of a loop u = kp e + kd de/dt (filtered) over references r and injections n."""
     kp, kd, filtered = gains
     u_log, y_log = np.zeros(r.size), np.zeros(r.size)
-    lines, seen = np.zeros(4000), np.zeros(4000)
+    lines, seen, bent = np.zeros(4000), np.zeros(4000), np.zeros(5)
     q, v, motor, motor_v, bristle, a1, a2, s1, s2, slope, before, held = (0.0,) * 12
     k = 0
     for i in range(r.size):
@@ -92,13 +107,16 @@ def recorded(r: np.ndarray, n: np.ndarray, m: Truth, gains: tuple[float, float, 
                 held += min(max(want - held, -m.rate * STEP_S), m.rate * STEP_S)
                 want = held
             effort = 0.0
-            if m.friction > 0.0:
+            if m.friction > 0.0 and m.slips:
+                effort -= slipped(v, bent, m)
+            elif m.friction > 0.0:
                 level = m.friction * (1.0 + 0.25 * np.exp(-((v / (0.02 * m.scale)) ** 2)) + 0.05 * np.tanh(v / m.scale))
                 bend = 4e-4 * m.scale
                 rise = v - abs(v) * bristle * m.friction / (bend * level)
                 bristle += STEP_S * rise
                 effort -= m.friction * bristle / bend + 0.02 * m.friction / m.scale * rise
-            effort -= m.damping * v + m.drag * v * (0.4 + 0.6 * abs(v) / (3.0 * m.scale))
+            fast = 0.6 * abs(v) / (3.0 * m.scale)
+            effort -= m.damping * v + m.drag * v * (np.hypot(0.4, fast) if m.slips else 0.4 + fast)
             effort -= m.weight * np.sin(q + m.tilt) + m.push
             off = q - m.rest
             effort -= m.cable * off * (1.0 + 0.6 * abs(off) / m.scale)

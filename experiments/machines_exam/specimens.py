@@ -128,15 +128,15 @@ def references(rng: np.random.Generator, size: float) -> list[tuple[str, np.ndar
     ]  # fmt: skip
 
 
-def specimen(name: str, plant: str, effect: str, seed: int) -> Specimen:
-    """A machine with one effect, or `none`, and its seven recordings."""
+def specimen(name: str, plant: str, effect: str, seed: int, *, slips: bool = True) -> Specimen:
+    """A machine with one effect, or `none`, and its seven recordings; `slips` has other friction and drag."""
     rng = np.random.default_rng(seed)
     body, magnitude = {}, 0.0
     if effect == "length_error":
         magnitude = body["longer"] = _signed(rng, 0.012, 0.03)
     if effect == "payload":
         magnitude = body["more"] = float(rng.uniform(0.06, 0.25)) * (1.0 if plant == "boom" else 2.5)
-    m, signals = nominal(plant, rng, **body), references(rng, SIZE[plant])
+    m, signals = nominal(plant, rng, **body)._replace(slips=slips), references(rng, SIZE[plant])
     noise, step = STEPS[plant]
     draws = [noise * rng.standard_normal(r.size) for _, r, _ in signals]
     if effect not in ("none", "payload", "length_error"):

@@ -218,3 +218,26 @@ def test_delays_and_lags_are_late_by_what_they_say():
     assert delayed(ramp, 3.25)[100] == pytest.approx(96.75)
     for order in (1.0, 2.0):
         assert lagged(ramp, 5.0, order)[300] == pytest.approx(295.0, abs=1e-6)
+
+
+def test_bristles_that_slide_in_less_than_a_step_are_the_simulation_of_another_engine():
+    # bend of 0.2 mrad at some rad/s: 1e4 1/s, where the tick of 2 ms allows explicit steps up to 1400 1/s
+    f = replace(prepared_of(0), first=np.array([0]))
+    composed, at, x0 = Composed(own_machine.MODEL), "port.bearing.", np.array([[0.3, -1.0, 0.0, 0.3, -1.0]])
+    m = {at + "coulomb": 0.04, at + "bristle": 2e-4, at + "stribeck": 0.4, at + "stribeck_speed": 0.5, at + "asymmetry": 0.1,
+         at + "viscous": 0.02, at + "viscous_speed": 0.7, at + "viscous_square": 0.6}  # fmt: skip
+    mine = simulated(composed, f, m, x0)
+
+    def slope(t, x, u):
+        q, v, z = x
+        level = 0.04 * (1.0 + 0.1 * np.sign(v)) * (1.0 + 0.4 * np.exp(-((v / 0.5) ** 2)))
+        drag = 0.02 * v * (0.4 + 0.6 * abs(v) / 0.7)
+        own = own_machine.motion(t, x[:2], u - 0.04 * z / 2e-4 - drag, composed.values({}))
+        return [*np.ravel(own), v - abs(v) * z * 0.04 / (2e-4 * level)]
+
+    states = [x0[0, :3]]
+    for k in range(f.length - 1):
+        done = solve_ivp(slope, (0.0, f.tick_s), states[-1], args=(f.u[k],), method="LSODA", rtol=1e-8, atol=1e-12)
+        states.append(done.y[:, -1])
+    theirs = f.blocks(np.array(states)[None, :, :1])
+    np.testing.assert_allclose(mine, theirs, atol=5e-5)  # reversals within a tick: 4 rad/s^2 * (2 ms)^2 each

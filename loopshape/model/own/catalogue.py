@@ -134,10 +134,15 @@ def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
                 source="Stribeck 1902")  # fmt: skip
     bias = Free(f"{at}.asymmetry", -0.6, 0.6, (0.1,))
     yield _form("coulomb_friction", p.name, "of each direction", p.unit, (level, slow, bias))
+    yield _form("coulomb_friction", p.name, "bristles, higher at break-away, of each direction", p.unit,
+                (level, bend, share, fall, bias), source="Canudas de Wit 1995")  # fmt: skip
     power = Free(f"{at}.viscous_power", -0.8, 1.5, (-0.3, 0.6))
     yield _form("viscous_error", p.name, "viscous", f"{p.unit} per speed".strip(), (viscous,))
     yield _form("viscous_error", p.name, "power of the speed", f"{p.unit} per speed".strip(), (viscous, power),
                 {f"{at}.viscous_speed": x.speed})  # fmt: skip
+    square = Free(f"{at}.viscous_square", 0.0, 1.0, (0.5,))
+    yield _form("viscous_error", p.name, "linear and with the square of the speed", f"{p.unit} per speed".strip(),
+                (viscous, square), {f"{at}.viscous_speed": x.speed}, source="Morison 1950")  # fmt: skip
     yield _form("cable_stiffness", p.name, "linear", f"{p.unit} per travel".strip(), (stiff, rest))
     yield _form("cable_stiffness", p.name, "hardening", f"{p.unit} per travel".strip(), (stiff, rest, hard))
     yield _form("force_offset", p.name, "constant", p.unit, (constant,))

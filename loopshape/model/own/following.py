@@ -29,6 +29,7 @@ _PRIOR = 1.0 / 9.0  # an initial state lies within three ranges of the first gue
 _ROUNDING = 1e-12
 _STEP = 1e-4  # of a state's range, for slopes
 _ROUNDS = 4
+_SHARES = (1.0, 0.2)  # of a step of the initial states
 _MOST = 1e5  # floors: a simulation that is further off has run away
 
 
@@ -211,9 +212,16 @@ def _step(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
 
 
 def explained(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
-    """Simulated outputs (windows, blocks, ny) from the initial states that fit best under moved parameters."""
+    """Simulated outputs (windows, blocks, ny) from the initial states that fit best under moved parameters.
+
+    A window whose step does not pay takes a shorter one, or none: where dry friction holds, slopes tell little.
+    """
     lacking, slopes, x0, free = shot(c, f, m)
-    x0[:, free] += _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
-    lacking = off(f, simulated(c, f, m, x0))
+    change = np.zeros_like(x0)
+    change[:, free] = _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
+    moved = np.concatenate([x0 + share * change for share in _SHARES])
+    tried = np.stack([lacking, *off(f, simulated(c, f, m, moved)).reshape(len(_SHARES), *lacking.shape)])
+    best = np.argmin(np.sum(tried**2, axis=2), axis=0)
+    lacking = tried[best, np.arange(len(x0))]
     lacking = lacking - np.einsum("wvi,wi->wv", slopes, _solved(slopes, lacking))
     return f.measured - lacking.reshape(f.measured.shape) * f.floor
