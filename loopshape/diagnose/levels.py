@@ -120,9 +120,8 @@ def _same_resonance(one: Sequence[Resonance], two: Sequence[Resonance]) -> tuple
 
 
 def _moved(small: Resonance, large: Resonance, frf: FRF) -> Change:
-    """How far the resonance moved, as a share of where it was; errors of neighbouring frequencies are correlated."""
-    apart = np.sqrt(max(frf.line_overlap, 1.0)) / small.frequency_hz
-    std = float(apart * np.hypot(small.frequency_std_hz, large.frequency_std_hz))
+    """How far the resonance moved, as a share of where it was; what its form leaves is alike at both levels."""
+    std = float(np.hypot(small.frequency_std_hz, large.frequency_std_hz)) / small.frequency_hz
     change = large.frequency_hz / small.frequency_hz - 1.0
     bend = _bend(change, std, LEAST_SHIFT, (Bend.HARDENING, Bend.SOFTENING))
     return Change(
@@ -131,10 +130,9 @@ def _moved(small: Resonance, large: Resonance, frf: FRF) -> Change:
 
 
 def _peak(small: Resonance, large: Resonance, frf: FRF) -> Change:
-    """Height of the resonance's peak, small less large; its width and residue err alike."""
+    """Height of the resonance's peak, small less large, in dB."""
     heights = [float(db(r.peak)) for r in (small, large)]
-    shares = np.array([r.frequency_std_hz / abs(r.pole_hz.imag) for r in (small, large)])
-    std, change = _NEPER_DB * float(np.sqrt(2.0 * np.sum(shares**2))), heights[0] - heights[1]
+    std, change = _NEPER_DB * float(np.hypot(small.peak_std, large.peak_std)), heights[0] - heights[1]
     bend = _bend(change, std, LEAST_GAIN_DB, (Bend.DROPS_WHEN_LARGE, Bend.DROPS_WHEN_SMALL))
     return Change(bend, heights[0], heights[1], change, _interval(change, std), _seen(small, large, frf))
 

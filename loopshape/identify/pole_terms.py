@@ -139,7 +139,7 @@ def common_poles(elements: Sequence[FRF], variance: Array) -> tuple[CommonPole, 
     its residue.
     """
     shown = [(k, term) for k, one in enumerate(elements) for term in pole_terms(one, variance[:, k])]
-    shown.sort(key=lambda x: x[1].resonance.frequency_std_hz)
+    shown.sort(key=lambda x: x[1].resonance.pole_std_hz)
     groups: list[list[tuple[int, PoleTerm]]] = []
     for k, term in shown:
         near = next((g for g in groups if _near(g[0][1].resonance, term.resonance)), None)
@@ -152,13 +152,13 @@ def common_poles(elements: Sequence[FRF], variance: Array) -> tuple[CommonPole, 
 
 def _near(one: Resonance, other: Resonance) -> bool:
     widths = max(abs(one.pole_hz.imag), abs(other.pole_hz.imag))
-    spread = 3.0 * (one.frequency_std_hz + other.frequency_std_hz)
+    spread = 3.0 * (one.pole_std_hz + other.pole_std_hz)
     return abs(one.frequency_hz - other.frequency_hz) < widths + spread
 
 
 def _common(group: Sequence[tuple[int, PoleTerm]], elements: Sequence[FRF], variance: Array) -> CommonPole:
     f, m = elements[0].frequency_hz, len(elements)
-    weight = np.array([1.0 / max(term.resonance.frequency_std_hz, 1e-12) ** 2 for _, term in group])
+    weight = np.array([1.0 / max(term.resonance.pole_std_hz, 1e-12) ** 2 for _, term in group])
     weight = weight / weight.sum()
     z = complex(sum(w * term.resonance.pole_hz for w, (_, term) in zip(weight, group, strict=True)))
     moves, influence = np.zeros((m, f.size), dtype=complex), np.zeros((m, m, f.size), dtype=complex)

@@ -52,7 +52,9 @@ class Resonance:
     """A pole pair of a plant near the frequency axis: frequency, damping ratio (positive), and how the phase passes it.
 
     `first` .. `last` are the lines of the window that it was fitted on. `residue` is r of r/(j (f - f0) + w) with w the
-    half width in Hz, negative for a rising phase. `frequency_std_hz` is the deviation of frequency and half width each.
+    half width in Hz, negative for a rising phase. `pole_std_hz` is the deviation of the pole in the complex plane, root
+    of E|dz|², with what the form leaves counted as noise. `frequency_std_hz` and `peak_std`, of the peak's logarithm, are
+    deviations by the lines' noise alone: what two estimates of one resonance differ by.
     """
 
     frequency_hz: float
@@ -61,7 +63,9 @@ class Resonance:
     first: int
     last: int
     residue: complex
-    frequency_std_hz: float
+    pole_std_hz: float
+    frequency_std_hz: float = 0.0
+    peak_std: float = 0.0
 
     @property
     def pole_hz(self) -> complex:
@@ -92,21 +96,22 @@ def resonances(frf: FRF) -> tuple[Resonance, ...]:
     Give frequencies as measured: smoothed ones have lost what is sharp.
     """
     f, P = frf.frequency_hz, frf.siso
-    return _remembered(f.tobytes(), P.astype(complex).tobytes(), pooled_variance(frf).tobytes())
+    overlap = max(frf.line_overlap, 1.0)
+    return _remembered(f.tobytes(), P.astype(complex).tobytes(), pooled_variance(frf).tobytes(), overlap)
 
 
 @lru_cache(maxsize=256)
-def _remembered(f: bytes, P: bytes, variance: bytes) -> tuple[Resonance, ...]:
-    return _found(np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance))
+def _remembered(f: bytes, P: bytes, variance: bytes, overlap: float) -> tuple[Resonance, ...]:
+    return _found(np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance), overlap)
 
 
-def _found(f: Array, P: ComplexArray, variance: Array) -> tuple[Resonance, ...]:
+def _found(f: Array, P: ComplexArray, variance: Array, overlap: float) -> tuple[Resonance, ...]:
     every: list[Resonance] = []
     for half in HALVES:
         if f.size >= 2 * half + 1:
-            every += _of_windows(f, P, variance, half)
+            every += _of_windows(f, P, variance, half, overlap)
     kept: list[Resonance] = []
-    for one in sorted(every, key=lambda x: x.frequency_std_hz / max(abs(x.pole_hz.imag), x.frequency_std_hz)):
+    for one in sorted(every, key=lambda x: x.pole_std_hz / max(abs(x.pole_hz.imag), x.pole_std_hz)):
         if not any(_same(one, other) for other in kept):
             kept.append(one)
     return tuple(sorted(kept, key=lambda x: x.frequency_hz))
@@ -116,11 +121,11 @@ def _same(one: Resonance, other: Resonance) -> bool:
     """Whether one is another, surer one again: their widths overlap, or it only makes up for that in its window."""
     if one.phase is Phase.UNKNOWN and one.first <= 0.5 * (other.first + other.last) <= one.last:
         return True
-    widths = abs(one.pole_hz.imag) + abs(other.pole_hz.imag) + 3.0 * (one.frequency_std_hz + other.frequency_std_hz)
+    widths = abs(one.pole_hz.imag) + abs(other.pole_hz.imag) + 3.0 * (one.pole_std_hz + other.pole_std_hz)
     return abs(one.frequency_hz - other.frequency_hz) < widths
 
 
-def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int) -> list[Resonance]:
+def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int, overlap: float) -> list[Resonance]:
     """Resonances in windows of 2 half + 1 lines."""
     starts = np.unique(np.append(np.arange(0, f.size - 2 * half, max(half // APART, 1)), f.size - 2 * half - 1))
     rows = starts[:, None] + np.arange(2 * half + 1)
@@ -135,7 +140,7 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int) -> list[R
         return []
     f0, width, reach, rows = f0[k], width[k], reach[k], rows[k]
     pole = z[k].real + 1j * np.where(z[k].imag < 0.0, -1.0, 1.0) * width / reach
-    residue, rest, error, sure = _with_residue(x[k], y[k], std[k], pole)
+    residue, rest, error, sure, noisy = _with_residue(x[k], y[k], std[k], pole, overlap)
     residue, error, gap = residue * reach, error * reach, 2.0 * reach / (2 * half)
     known = error < KNOWN * width
     placed = (error < PLACED * gap) & (width < gap)
@@ -148,7 +153,9 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int) -> list[R
             first=int(rows[i, 0]),
             last=int(rows[i, -1]),
             residue=complex(residue[i]),
-            frequency_std_hz=float(max(error[i], 1e-9 * f0[i])),
+            pole_std_hz=float(max(error[i], 1e-9 * f0[i])),
+            frequency_std_hz=float(noisy[0, i] * reach[i]),
+            peak_std=float(noisy[1, i]),
         )
         for i in np.flatnonzero(good)
     ]
@@ -173,11 +180,12 @@ def _poles(x: Array, y: ComplexArray, std: Array) -> ComplexArray:
 
 
 def _with_residue(
-    x: Array, y: ComplexArray, std: Array, pole: ComplexArray
-) -> tuple[ComplexArray, ComplexArray, Array, Array]:
+    x: Array, y: ComplexArray, std: Array, pole: ComplexArray, overlap: float
+) -> tuple[ComplexArray, ComplexArray, Array, Array, Array]:
     """Residue (n,) of each window's pole, the polynomial beside it at the pole, and the deviation of the pole's place.
 
-    And the residue's size in its own deviations. What a window leaves over counts as noise where it is more than the
+    And the residue's size in its own deviations, and by the lines' noise alone the deviations (2, n) of the pole's real
+    part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than the
     lines' own.
     """
     column = 1.0 / (1j * (x - pole[:, None]))
@@ -188,9 +196,24 @@ def _with_residue(
     solved = np.linalg.solve(R + 1e-300 * np.eye(A.shape[2]), along @ (y / std)[:, :, None])[:, :, 0]
     left = y / std - (A @ solved[:, :, None])[:, :, 0]
     noise = np.sqrt(np.maximum((np.abs(left) ** 2).sum(1) / max(x.shape[1] - A.shape[2] - 1, 1), 1.0))
-    slope = (solved[:, -1:] * column**2 / std)[:, :, None]
-    bent = (slope - Q @ (along @ slope))[:, :, 0]
+    slope = (1j * solved[:, -1:] * column**2 / std)[:, :, None]
+    onto = along @ slope
+    bent = (slope - Q @ onto)[:, :, 0]
     rest = (solved[:, :-1] * pole.real[:, None] ** np.arange(ORDER + 1)).sum(1)
-    error = noise / np.sqrt((np.abs(bent) ** 2).sum(1) + 1e-300)
+    across = np.sqrt((np.abs(bent) ** 2).sum(1) + 1e-300)
+    error = noise / across
     residue = np.asarray(solved[:, -1], dtype=complex)
-    return residue, np.asarray(rest, dtype=complex), error, np.abs(residue * R[:, -1, -1]) / noise
+    size = np.abs(residue * R[:, -1, -1]) / noise
+    by_residue = 1.0 / (residue * R[:, -1, -1] + 1e-300)
+    by_pole = 1j / pole.imag - by_residue * onto[:, -1, 0]
+    to_pole = bent.conj() / across[:, None] ** 2
+    to_peak = by_residue[:, None] * Q[:, :, -1].conj() + by_pole[:, None] * to_pole
+    noisy = np.stack([_of_noise(to_pole, overlap), _of_noise(to_peak, overlap)])
+    return residue, np.asarray(rest, dtype=complex), error, size, noisy
+
+
+def _of_noise(influence: ComplexArray, overlap: float) -> Array:
+    """Deviation (n,) of Re(influence (n, lines) . e) for complex errors e of size 1, neighbours' correlated."""
+    alone = (np.abs(influence) ** 2).sum(axis=1)
+    beside = (influence[:, 1:] * influence[:, :-1].conj()).real.sum(axis=1)
+    return np.asarray(np.sqrt(0.5 * np.maximum(alone + (overlap - 1.0) * beside, 0.05 * alone)))
