@@ -32,6 +32,8 @@ KNOWN, PLACED = 0.25, 0.15
 SURE = 6.0
 #: a resonance has no less damping than this
 SHARPEST = 1e-4
+#: lines' worth of stated noise that what a window leaves over is added to
+PRIOR = 4.0
 #: lines are taken to err by this share of |P| at least: what the polynomial rounds off
 FLOOR = 1e-4
 
@@ -54,7 +56,7 @@ class Resonance:
     `first` .. `last` are the lines of the window that it was fitted on. `residue` is r of r/(j (f - f0) + w) with w the
     half width in Hz, negative for a rising phase. `pole_std_hz` is the deviation of the pole in the complex plane, root
     of E|dz|², with what the form leaves counted as noise. `frequency_std_hz` and `peak_std`, of the peak's logarithm, are
-    deviations by the lines' noise alone: what two estimates of one resonance differ by.
+    deviations of each by the noise that the window shows: what two estimates of one resonance differ by.
     """
 
     frequency_hz: float
@@ -184,7 +186,7 @@ def _with_residue(
 ) -> tuple[ComplexArray, ComplexArray, Array, Array, Array]:
     """Residue (n,) of each window's pole, the polynomial beside it at the pole, and the deviation of the pole's place.
 
-    And the residue's size in its own deviations, and by the lines' noise alone the deviations (2, n) of the pole's real
+    And the residue's size in its own deviations, and by the noise seen in the window the deviations (2, n) of the pole's real
     part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than the
     lines' own.
     """
@@ -208,12 +210,25 @@ def _with_residue(
     by_pole = 1j / pole.imag - by_residue * onto[:, -1, 0]
     to_pole = bent.conj() / across[:, None] ** 2
     to_peak = by_residue[:, None] * Q[:, :, -1].conj() + by_pole[:, None] * to_pole
-    noisy = np.stack([_of_noise(to_pole, overlap), _of_noise(to_peak, overlap)])
+    square, beside = _seen_noise(left, overlap, A.shape[2] + 1)
+    noisy = np.stack([_of_noise(h, square, beside) for h in (to_pole, to_peak)])
     return residue, np.asarray(rest, dtype=complex), error, size, noisy
 
 
-def _of_noise(influence: ComplexArray, overlap: float) -> Array:
-    """Deviation (n,) of Re(influence (n, lines) . e) for complex errors e of size 1, neighbours' correlated."""
+def _seen_noise(left: ComplexArray, overlap: float, free: int) -> tuple[Array, Array]:
+    """Mean square (n,) of what is left over (n, lines) in the lines' own noise, and correlation of neighbours there.
+
+    Leakage of Welch's estimates is less than their coherence tells and of the other sign from line to line. Few lines
+    tell little of it: PRIOR lines of what the FRF states are added (Newey and West, Econometrica 55, 1987).
+    """
+    alone = (np.abs(left) ** 2).sum(axis=1)
+    beside = (left[:, 1:] * left[:, :-1].conj()).real.sum(axis=1)
+    square = (PRIOR + alone) / (PRIOR + left.shape[1] - free)
+    return square, (PRIOR * 0.5 * (overlap - 1.0) + beside) / (PRIOR + alone)
+
+
+def _of_noise(influence: ComplexArray, square: Array, beside: Array) -> Array:
+    """Deviation (n,) of Re(influence (n, lines) . e) for complex errors e of this mean square, neighbours correlated."""
     alone = (np.abs(influence) ** 2).sum(axis=1)
-    beside = (influence[:, 1:] * influence[:, :-1].conj()).real.sum(axis=1)
-    return np.asarray(np.sqrt(0.5 * np.maximum(alone + (overlap - 1.0) * beside, 0.05 * alone)))
+    near = 2.0 * beside * (influence[:, 1:] * influence[:, :-1].conj()).real.sum(axis=1)
+    return np.asarray(np.sqrt(0.5 * square * np.maximum(alone + near, 0.05 * alone)))
