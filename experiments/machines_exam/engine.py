@@ -1,9 +1,9 @@
 """Simulated carts and pendulums of the exam: an engine and forms of their own, nothing of the package or of MuJoCo.
 
 Semi-implicit Euler of 0.05 ms. Play is a contact after Hertz, a limit a sixth-power knee, lags two unequal ones, a
-cable and a joint's spring harden with the deflection itself. Friction is LuGre's (Canudas de Wit 1995) and drag a sum of
-the speed and its square; in `slips`, for exams since the catalogue has both, friction is five slip elements in parallel
-(Iwan 1966, Al-Bender 2005) whose level falls after Tustin (1947), and drag the root of the sum of both squares.
+cable and a joint's spring harden with the deflection itself. Friction is LuGre's (Canudas de Wit 1995) and drag a sum
+of the speed and its square; in `slips`, for exams since the catalogue has both, friction is five slip elements in
+parallel (Iwan 1966, Al-Bender 2005) whose level falls after Tustin (1947), drag the root of the sum of both squares.
 """
 
 from __future__ import annotations

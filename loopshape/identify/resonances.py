@@ -55,8 +55,8 @@ class Resonance:
 
     `first` .. `last` are the lines of the window that it was fitted on. `residue` is r of r/(j (f - f0) + w) with w the
     half width in Hz, negative for a rising phase. `pole_std_hz` is the deviation of the pole in the complex plane, root
-    of E|dz|², with what the form leaves counted as noise. `frequency_std_hz` and `peak_std`, of the peak's logarithm, are
-    deviations of each by the noise that the window shows: what two estimates of one resonance differ by.
+    of E|dz|², with what the form leaves counted as noise. `frequency_std_hz`, and `peak_std` of the peak's logarithm,
+    are deviations by the noise that the window shows: what two estimates of one resonance differ by.
     """
 
     frequency_hz: float
@@ -186,8 +186,8 @@ def _with_residue(
 ) -> tuple[ComplexArray, ComplexArray, Array, Array, Array]:
     """Residue (n,) of each window's pole, the polynomial beside it at the pole, and the deviation of the pole's place.
 
-    And the residue's size in its own deviations, and by the noise seen in the window the deviations (2, n) of the pole's real
-    part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than the
+    And the residue's size in its own deviations, and by the noise seen in the window the deviations (2, n) of the
+    pole's real part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than the
     lines' own.
     """
     column = 1.0 / (1j * (x - pole[:, None]))
@@ -228,7 +228,7 @@ def _seen_noise(left: ComplexArray, overlap: float, free: int) -> tuple[Array, A
 
 
 def _of_noise(influence: ComplexArray, square: Array, beside: Array) -> Array:
-    """Deviation (n,) of Re(influence (n, lines) . e) for complex errors e of this mean square, neighbours correlated."""
+    """Deviation (n,) of Re(influence (n, lines) . e), complex errors e of this mean square, neighbours correlated."""
     alone = (np.abs(influence) ** 2).sum(axis=1)
     near = 2.0 * beside * (influence[:, 1:] * influence[:, :-1].conj()).real.sum(axis=1)
     return np.asarray(np.sqrt(0.5 * square * np.maximum(alone + near, 0.05 * alone)))

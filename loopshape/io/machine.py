@@ -7,6 +7,7 @@ because a run does.
 from __future__ import annotations
 
 import atexit
+import os
 import runpy
 import shutil
 import tempfile
@@ -16,7 +17,7 @@ from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
-from loopshape.io.files import inside, reading, short
+from loopshape.io.files import clear, inside, part_of, reading, short
 from loopshape.io.words import Words, read_words, said_in
 
 FORMAT = "loopshape-model/1"
@@ -122,7 +123,7 @@ def _named(folder: Path, file: str, kind: str) -> Path:
 
 
 def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
-    """The FMU unpacked into a folder that is removed at the end, and its description."""
+    """The FMU unpacked into a folder that is removed at the end, or after a kill by the next; and its description."""
     path = _named(folder, file, "the FMU")
     try:
         import fmpy
@@ -132,7 +133,9 @@ def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
         ) from None
     try:
         description = fmpy.read_model_description(str(path))
-        target = tempfile.mkdtemp(prefix="loopshape-fmu-")
+        clear(Path(tempfile.gettempdir()))
+        target = str(part_of(Path(tempfile.gettempdir()) / "loopshape-fmu"))
+        os.mkdir(target, mode=0o700)
         atexit.register(shutil.rmtree, target, ignore_errors=True)
         fmpy.extract(str(path), target)
     except Exception as error:  # FMPy raises plain exceptions

@@ -1,6 +1,10 @@
 """An FMU, compiled here from C, is the same equations in Python; what does not fit is refused."""
 
+import os
 import re
+import subprocess
+import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,6 +16,7 @@ import winch_fmu
 from loopshape.core.errors import LoopshapeError
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.run import Run
+from loopshape.io.files import part_of
 from loopshape.io.machine import read_model
 from loopshape.model.own.composed import Composed
 from loopshape.model.own.following import explained
@@ -51,6 +56,20 @@ def test_derivatives_are_those_of_the_equations_at_any_state_and_parameters(tmp_
         x, u, moves = rng.normal(size=2), rng.normal(size=1), {"change.load": rng.uniform(0.0, 1.0)}
         found, expected = (c.motion(0.0, x, u, c.values(moves)) for c in (mine, theirs))
         np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_what_a_killed_process_unpacked_is_removed_by_the_next(tmp_path, monkeypatch):
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    ended = subprocess.Popen([sys.executable, "-S", "-c", ""])
+    ended.wait()
+    mine = part_of(place / "loopshape-fmu").name
+    left = place / mine.replace(f"-{os.getpid()}-", f"-{ended.pid}-")
+    (left / "binaries").mkdir(parents=True)
+    target = Path(machine(tmp_path, 2).derived.__self__.unit.folder)
+    assert target.parent == place
+    assert list(place.iterdir()) == [target]
 
 
 def test_both_follow_alike_with_effects_around_them_and_on_several_threads(tmp_path):
