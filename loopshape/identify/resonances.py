@@ -187,8 +187,8 @@ def _with_residue(
     """Residue (n,) of each window's pole, the polynomial beside it at the pole, and the deviation of the pole's place.
 
     And the residue's size in its own deviations, and by the noise seen in the window the deviations (2, n) of the
-    pole's real part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than the
-    lines' own.
+    pole's real part and of ln |residue / half width|. What a window leaves over counts as noise where it is more than
+    the lines' own.
     """
     column = 1.0 / (1j * (x - pole[:, None]))
     powers = np.stack([x**k for k in range(ORDER + 1)], axis=-1)

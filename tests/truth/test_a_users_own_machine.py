@@ -224,8 +224,9 @@ def test_bristles_that_slide_in_less_than_a_step_are_the_simulation_of_another_e
     # bend of 0.2 mrad at some rad/s: 1e4 1/s, where the tick of 2 ms allows explicit steps up to 1400 1/s
     f = replace(prepared_of(0), first=np.array([0]))
     composed, at, x0 = Composed(own_machine.MODEL), "port.bearing.", np.array([[0.3, -1.0, 0.0, 0.3, -1.0]])
-    m = {at + "coulomb": 0.04, at + "bristle": 2e-4, at + "stribeck": 0.4, at + "stribeck_speed": 0.5,
-         at + "asymmetry": 0.1, at + "viscous": 0.02, at + "viscous_speed": 0.7, at + "viscous_square": 0.6}  # fmt: skip
+    m = {at + "coulomb": 0.04, at + "bristle": 2e-4, at + "stribeck": 0.4,
+         at + "stribeck_speed": 0.5, at + "asymmetry": 0.1,
+         at + "viscous": 0.02, at + "viscous_speed": 0.7, at + "viscous_square": 0.6}  # fmt: skip
     mine = simulated(composed, f, m, x0)
 
     def slope(t, x, u):

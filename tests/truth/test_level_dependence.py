@@ -10,6 +10,7 @@ import loopshape as ls
 from loopshape.data.level_dependence import Bend
 from loopshape.diagnose.levels import level_dependences
 from loopshape.diagnose.table import compare
+from loopshape.identify.resonances import resonances
 
 LEVELS = (1.0, 4.0)
 
@@ -87,3 +88,23 @@ def test_two_runs_of_one_machine_say_it_in_the_conclusion():
     assert not compare(*(run_of((level,), seed=7 + k) for k, level in enumerate(LEVELS))).conclusion.count(
         "Over levels"
     )
+
+
+def test_a_resonance_s_deviations_are_its_scatter():
+    # lines of known independent noise; 200 draws know a deviation to 5 %, three of which are allowed
+    rng, f, pole, residue = np.random.default_rng(3), 0.5 * np.arange(1, 101), 25.2 + 0.6j, 3.0
+    frf, found = residue / (1j * (f - pole)) + residue / (1j * (f + np.conj(pole))), []
+    for _ in range(200):
+        noise = 0.03 / np.sqrt(2.0) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+        known = ls.FRF.from_arrays(f, frf + noise, std=np.full(f.size, 0.03), rate_hz=200.0)
+        (one,) = (r for r in resonances(known) if abs(r.frequency_hz - 25.2) < 1.0)
+        found.append((one.frequency_hz, np.log(one.peak), one.frequency_std_hz, one.peak_std))
+    rows = np.array(found)
+    np.testing.assert_allclose(np.sqrt(np.mean(rows[:, 2:] ** 2, axis=0)), rows[:, :2].std(axis=0), rtol=0.15)
+
+
+def test_intervals_of_a_noisy_linear_machine_cover_no_change():
+    runs = [found(seed=300 + k, noise=0.5) for k in range(12)]
+    ratios = [c.change / (c.interval[1] - c.change) for one in runs for c in (one.resonance, one.peak)]
+    assert np.mean(np.abs(ratios) < 1.0) > 0.8  # of 95 %, 24 values: 19 or fewer once in 150
+    assert np.std(ratios) > 0.35  # 1 / 1.96 were they exact: not twice as wide as they have to be
