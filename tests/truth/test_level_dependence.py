@@ -91,16 +91,16 @@ def test_two_runs_of_one_machine_say_it_in_the_conclusion():
 
 
 def test_a_resonance_s_deviations_are_its_scatter():
-    # lines of known independent noise; 200 draws know a deviation to 5 %, three of which are allowed
+    # lines of known independent noise; 100 draws know a deviation to 7 %, three of which are allowed
     rng, f, pole, residue = np.random.default_rng(3), 0.5 * np.arange(1, 101), 25.2 + 0.6j, 3.0
     frf, found = residue / (1j * (f - pole)) + residue / (1j * (f + np.conj(pole))), []
-    for _ in range(200):
+    for _ in range(100):
         noise = 0.03 / np.sqrt(2.0) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
         known = ls.FRF.from_arrays(f, frf + noise, std=np.full(f.size, 0.03), rate_hz=200.0)
         (one,) = (r for r in resonances(known) if abs(r.frequency_hz - 25.2) < 1.0)
         found.append((one.frequency_hz, np.log(one.peak), one.frequency_std_hz, one.peak_std))
     rows = np.array(found)
-    np.testing.assert_allclose(np.sqrt(np.mean(rows[:, 2:] ** 2, axis=0)), rows[:, :2].std(axis=0), rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(np.mean(rows[:, 2:] ** 2, axis=0)), rows[:, :2].std(axis=0), rtol=0.21)
 
 
 def test_intervals_of_a_noisy_linear_machine_cover_no_change():
