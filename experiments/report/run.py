@@ -21,7 +21,7 @@ FLAGS = (
 #: leaves the plots alone on the page and points at the peak of |S|
 POINT = """<script>window.addEventListener("load", function () {
 document.querySelectorAll("main > section:not(#plots), header, nav, footer").forEach(function (x) { x.remove(); });
-var plot = document.querySelector('svg[data-plot="S-db"]'), at = plot.getBoundingClientRect();
+var plot = document.querySelector('canvas[data-plot="S-db"]'), at = plot.getBoundingClientRect();
 plot.dispatchEvent(new PointerEvent("pointermove",
   { clientX: at.left + 0.42 * at.width, clientY: at.top + 0.2 * at.height, bubbles: true }));
 });</script></body>"""

@@ -44,6 +44,11 @@ class Limit:
     closeness: int = 0
     keeps_off: bool = False
 
+    @property
+    def short(self) -> str:
+        """Its name for people without the explanation in brackets."""
+        return self.label.split(" (")[0]
+
     def refuse(self, value: float | None, whose: str) -> None:
         """Refuse a value that makes no sense."""
         of = f"{self.name} of {whose}"

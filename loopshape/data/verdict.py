@@ -89,6 +89,14 @@ class Line(Plain):
     beyond: bool = False
 
     @property
+    def span(self) -> tuple[float, float] | None:
+        """Ends between which the value lies in 95 %: its interval, of a bound on to the best that may be."""
+        if self.bound is None:
+            return self.interval
+        low, high = self.interval or (self.found, self.found)
+        return min(low, self.bound), max(high, self.bound)
+
+    @property
     def passed(self) -> bool:
         """Whether the requirement holds, as far as these data are sure."""
         return self.outcome == "passed"

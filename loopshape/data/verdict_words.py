@@ -36,11 +36,7 @@ def interval_text(interval: tuple[float, float] | None) -> str:
 
 def interval_or_bound_text(line: Line) -> str:
     """The 95 % interval of a line; of a bound from its end on the bad side to the best that may be."""
-    if line.bound is None:
-        return interval_text(line.interval)
-    low, high = line.interval or (line.found, line.found)
-    ends = (low, line.bound) if line.bound > line.found else (line.bound, high)
-    return f"{interval_text(ends)} (bound)"
+    return interval_text(line.span) + ("" if line.bound is None else " (bound)")
 
 
 def longer_text(line: Line) -> str:
@@ -63,7 +59,7 @@ def wished_text(line: Line) -> str:
 
 def found_text(line: Line) -> str:
     """What was found, with its interval, at which frequency and operating point."""
-    interval = "" if line.interval is None else f" (95 %: {interval_text(line.interval)}{_unit(line.unit)})"
+    interval = "" if line.span is None else f" (95 %: {interval_text(line.span)}{_unit(line.unit)})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
     more = "more than " if line.beyond else ""
     return f"{more}{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"

@@ -24,9 +24,12 @@ from typer.testing import CliRunner
 
 from loopshape.cli.report import report
 from loopshape.core.errors import LoopshapeError
+from loopshape.data.verdict import Line
+from loopshape.data.verdict_words import interval_or_bound_text
 from loopshape.io.gathered import gather
 from loopshape.view.html.markup import VOID, Markup, json_block, tag
 from loopshape.view.html.page import page
+from loopshape.view.html.words import with_reach
 
 DATE = "2025-03-04 05:06:07+01:00"
 BROWSER = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
@@ -153,6 +156,33 @@ def test_the_verdict_and_every_line_are_there(parts: Page, run: Path) -> None:
     for m in found.margins.values():
         assert f"{m.modulus_margin:.4g}" in parts.text
         assert m.stability_reason in parts.text
+
+
+def test_ends_of_a_bound_read_the_same_in_check_and_report() -> None:
+    """The bound's own interval says nothing of how much better the value may be: its good end is `bound`."""
+    bound = Line(
+        "control_high_frequency_db", "dB", 60.0, 59.98, 0.0, "undecided", "a", 90.0, (59.97, 60.0), bound=59.69
+    )
+    least = Line("gain_margin_db", "dB", 6.0, 10.8, 4.7, "passed", "a", 90.0, (10.7, 10.9), bound=14.0)
+    assert interval_or_bound_text(bound) == "59.69 .. 60 (bound)"
+    assert interval_or_bound_text(least) == "10.7 .. 14 (bound)"
+    assert with_reach(bound) == "59.69 … 60 dB (bound)"
+    assert with_reach(least) == "10.7 … 14 dB (bound)"
+        [59.69, 60.0],
+        [10.7, 14.0],
+    ]
+
+
+def test_the_detuning_table_names_limits_as_the_other_tables_do(run: Path, tmp_path: Path) -> None:
+    require = tmp_path / "detuned.toml"
+    require.write_text(report_run.REQUIRE.format(bandwidth=5.0) + "detuning_percent = 1.0\n")
+    text = Page(page(gather(run, run.parent / "controller.toml", require, DATE, 0))).text
+    table = text[
+        text.index("Detuning margins of loop") : text.index("Stability certificate", text.index("Detuning margins"))
+    ]
+    assert "% (bandwidth)" in table
+    assert "_hz" not in table
+    assert "_db" not in table
 
 
 def test_a_missed_requirement_fails_in_words_at_the_top(run: Path) -> None:

@@ -132,7 +132,7 @@ def _legend(traces: Sequence[Trace], verdict: Verdict | None) -> Markup:
     """Operating points with their look, and of which requirements each is the worst."""
     worst: dict[str, list[str]] = {}
     for line in verdict.lines if verdict is not None and len(traces) > 1 else ():
-        worst.setdefault(line.recording, []).append(LIMIT_OF[line.quantity].label.split(" (")[0])
+        worst.setdefault(line.recording, []).append(LIMIT_OF[line.quantity].short)
     items = []
     for trace in traces:
         swatch = tag(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def _few(names: Sequence[str], most: int = 6) -> str:
 
 def _in_words(line: Line) -> str:
     limit = LIMIT_OF[line.quantity]
-    reach, more = f" ({with_reach(line)})" if line.interval else "", longer(line)
+    reach, more = f" ({with_reach(line)})" if line.span else "", longer(line)
     at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
     return (
         f"{limit.label}: required {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
@@ -138,7 +139,7 @@ def _requirement(line: Line) -> list[Cell | Content]:
 
 def gauge(line: Line, limit: Limit) -> Markup:
     """A requirement as a small scale: forbidden side, limit, interval and value; a dash where the value is infinite."""
-    low, high = line.interval or (line.found, line.found)
+    low, high = line.span or (line.found, line.found)
     if not np.isfinite([line.found, line.wished, low, high]).all():
         return Markup(DASH)
     ends = np.array([line.wished, line.found, low, high])
@@ -158,7 +159,7 @@ def gauge(line: Line, limit: Limit) -> Markup:
         tag("path", d=bad, class_="forbidden"),
         tag("path", d=f"M0 {middle}H{GAUGE_WIDTH}", class_="scale"),
         tag("path", d=f"M{tick} 2V{GAUGE_HEIGHT - 2}", class_="limit"),
-        tag("path", d=f"M{at[2]} {middle}H{at[3]}", class_=f"reach {line.outcome}") if line.interval else None,
+        tag("path", d=f"M{at[2]} {middle}H{at[3]}", class_=f"reach {line.outcome}") if line.span else None,
         tag("circle", cx=at[1], cy=middle, r=4.5, class_=f"found {line.outcome}"),
         viewBox=f"0 0 {GAUGE_WIDTH} {GAUGE_HEIGHT}",
         class_="gauge",
@@ -187,7 +188,7 @@ def _detunings(found: Verdict) -> Markup | None:
             for x in m.detuning.resonances
         ]
         for what, *reaches in (whole, *single):
-            ends = [text for x in reaches for text in (reach_text(x), interval(x.interval_percent))]
+            ends = [text for x in reaches for text in (_shift(x), interval(x.interval_percent))]
             rows.append([name, what, *ends])
     if not rows:
         return None
@@ -197,6 +198,12 @@ def _detunings(found: Verdict) -> Markup | None:
         " which every requirement holds and the loop is stable, and what breaks there."
     )
     return table(caption, columns, rows, sortable=len(rows) > 1)
+
+
+def _shift(reach: Reach) -> str:
+    """How far frequencies may move one way, and what breaks there, as the other tables name it."""
+    limit = LIMIT_OF.get(reach.breaks)
+    return reach_text(replace(reach, breaks=reach.breaks if limit is None else limit.short))
 
 
 def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: Sequence[Limit]) -> Markup:
@@ -233,8 +240,7 @@ def _endless(found: Verdict, limit: Limit) -> bool:
 
 def _column(limit: Limit) -> str:
     unit, _ = shown_unit(limit)
-    short = limit.label.split(" (")[0]
-    return f"{short} [{unit}]" if unit else short
+    return f"{limit.short} [{unit}]" if unit else limit.short
 
 
 def _worst(found: Verdict, limit: Limit) -> str:

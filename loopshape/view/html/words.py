@@ -53,7 +53,8 @@ def with_unit(value: float | None, limit: Limit) -> str:
 def with_reach(line: Line) -> str:
     """A line's 95 % interval with its unit, empty without one."""
     unit, factor = shown_unit(LIMIT_OF[line.quantity])
-    return "" if line.interval is None else f"{interval(line.interval, factor)} {unit}".rstrip()
+    bound = "" if line.bound is None else " (bound)"
+    return "" if line.span is None else f"{interval(line.span, factor)} {unit}".rstrip() + bound
 
 
 def found_text(line: Line) -> str:

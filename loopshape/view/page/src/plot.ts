@@ -229,7 +229,9 @@ export class Plot {
   private ticksOf(axis: Axis, count: number): [number, boolean][] {
     const out: [number, boolean][] = [];
     if (!axis.log) {
-      const step = axis.ticks ?? niceStep(axis.high - axis.low, count, [10, 15, 30, 45, 60, 90, 180]);
+      const span = axis.high - axis.low;
+      const wanted = axis.ticks ?? niceStep(span, count, [10, 15, 30, 45, 60, 90, 180]);
+      const step = span / wanted > 1.7 * count ? 2 * wanted : wanted;
       for (let k = Math.ceil(axis.low / step); k * step <= axis.high * (1 + 1e-12) + 1e-12; k++) out.push([k * step, true]);
       return out;
     }

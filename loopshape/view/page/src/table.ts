@@ -81,7 +81,10 @@ export class RequirementTable {
 
   private fill(limit: Limit, row: Row, cells: Cells, settled: boolean, before: Row | null): void {
     cells.row.className = `${row.outcome}${settled ? "" : " pending"}`;
-    const interval = row.interval ? `${shown(row.interval[0])} … ${shown(row.interval[1])}` : "no interval";
+    const [low, high] = row.interval ?? [row.found, row.found];
+    const ends = row.bound === null ? [low, high] : [Math.min(low, row.bound), Math.max(high, row.bound)];
+    const some = row.interval !== null || row.bound !== null;
+    const interval = some ? `${ends.map(shown).join(" … ")}${row.bound === null ? "" : " (bound)"}` : "no interval";
     const small = settled ? interval : "interval follows";
     const compare = before ? el("span", { class: "other" }, `B: ${shown(before.found)}`) : null;
     cells.found.replaceChildren(el("b", {}, `${row.beyond ? "≥ " : ""}${shown(row.found)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
