@@ -168,9 +168,6 @@ def test_ends_of_a_bound_read_the_same_in_check_and_report() -> None:
     assert interval_or_bound_text(least) == "10.7 .. 14 (bound)"
     assert with_reach(bound) == "59.69 … 60 dB (bound)"
     assert with_reach(least) == "10.7 … 14 dB (bound)"
-        [59.69, 60.0],
-        [10.7, 14.0],
-    ]
 
 
 def test_the_detuning_table_names_limits_as_the_other_tables_do(run: Path, tmp_path: Path) -> None:
