@@ -9,8 +9,13 @@ import runpy
 from pathlib import Path
 
 import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.signal import lfilter
 
 import loopshape as ls
+from loopshape.identify.tones import Period, tones_of, without_periods
+from loopshape.view.tones import tones_page
 
 DOCS = Path(__file__).parent
 FIGURES, BENCH = DOCS.parent / "figures", DOCS.parent / "examples" / "motor_bench"
@@ -46,11 +51,28 @@ def draw() -> None:
     figure = runpy.run_path("1_bench.py")["figure"]
     os.chdir(here)
     figure.savefig(readme / "bench.png", dpi=150)
+    _tones().savefig(readme / "tones.png", dpi=150)
     for script in (
         DOCS / "shape_pictures.py",
         DOCS.parent / "experiments" / "report" / "run.py",
     ):
         runpy.run_path(str(script), run_name="__main__")
+
+
+def _tones() -> Figure:
+    """A machine that begins to oscillate at 58.8 Hz under a multisine: what the page of disturbances shows."""
+    rng, t = np.random.default_rng(7), np.arange(8192) / 1000.0
+    lines = np.arange(1, 200, 2)
+    phases = np.outer(np.arange(1024), lines) * (2 * np.pi / 1024) + rng.uniform(
+        0.0, 2 * np.pi, lines.size
+    )
+    y = 0.01 * rng.standard_normal(t.size) + lfilter(
+        [0.0, 0.05], [1.0, -0.95], np.tile(np.cos(phases).sum(axis=1), 8)
+    )
+    y += 0.05 * np.exp(0.5 * (t - 4.0)) * np.sin(2 * np.pi * 58.8 * t)
+    period = Period(1024)
+    found = tones_of(y, 1000.0, period=period, recording="multisine", channel="y", unit="rad")
+    return tones_page(found, without_periods(y, period), 1000.0)
 
 
 if __name__ == "__main__":

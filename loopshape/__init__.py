@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.several import frf_matrices as frf_matrices
     from loopshape.verbs.several import interaction as interaction
     from loopshape.verbs.stop import stop as stop
+    from loopshape.verbs.tones import tones as tones
     from loopshape.view import plot as plot
 
 __version__ = "0.1.0"
@@ -158,6 +159,7 @@ _HOME = {
     "shape": "verbs.chain",
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
+    "tones": "verbs.tones",
     "tune": "verbs.chain",
     "write": "verbs.files",
     "write_plan": "verbs.plan",

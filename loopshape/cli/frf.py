@@ -108,11 +108,26 @@ def estimate_and_report(
     if csv:
         for one in [*found, *matrices]:
             frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
+    warnings += _growing(run, recordings)
     drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices) if figures else []
     told = {"distortion": distortion_words(run, alone), "levels": level_dependences(run, found)}
     report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
     if (extra or {}).get("ended_early"):
         raise typer.Exit(2)
+
+
+def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:
+    """Warnings of tones in the excited loops' outputs that grow and that the excitation does not explain."""
+    from loopshape.data.channel import sum_terms
+    from loopshape.identify.tones import SHORTEST
+    from loopshape.verbs.tones import tones_in
+
+    words: list[str] = []
+    for recording in recordings:
+        columns = dict.fromkeys(c for name in recording.info.excited for c in sum_terms(run.loop(name).output))
+        if recording.stored(next(iter(columns))).size >= SHORTEST:
+            words += [w for found in tones_in(run, recording, list(columns)) for w in found.warnings]
+    return words
 
 
 def _estimate(

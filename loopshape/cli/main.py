@@ -36,6 +36,7 @@ from loopshape.cli.schedule import schedule
 from loopshape.cli.shape import shape
 from loopshape.cli.simulate import simulate
 from loopshape.cli.stop import stop
+from loopshape.cli.tones import tones
 from loopshape.cli.tune import tune
 from loopshape.cli.verify import verify
 from loopshape.core.errors import LoopshapeError
@@ -68,6 +69,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("fit", fit, "loopshape fit runs/axis --structure auto"),
         ("interaction", interaction, "loopshape interaction runs/arm2"),
         ("plan", plan, "loopshape plan runs/axis --std-percent 5"),
+        ("tones", tones, "loopshape tones runs/axis"),
         ("figures", figures, "loopshape figures runs/axis --controller controller.toml"),
     ),
     "Design": (
