@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from loopshape.data.control_frd import from_control as from_control
     from loopshape.data.control_frd import to_control as to_control
     from loopshape.data.controller import Controller as Controller
+    from loopshape.data.disturbance import Disturbance as Disturbance
     from loopshape.data.fixed import fixed as fixed
     from loopshape.data.frf import FRF as FRF
     from loopshape.data.gap_report import GapReport as GapReport
@@ -97,6 +98,7 @@ _HOME = {
     "Cascade": "loop.cascade",
     "Comparison": "data.prediction",
     "Controller": "data.controller",
+    "Disturbance": "data.disturbance",
     "FRF": "data.frf",
     "Fit": "data.model",
     "GapReport": "data.gap_report",

@@ -57,6 +57,9 @@ def check(
     loops: Annotated[
         str | None, typer.Option(help="Of the matrix the loops that are closed, as a,b; default: all.")
     ] = None,
+    disturbance: Annotated[
+        Path | None, typer.Option(help="A run of the closed loop that nothing excites: the rms of the error from it.")
+    ] = None,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
     details: Details = False,
     as_json: AsJson = False,
@@ -75,7 +78,7 @@ def check(
     closed = None if loops is None else tuple(name.strip() for name in loops.split(","))
     passed, _ = check_run(
         run, controller, require, output, reports=reports, figures=figures, details=details, profile=profile,
-        matrix=matrix or closed is not None, closed=closed,
+        matrix=matrix or closed is not None, closed=closed, disturbance=disturbance,
     )  # fmt: skip
     if not passed:
         raise typer.Exit(1)
@@ -93,6 +96,7 @@ def check_run(
     profile: str | None = None,
     matrix: bool = False,
     closed: Sequence[str] | None = None,
+    disturbance: Path | None = None,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
     from loopshape.io.check_files import against, check_all
@@ -101,7 +105,7 @@ def check_run(
     reports = reports or Reports()
     chosen = None if profile is None else profile_of(profile)
     _refuse_reports(reports, require is not None or chosen is not None)
-    found = check_all(run, controller, require, chosen, matrix=matrix, closed=closed)
+    found = check_all(run, controller, require, chosen, matrix=matrix, closed=closed, disturbance=disturbance)
     if require is None and chosen is None:
         return True, _report_margins(run, found, output, figures, details)
     compared = None if reports.baseline is None else against(reports.baseline, found.single)

@@ -16,6 +16,7 @@ from loopshape.data.verdict_words import (
     interval_text,
     line_change_words,
     longer_text,
+    number_of,
     outcome_of,
     reach_text,
     unstable_text,
@@ -45,10 +46,10 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
             [
                 line.quantity,
                 line.unit,
-                line.wished,
+                _cell(line, line.wished),
                 _worst(line),
                 interval_or_bound_text(line),
-                line.spare,
+                _cell(line, line.spare),
                 line.recording,
                 line.at_hz,
                 WORDS[line.outcome] + longer_text(line),
@@ -71,13 +72,21 @@ def report_headline(verdicts: Sequence[Verdict], output: Output, more: str = "")
     for verdict in verdicts:
         stable, _, word = _stability(verdict)
         rows: list[list[object]] = [["closed loop", "stable", stable, "-", word]] if verdict.margins else []
-        rows += [[x.quantity, x.wished, _worst(x), interval_or_bound_text(x), WORDS[x.outcome]] for x in verdict.lines]
+        rows += [
+            [x.quantity, _cell(x, x.wished), _worst(x), interval_or_bound_text(x), WORDS[x.outcome]]
+            for x in verdict.lines
+        ]
         columns = ["requirement", "required", "worst case", "95 % interval", "verdict"]
         output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
 
 
 def _worst(line: Line) -> object:
-    return f"> {line.found:g}" if line.beyond else line.found
+    return f"> {line.found:g}" if line.beyond else _cell(line, line.found)
+
+
+def _cell(line: Line, value: float) -> object:
+    """A number as a table rounds it, an error's as it is: its unit is as large as it likes."""
+    return number_of(line, value) if line.quantity == "error_rms" else value
 
 
 def _stability(verdict: Verdict) -> tuple[str, str, str]:

@@ -1,8 +1,9 @@
-"""The noise of a sensor, from a recording of a moving machine."""
+"""The noise of a sensor, from a recording of a moving machine; how sure a rms is."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from loopshape.core.units import Array
 
@@ -19,3 +20,12 @@ def noise_rms(values: Array) -> float:
     steps = steps[steps > 1e-9 * np.ptp(values)] if np.ptp(values) > 0.0 else np.array([1e-9])
     rounding = float(np.min(steps)) / np.sqrt(12.0)
     return max(float(np.sqrt(np.median(squares) / 20.0)), rounding, 1e-12)
+
+
+def rms_interval(power: float, variance: float) -> tuple[float, float]:
+    """95 % interval of a rms, from the mean square and its variance, as that of chi square with their ratio."""
+    if power <= 0.0 or variance <= 0.0:
+        return float(np.sqrt(max(power, 0.0))), float(np.sqrt(max(power, 0.0)))
+    freedom = 2.0 * power**2 / variance
+    low, high = (float(np.sqrt(power * freedom / chi2.ppf(level, freedom))) for level in (0.975, 0.025))
+    return low, high

@@ -106,6 +106,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS"),
     Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
     Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
+    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True),
 )  # fmt: skip
 #: what all loops of a plant keep at once
 SEVERAL_LIMITS: tuple[Limit, ...] = (
@@ -137,7 +138,7 @@ class Margins(Plain):
     |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
     `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
     it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
-    where there is no mask.
+    where there is no mask. `error_rms` is in the output's unit, nan where nothing tells what disturbs the loop.
     """
 
     gain_margin_db: float
@@ -176,6 +177,7 @@ class Margins(Plain):
     process_mask_db: float = float("nan")
     loop_mask_db: float = float("nan")
     loop_floor_db: float = float("nan")
+    error_rms: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,9 @@ class Requirements:
     are looked at, and None takes the FRF's valid band. `integrators` and `unstable_poles` declare the
     plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
     `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
-    much |S| may exceed its masks) to 0. Where several of `at` hold at an operating point the last has its way.
+    much |S| may exceed its masks) to 0. `error_rms` limits the rms of the error, in the output's unit, under what
+    disturbs the loop: `check` needs a recording of that, `tune` refuses it. Where several of `at` hold at an operating
+    point the last has its way.
     Refuses values that make no sense.
     """
 
@@ -263,6 +267,7 @@ class Requirements:
     process_mask_db: float | None = None
     loop_mask_db: float | None = None
     loop_floor_db: float | None = None
+    error_rms: float | None = None
     masks: tuple[Mask, ...] = ()
     at: tuple[AtPoints, ...] = ()
     band_hz: tuple[float, float] | None = None

@@ -29,6 +29,11 @@ def number(value: float) -> str:
     return "0" if abs(value) < 1e-6 else f"{value:.4g}"
 
 
+def number_of(line: Line, value: float) -> str:
+    """The same for a number of a line: an error's unit is as large as it likes."""
+    return f"{value:.4g}" if line.quantity == "error_rms" else number(value)
+
+
 def interval_text(interval: tuple[float, float] | None) -> str:
     """A 95 % interval as people read it, a dash where there is none."""
     return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
@@ -68,13 +73,13 @@ def found_text(line: Line) -> str:
 def bounded_number(line: Line) -> str:
     """The number found, as a bound where it is one: "at least 10.8" or "at most 7.9"."""
     if line.bound is None:
-        return number(line.found)
+        return number_of(line, line.found)
     return f"{'at least' if line.bound > line.found else 'at most'} {number(line.found)}"
 
 
 def line_text(line: Line) -> str:
     """A line in one sentence: required, found with its interval, slack, and for an undecided one what would decide."""
-    spare = f"(slack {number(line.spare)}{_unit(line.unit)})"
+    spare = f"(slack {number_of(line, line.spare)}{_unit(line.unit)})"
     return f"required {wished_text(line)}, found {found_text(line)} {spare}{longer_text(line)}"
 
 

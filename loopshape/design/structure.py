@@ -33,6 +33,12 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
+    if "error_rms" in requirements.limited():
+        raise WrongUseError(
+            f"error_rms of loop {requirements.loop!r} is checked and not tuned to",
+            f"{requirements.error_rms}",
+            'tune with objective = "disturbance" or a mask on S, then check with --disturbance RUN',
+        )
     if all(getattr(requirements, name) is None for name in NEAR):
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",

@@ -20,10 +20,11 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2, gamma
+from scipy.stats import gamma
 from scipy.stats import t as student
 
 from loopshape.core.errors import BadSignalError
+from loopshape.core.noise import rms_interval
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
 from loopshape.data.tones import Growth, Interval, Tone, Tones
@@ -106,7 +107,7 @@ def tones_of(
     lines = SIDE + GAP + 1
     return Tones(
         recording, channel, unit, float(np.sqrt(power)),
-        _rms_interval(power, sum(n * n * v for n, _, _, v in sums) / size**2), mean, size / rate_hz, chance,
+        rms_interval(power, sum(n * n * v for n, _, _, v in sums) / size**2), mean, size / rate_hz, chance,
         lines * rate_hz / min(size, LONGEST), 0.5 * rate_hz * (1.0 - 2.0 * lines / min(size, LONGEST)),
         tuple(sorted(found, key=lambda tone: tone.chance)[:MOST]),
     )  # fmt: skip
@@ -307,12 +308,3 @@ def _variance_of_power(values: Array, rest: Array) -> float:
     fixed = 2.0 * np.abs(np.fft.rfft(values - values.mean() - rest)[1:]) ** 2 / n**2
     around = np.convolve(noise, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), mode="same")
     return float(np.sum(0.5 * noise**2) + 2.0 * np.sum(fixed * around))
-
-
-def _rms_interval(power: float, variance: float) -> Interval:
-    """95 % interval of a rms, from the mean square and its variance, as that of chi square with their ratio."""
-    if power <= 0.0 or variance <= 0.0:
-        return float(np.sqrt(max(power, 0.0))), float(np.sqrt(max(power, 0.0)))
-    freedom = 2.0 * power**2 / variance
-    low, high = (np.sqrt(power * freedom / chi2.ppf(level, freedom)) for level in (0.975, 0.025))
-    return float(low), float(high)

@@ -16,7 +16,9 @@ from loopshape.data.loop_matrix import LoopMatrix
 from loopshape.data.model import Fit
 from loopshape.data.profile import Profile
 from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.data.run import Run
 from loopshape.data.verdict import Verdict
+from loopshape.identify.disturbance import disturbances_in
 from loopshape.io.controllers import read_controllers
 from loopshape.io.fits import read_fits
 from loopshape.io.frfs import read_frfs, read_several_loops
@@ -124,11 +126,13 @@ def check_all(
     *,
     matrix: bool = False,
     closed: Sequence[str] | None = None,
+    disturbance: Path | None = None,
 ) -> Checks:
     """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
 
     Several loops are checked at once, on the run's matrices, where `matrix` or the table [several] of the requirements
     asks for it; `closed` are then those that are closed, all by default. With a `profile` its limits hold too.
+    `disturbance` is the folder of a run that shows what disturbs the single loops.
 
     Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
     has FRFs of single loops only.
@@ -136,8 +140,10 @@ def check_all(
     requirements, several = (None, None) if require is None else read_required(require)
     controllers = read_controllers(controller)
     if not matrix and several is None:
-        loops = _single_loops(run, controllers, requirements, profile)
+        loops = _single_loops(run, controllers, requirements, profile, disturbance)
         return Checks(tuple(loop.verdict for loop in loops), loops)
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is predicted for single loops", "several at once", "check one alone")
     together = several or SeveralRequirements()
     one = _several_loops(run, controllers, requirements or (), together, profile, closed)
     return Checks(one.verdict.parts, matrix=one)
@@ -148,6 +154,7 @@ def _single_loops(
     controllers: Sequence[Controller],
     requirements: tuple[Requirements, ...] | None,
     profile: Profile | None,
+    disturbance: Path | None,
 ) -> tuple[LoopCheck, ...]:
     frfs, fits = read_frfs(run), fits_of(run)
     measured = {one.loop for one in frfs}
@@ -160,7 +167,8 @@ def _single_loops(
             "give a controller file of this run's loops",
         )
     asked = requirements if profile is None else tuple(map(profile.joined, requirements))
-    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits) for required in asked)
+    shaken = None if disturbance is None else read_run(disturbance)
+    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, shaken) for required in asked)
 
 
 def _several_loops(
@@ -181,9 +189,16 @@ def _several_loops(
     return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
 
 
-def _check(frfs: Sequence[FRF], controller: Controller, required: Requirements, fits: tuple[Fit, ...]) -> LoopCheck:
+def _check(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    required: Requirements,
+    fits: tuple[Fit, ...],
+    disturbance: Run | None = None,
+) -> LoopCheck:
     mine = tuple(one for one in frfs if one.loop == required.loop)
-    verdict, loops = check_loops(mine, controller, required, fits)
+    disturbances = () if disturbance is None else disturbances_in(disturbance, required.loop)
+    verdict, loops = check_loops(mine, controller, required, fits, disturbances=disturbances)
     return LoopCheck(mine, required, fits, checked(verdict, controller, mine), loops)
 
 

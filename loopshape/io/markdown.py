@@ -17,6 +17,7 @@ from loopshape.data.verdict_words import (
     line_change_words,
     longer_text,
     number,
+    number_of,
     outcome_of,
     stability_text,
     unstable_text,
@@ -73,8 +74,8 @@ def _requirements(verdict: Verdict) -> list[str]:
 
 
 def _row(line: Line) -> list[str]:
-    found = f"> {number(line.found)}" if line.beyond else number(line.found)
-    numbers = [found, interval_or_bound_text(line), number(line.spare), line.unit, line.recording]
+    found = f"> {number(line.found)}" if line.beyond else number_of(line, line.found)
+    numbers = [found, interval_or_bound_text(line), number_of(line, line.spare), line.unit, line.recording]
     at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
     return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
 

@@ -10,6 +10,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db, deg, from_db
 from loopshape.data.controller import Controller
+from loopshape.data.disturbance import Disturbance
 from loopshape.data.frf import FRF, Hold
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
@@ -20,6 +21,7 @@ from loopshape.data.verdict_words import detuning_warnings
 from loopshape.identify.merging import merged
 from loopshape.identify.smoothing import smoothed
 from loopshape.loop.detuning import with_detuning
+from loopshape.loop.error_rms import error_warnings, of_points, with_error_rms
 from loopshape.loop.low_frequency import low_frequency_models
 from loopshape.loop.margins import margins
 from loopshape.loop.obstacles import Obstacle
@@ -226,6 +228,7 @@ def check(
     *,
     detuned: bool = True,
     counted: bool = True,
+    disturbances: Sequence[Disturbance] = (),
 ) -> Verdict:
     """Hold a controller against its requirements at every operating point measured.
 
@@ -234,9 +237,12 @@ def check(
 
     A limit that breaks where the plant's resonances move by up to 2 % is warned of, unless `detuning_percent` is
     required; `detuned` false leaves the detuning margin out where it is not required (for thousands of checks).
-    `counted` false notes nothing of open-loop poles: they are counted for all loops at once.
+    `counted` false notes nothing of open-loop poles: they are counted for all loops at once. `disturbances` tell what
+    `error_rms` is at their operating points; one alone serves all.
     """
-    return check_loops(frfs, controller, requirements, fits, detuned=detuned, counted=counted)[0]
+    return check_loops(
+        frfs, controller, requirements, fits, detuned=detuned, counted=counted, disturbances=disturbances
+    )[0]
 
 
 def check_loops(
@@ -247,6 +253,7 @@ def check_loops(
     *,
     detuned: bool = True,
     counted: bool = True,
+    disturbances: Sequence[Disturbance] = (),
 ) -> tuple[Verdict, tuple[Loop, ...]]:
     """`check`, and the loops that it looked at, for pictures."""
     if not frfs:
@@ -254,7 +261,10 @@ def check_loops(
     refuse_too_high(requirements, controller)
     loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
     named = dict(zip(points_of(frfs), loops, strict=True))
-    return with_warnings(verdict_on(named, requirements, detuned=detuned), loops, requirements, notes), tuple(loops)
+    shaken = of_points(named, disturbances)
+    found = verdict_on(named, requirements, detuned=detuned, disturbances=shaken)
+    notes += error_warnings(named, shaken, requirements)
+    return with_warnings(found, loops, requirements, notes), tuple(loops)
 
 
 def refuse_too_high(requirements: Requirements, controller: Controller) -> None:
@@ -291,13 +301,24 @@ def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple
     return tuple(out)
 
 
-def verdict_on(loops: Mapping[str, Loop], requirements: Requirements, *, detuned: bool = True) -> Verdict:
-    """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`."""
+def verdict_on(
+    loops: Mapping[str, Loop],
+    requirements: Requirements,
+    *,
+    detuned: bool = True,
+    disturbances: Mapping[str, Disturbance] | None = None,
+) -> Verdict:
+    """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`.
+
+    `disturbances`, by the same names, tell the rms of the error.
+    """
     asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
     from_hz = requirements.control_high_frequency_from_hz
     found = {
         name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks) for name, loop in loops.items()
     }
+    for name, one in (disturbances or {}).items():
+        found[name] = with_error_rms(loops[name], found[name], one)
     return verdict_from(found, loops, requirements, detuned=detuned)
 
 

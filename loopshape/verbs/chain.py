@@ -26,6 +26,7 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
+    from loopshape.data.disturbance import Disturbance
     from loopshape.data.gap_report import GapReport
     from loopshape.data.machine import Model
     from loopshape.data.plant import Followable
@@ -208,6 +209,7 @@ def check(
     together: SeveralRequirements | None = None,
     loops: Sequence[str] | None = None,
     recorded_under: Sequence[Controller] = (),
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
 ) -> Verdict:
     """Stability and margins with 95 % intervals at every operating point, and whether the requirements hold.
 
@@ -221,6 +223,10 @@ def check(
     `recorded_under` are the controllers of the loops that were recorded: their count tells the plant's unstable poles
     where nothing declares them. The verdict's `each` is that of each loop. Raises WrongUseError for a loop without a
     controller.
+
+    `disturbance` tells what disturbs a single loop: a run (or its folder) with recordings of the closed loop that
+    nothing excites, under a controller that it knows, or `ls.Disturbance`. Each operating point's `error_rms` is then
+    the rms of the error under `C` with its interval, and `R.error_rms` limits it.
 
     Examples
     --------
@@ -239,9 +245,32 @@ def check(
         controller = _controller(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        return check_loop(plants, controller, R or Requirements(controller.loop), tuple(fits))
+        asked_one = R or Requirements(controller.loop)
+        shaken = disturbances_of(disturbance, plants[0].loop)
+        return check_loop(plants, controller, asked_one, tuple(fits), disturbances=shaken)
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is predicted for one loop", f"{len(C)} controllers", "check one alone")
     asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
     return check_several(plants, [_controller(one) for one in C], asked, together, loops=loops, held=recorded_under)
+
+
+def disturbances_of(
+    given: Disturbance | Run | str | Path | Sequence[Disturbance] | None, loop: str
+) -> tuple[Disturbance, ...]:
+    """What disturbs a loop, at each operating point: the longest recording there that shows it.
+
+    Raises BadSignalError for a run without such a recording.
+    """
+    from loopshape.data.disturbance import Disturbance
+    from loopshape.identify.disturbance import disturbances_in
+
+    if given is None:
+        return ()
+    if isinstance(given, Disturbance):
+        return (given,)
+    if isinstance(given, Run | str | Path):
+        return disturbances_in(given if isinstance(given, Run) else read(given), loop)
+    return tuple(given)
 
 
 def _controller(given: Controller | Tuning) -> Controller:

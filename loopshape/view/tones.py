@@ -23,7 +23,7 @@ def spectrum(found: Tones, values: Array, rate_hz: float, *, ax: Axes | None = N
     """Amplitudes of all lines of a signal (n,), the noise about each, and the tones with their frequencies."""
     ax = axes_or_new(ax, (FULL_WIDTH_IN, 2.6))
     power = periodogram(values)
-    f = np.fft.rfftfreq(values.size, 1.0 / rate_hz)
+    f = np.asarray(np.fft.rfftfreq(values.size, 1.0 / rate_hz), dtype=float)
     left, right, _ = sides(power, _beside(found, f))
     noise = np.maximum(left, right)
     for level, style in (
@@ -67,9 +67,9 @@ def amplitudes(found: Tones, *, ax: Axes | None = None) -> Axes:
         middle = 0.5 * (tone.from_s + tone.to_s)
         a = tone.amplitude * np.exp(tone.growth_per_s * (t - middle))
         low, high = (g * (t - middle) for g in tone.growth_interval_per_s)
-        band = [tone.amplitude * np.exp(pick(low, high)) for pick in (np.minimum, np.maximum)]
+        least, most = (tone.amplitude * np.exp(pick(low, high)) for pick in (np.minimum, np.maximum))
         ax.plot(t, a, color=colour, label=f"{tone.frequency_hz:.4g} Hz, {tone.growth.value}")
-        ax.fill_between(t, *band, color=colour, alpha=0.25, lw=0.0)
+        ax.fill_between(t, least, most, color=colour, alpha=0.25, lw=0.0)
     ax.set_xlim(0.0, found.duration_s)
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("time [s]")
