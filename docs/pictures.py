@@ -15,6 +15,8 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.identify.tones import Period, tones_of, without_periods
+from loopshape.verbs.tracking import setpoint_of
+from loopshape.view.feedforward import feedforward_page
 from loopshape.view.tones import tones_page
 
 DOCS = Path(__file__).parent
@@ -52,6 +54,7 @@ def draw() -> None:
     os.chdir(here)
     figure.savefig(readme / "bench.png", dpi=150)
     _tones().savefig(readme / "tones.png", dpi=150)
+    _feedforward().savefig(readme / "feedforward.png", dpi=150)
     for script in (
         DOCS / "shape_pictures.py",
         DOCS.parent / "experiments" / "report" / "run.py",
@@ -73,6 +76,28 @@ def _tones() -> Figure:
     period = Period(1024)
     found = tones_of(y, 1000.0, period=period, recording="multisine", channel="y", unit="rad")
     return tones_page(found, without_periods(y, period), 1000.0)
+
+
+def _feedforward() -> Figure:
+    """A third-order plant with a resonance at 5 Hz, measured to 1 %, and a third-order move."""
+    f_hz, w = np.geomspace(0.1, 100.0, 200), 2 * np.pi * 5.0
+    s = 2j * np.pi * f_hz
+    P = ls.FRF.from_arrays(
+        f_hz,
+        1350.0 / (s * (s**2 + 0.13 * w * s + w**2)) * np.exp(-0.005 * s),
+        relative_std=0.01,
+        rate_hz=1000.0,
+    )
+    C = ls.controller(ls.gain(0.5), rate_hz=1000.0)
+    F = ls.feedforward(P, band_hz=(0.1, 8.0))
+    r = setpoint_of(0.35, 0.6, 2.0, 12.0, rate_hz=1000.0, rest_s=4.0)
+    return feedforward_page(
+        F,
+        {
+            "without": ls.tracking_error(P, C, r),
+            "with feedforward": ls.tracking_error(P, C, r, F),
+        },
+    )
 
 
 if __name__ == "__main__":

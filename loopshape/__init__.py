@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
     from loopshape.design.bound import Bound as Bound
+    from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.cascade import Cascade as Cascade
     from loopshape.loop.cascade import cascade as cascade
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.several import interaction as interaction
     from loopshape.verbs.stop import stop as stop
     from loopshape.verbs.tones import tones as tones
+    from loopshape.verbs.tracking import tracking_error as tracking_error
     from loopshape.view import plot as plot
 
 __version__ = "0.1.0"
@@ -131,6 +133,7 @@ _HOME = {
     "controller": "data.shorthand",
     "emulator": "verbs.machine",
     "export": "verbs.files",
+    "feedforward": "design.feedforward",
     "fit": "verbs.chain",
     "fixed": "data.fixed",
     "frf": "verbs.chain",
@@ -162,6 +165,7 @@ _HOME = {
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tones": "verbs.tones",
+    "tracking_error": "verbs.tracking",
     "tune": "verbs.chain",
     "write": "verbs.files",
     "write_plan": "verbs.plan",

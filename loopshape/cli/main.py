@@ -19,6 +19,7 @@ from loopshape.cli.emulator import emulator
 from loopshape.cli.equilibria import equilibria
 from loopshape.cli.examples import examples
 from loopshape.cli.export import export, export_controller, export_excitation, firmware
+from loopshape.cli.feedforward import feedforward
 from loopshape.cli.figures import figures
 from loopshape.cli.fit import fit
 from loopshape.cli.frf import frf
@@ -77,6 +78,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("shape", shape, "loopshape shape runs/axis --require requirements.toml --out shape.html"),
         ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
         ("profiles", profiles, "loopshape profiles --out mine.toml"),
+        ("feedforward", feedforward, "loopshape feedforward runs/axis --band-hz 0.5 20 --out feedforward.json"),
         ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
     ),
     "Verify": (

@@ -76,7 +76,7 @@ def found(verdict):
 
 
 def test_intervals_cover_the_true_rms():
-    """100 draws of FRF and recording: 95 % intervals cover as often as binomial chance of 1e-4 allows, twice over."""
+    """100 draws of FRF and recording: 95 % intervals cover as often as binomial chance of 1e-4 allows."""
     rng, truth, covered = np.random.default_rng(1), true_rms(NEW), 0
     for _ in range(100):
         _, (low, high) = found(ls.check(measured(rng, 0.1), gain(NEW), R, disturbance=recorded(rng)))

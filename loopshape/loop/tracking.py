@@ -1,0 +1,97 @@
+"""Measured plant, controller, feedforward and a setpoint -> the error while it moves, with intervals.
+
+e = S (1 - P F) r, where F adds to the plant's input. The setpoint moves from rest to rest and is taken back the same
+way, so that it repeats and has a spectrum; the rest at both ends lets the error die out. The plant is the FRF smoothed
+over its lines, as `check` reads it, and the FRF's error is carried by draws of what noise does to that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.controller import Controller
+from loopshape.data.feedforward import Feedforward
+from loopshape.data.frf import FRF
+from loopshape.identify.smoothing import smoothed
+from loopshape.loop.continued import continued, integrators_of
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingError:
+    """Error (n,) of a loop along a setpoint, in its unit, with 95 % intervals from the FRF's error.
+
+    `low` and `high` (n,) hold each sample by itself; `rms` and `largest` (absolute value) are medians over what the
+    plant may be: a feedforward made from the same FRF fits the plant of `error` too well, so
+    that the lower ends lie too high. Noise and disturbances of the machine are not in it.
+    """
+
+    time_s: Array
+    error: Array
+    low: Array
+    high: Array
+    rms: float
+    rms_interval: Interval
+    largest: float
+    largest_interval: Interval
+
+    def __repr__(self) -> str:
+        """One line: rms and largest error with their intervals."""
+        (a, b), (c, d) = self.rms_interval, self.largest_interval
+        return (
+            f"TrackingError: rms {self.rms:.4g} ({a:.4g} to {b:.4g}), largest {self.largest:.4g} ({c:.4g} to {d:.4g})"
+        )
+
+
+def tracking_error_of(
+    P: FRF,
+    C: Controller,
+    setpoint: ArrayLike,
+    feedforward: Feedforward | None = None,
+    *,
+    integrators: int | None = None,
+) -> TrackingError:
+    """The error of a stable loop along a setpoint (n,) at the controller's rate, from rest to rest.
+
+    The error must have died out at the setpoint's end. Raises WrongUseError for a feedforward at
+    another rate.
+    """
+    if feedforward is not None and feedforward.rate_hz != C.rate_hz:
+        raise WrongUseError(
+            "feedforward and controller run at one rate", f"{feedforward.rate_hz:g} and {C.rate_hz:g} Hz",
+            "make the feedforward from a FRF at the controller's rate",
+        )  # fmt: skip
+    r = np.asarray(setpoint, dtype=float)
+    if r.ndim != 1 or r.size < 16 or not np.isfinite(r).all():
+        raise WrongUseError("a setpoint is (n,), finite, with 16 samples at least", f"{r.shape}")
+    lines, scatter = smoothed(P)
+    f = np.asarray(np.fft.rfftfreq(2 * r.size, 1.0 / C.rate_hz)[1:-1], dtype=float)
+    spectrum = np.fft.rfft(np.concatenate([r, r[-1] + r[0] - r]))[1:-1]
+    there = continued(lines, f, integrators_of(lines) if integrators is None else integrators, smooth=True)
+    F = np.zeros(f.size) if feedforward is None else feedforward.response(f)
+    gain = C.response(f)
+
+    def error(plant: ComplexArray) -> Array:
+        whole = np.zeros(f.size + 2, dtype=complex)
+        whole[1:-1] = (1.0 - plant * F) / (1.0 + gain * plant) * spectrum
+        return np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)
+
+    drawn = np.array([error(there.response * (1.0 + there.spread(d / scatter.reference))) for d in scatter.deviations])
+    own = error(there.response)
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    rms, most = np.sqrt(np.mean(drawn**2, axis=1)), np.abs(drawn).max(axis=1)
+    return TrackingError(
+        np.arange(r.size) / C.rate_hz, own, low, high,
+        float(np.median(rms)), _ends(rms), float(np.median(most)), _ends(most),
+    )  # fmt: skip
+
+
+def _ends(values: Array) -> Interval:
+    low, high = np.quantile(values, (0.025, 0.975))
+    return float(low), float(high)

@@ -1,0 +1,154 @@
+"""Feedforward from a measured plant: the inverse, the error it leaves on a setpoint, and a run on the simulated arm."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binom
+from typer.testing import CliRunner
+
+import loopshape as ls
+from loopshape.cli.main import app
+from loopshape.core.errors import WrongUseError
+from loopshape.data.excitation import Profile
+from loopshape.data.experiment import Experiment
+from loopshape.io.controllers import write_controllers
+from loopshape.io.frfs import write_frfs
+from loopshape.io.run_folder import write_run
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.verbs.tracking import setpoint_of
+
+RATE = 500.0
+F_HZ = np.geomspace(0.1, 100.0, 200)
+INTEGRATOR = np.array([1.0, -1.0])
+NUM = np.array([0.0, 0.0, 0.0, 4e-4])
+DEN = np.convolve(INTEGRATOR, np.poly([0.96 * np.exp(0.09j), 0.96 * np.exp(-0.09j)]).real)
+C = ls.controller(ls.gain(0.4), rate_hz=RATE, loop="axis")
+
+
+def plant(f_hz):
+    """An integrator and a resonance at 7 Hz behind two samples of delay."""
+    back = np.exp(-2j * np.pi * np.asarray(f_hz) / RATE)
+    return np.polyval(NUM[::-1], back) / np.polyval(DEN[::-1], back)
+
+
+def measured(rng=None, relative=0.02):
+    P = plant(F_HZ)
+    if rng is not None:
+        d = rng.standard_normal((2, F_HZ.size))
+        P = P * (1.0 + relative * (d[0] + 1j * d[1]) / np.sqrt(2.0))
+    return ls.FRF.from_arrays(F_HZ, P, relative_std=relative, rate_hz=RATE, loop="axis")
+
+
+def followed(r, u=None):
+    """The error of the loop, sample by sample, with `u` added to the plant's input."""
+    closed = DEN + 0.4 * np.pad(NUM, (0, DEN.size - NUM.size))
+    e = lfilter(DEN, closed, r)
+    return e if u is None else e - lfilter(NUM, closed, u)
+
+
+R = setpoint_of(1.0, 1.0, 4.0, 40.0, rate_hz=RATE, rest_s=2.0)
+
+
+def test_a_known_plant_is_inverted_between_lines_too():
+    """Within 5 % over the lower half of the band; at its end F begins to let go, and says how much."""
+    F = ls.feedforward(measured(relative=1e-4), band_hz=(0.1, 20.0), taps=60, integrators=1)
+    f = np.geomspace(0.1, 10.0, 77)
+    assert np.abs(1.0 - plant(f) * F.response(f)).max() < 0.05
+    assert F.inverse_error == pytest.approx(np.abs(1.0 - plant(F.frequency_hz) * F.response(F.frequency_hz)), abs=1e-4)
+    assert F.taps.sum() == pytest.approx(0.0, abs=1e-9 * np.abs(F.taps).max())  # a constant setpoint needs no input
+
+
+def test_the_signal_is_the_response():
+    F = ls.feedforward(measured(), band_hz=(0.1, 20.0), integrators=1)
+    k = np.arange(4000)
+    sine = np.sin(2.0 * np.pi * 5.0 * k / RATE)
+    wanted = np.imag(F.response([5.0])[0] * np.exp(2j * np.pi * 5.0 * k / RATE))
+    assert F.signal(sine)[500:-500] == pytest.approx(wanted[500:-500], abs=1e-6)
+
+
+@pytest.mark.parametrize("helped", [False, True])
+def test_the_predicted_error_is_that_of_the_loop_sample_by_sample(helped):
+    P = measured(relative=1e-4)
+    F = ls.feedforward(P, band_hz=(0.1, 20.0), taps=60, integrators=1) if helped else None
+    found = ls.tracking_error(P, C, R, F, integrators=1)
+    e = followed(R, F.signal(R) if F else None)
+    assert found.error == pytest.approx(e, abs=0.01 * np.abs(followed(R)).max())
+    assert found.rms == pytest.approx(np.sqrt(np.mean(e**2)), rel=0.05, abs=5e-5)  # rad, of 0.1 without
+
+
+def test_feedforward_from_noisy_data_leaves_what_was_predicted():
+    """30 measurements of 2 %: rms and largest error lie below the ends of their intervals, as often as binomial chance
+    of 1e-4 allows, and above a third of the lower ends; feedforward leaves a tenth of the error."""
+    rng, covered = np.random.default_rng(1), np.zeros(2)
+    without = np.sqrt(np.mean(followed(R) ** 2))
+    for _ in range(30):
+        P = measured(rng)
+        F = ls.feedforward(P, band_hz=(0.1, 20.0), integrators=1)
+        found, e = ls.tracking_error(P, C, R, F, integrators=1), followed(R, F.signal(R))
+        rms, most = np.sqrt(np.mean(e**2)), np.abs(e).max()
+        assert rms < 0.1 * without
+        ends = ((found.rms_interval, rms), (found.largest_interval, most))
+        covered += [low / 3.0 <= x <= high for (low, high), x in ends]
+    assert (covered >= binom.ppf(1e-4, 30, 0.95)).all()
+
+
+def test_what_cannot_be_inverted_is_refused():
+    with pytest.raises(WrongUseError, match="four frequencies"):
+        ls.feedforward(measured(), band_hz=(1.0, 1.05))
+    with pytest.raises(WrongUseError, match="hold its preview"):
+        ls.feedforward(measured(), taps=10, preview=10)
+    F = ls.feedforward(measured(), band_hz=(0.1, 20.0))
+    with pytest.raises(WrongUseError, match="one rate"):
+        ls.tracking_error(measured(), ls.controller(ls.gain(1.0), rate_hz=1000.0), R, F)
+
+
+def test_the_command_writes_taps_and_predicts_a_move(tmp_path):
+    run = ls.Run.from_arrays(u=np.ones(100), y=np.ones(100), rate_hz=RATE, loop="axis", recording="r1")
+    write_run(tmp_path / "run", run)
+    P = measured(np.random.default_rng(2))
+    write_frfs(tmp_path / "run", [ls.FRF(**{**vars(P), "recording": "r1"})])
+    write_controllers(tmp_path / "c.toml", [C])
+    words = ["feedforward", tmp_path / "run", "--out", tmp_path / "f.json", "--band-hz", 0.1, 20, "--json"]
+    words += ["--controller", tmp_path / "c.toml", "--move", 1, 1, 4, 40]
+    done = CliRunner().invoke(app, [str(w) for w in words])
+    told = json.loads(done.stdout)
+    assert told["errors"]["with feedforward"]["rms"] < 0.1 * told["errors"]["without"]["rms"]
+    assert json.loads((tmp_path / "f.json").read_text())["taps"] == told["taps"]
+    assert told["figures"][0].endswith("feedforward_axis.png")
+
+
+def arm_experiment(arm, controllers, name, injection, references, injected, **more):
+    loops = arm.loop_setups(controllers, injection)
+    point = {"theta2_deg": 0.0, "p_ab_bar": 1.2}
+    kind = "profile" if more.get("excites") is None else "multisine"
+    return Experiment(name, kind, loops, 1000.0, references, injected, injection, point, seed=1, **more)
+
+
+def test_the_simulated_arm_follows_a_profile_with_a_fifth_of_the_error():
+    """Measured by a multisine of 60 s, inverted to 5 Hz, then a third-order profile of 0.35 rad with and without."""
+    arm, rng, period = Arm1(), np.random.default_rng(1), 20_000
+    pressure = next(c for c in arm.default_controllers(1000.0) if c.loop == "p_ab")
+    controllers = [ls.controller(ls.gain(0.5), rate_hz=1000.0, loop="theta2"), pressure]
+    spectrum = np.zeros(period // 2 + 1, dtype=complex)
+    lines = np.arange(1, 400)
+    spectrum[lines] = np.exp(2j * np.pi * rng.uniform(size=lines.size)) / np.sqrt(np.maximum(lines / 20.0, 2.0))
+    wave = np.fft.irfft(spectrum, period)
+    rest = np.tile([0.0, 1.2], (3 * period, 1))
+    injected = np.zeros_like(rest)
+    injected[:, 0] = np.tile(0.06 * wave / wave.std(), 3)
+    periods = {"excites": "theta2", "period_s": 20.0, "periodic_from_s": 20.0}
+    asked = arm_experiment(arm, controllers, "id", "controller_input", rest, injected, **periods)
+    recorded = arm.simulate([asked], threads=1)
+    P = ls.frf(ls.Run(1000.0, asked.loops, tuple(recorded)), "theta2")
+    F = ls.feedforward(P, band_hz=(0.05, 5.0), integrators=1)
+    r = np.tile([0.0, 1.2], (8000, 1))
+    r[:, 0] = Profile((1.0,), (0.35,), 0.6, 2.0, 12.0).sampled(8000, 1000.0, 0.0)
+    u = np.zeros_like(r)
+    u[:, 0] = F.signal(r[:, 0])
+    both = (("without", 0.0 * u), ("with", u))
+    pair = [arm_experiment(arm, controllers, name, "plant_input", r, x) for name, x in both]
+    without, helped = (r[:, 0] - x.column("theta2_rad") for x in arm.simulate(pair, threads=1))
+    assert np.std(helped) < 0.2 * np.std(without)
+    assert np.abs(helped).max() < 0.2 * np.abs(without).max()
