@@ -75,7 +75,7 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "format": FORMAT,
         "version": version,
         "title": title,
-"limits": [json_ready(limit) for limit in LIMITS if limit.name != "error_rms"],  # no disturbance in the page
+        "limits": [json_ready(limit) for limit in LIMITS if limit.name != "error_rms"],  # no disturbance in the page
         "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
