@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from loopshape.data.verdict import Verdict as Verdict
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.feedforward import feedforward as feedforward
+    from loopshape.design.learning import learning as learning
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.cascade import Cascade as Cascade
     from loopshape.loop.cascade import cascade as cascade
@@ -144,6 +145,7 @@ _HOME = {
     "gap": "verbs.chain",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
+    "learning": "design.learning",
     "low_pass": "data.shorthand",
     "measure": "verbs.machine",
     "notch": "data.shorthand",

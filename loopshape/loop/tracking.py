@@ -28,8 +28,9 @@ class TrackingError:
     """Error (n,) of a loop along a setpoint, in its unit, with 95 % intervals from the FRF's error.
 
     `low` and `high` (n,) hold each sample by itself; `rms` and `largest` (absolute value) are medians over what the
-    plant may be: a feedforward made from the same FRF fits the plant of `error` too well, so
-    that the lower ends lie too high. Noise and disturbances of the machine are not in it.
+    plant may be. A feedforward that is made from the same FRF follows some of its noise, and the draws count that noise
+    twice: then both numbers are on the safe side and only the upper ends of their intervals are told (the lower are 0).
+    Noise and disturbances of the machine are not in it.
     """
 
     time_s: Array
@@ -82,16 +83,17 @@ def tracking_error_of(
         whole[1:-1] = (1.0 - plant * F) / (1.0 + gain * plant) * spectrum
         return np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)
 
-    drawn = np.array([error(there.response * (1.0 + there.spread(d / scatter.reference))) for d in scatter.deviations])
+    off = there.spread(scatter.deviations / scatter.reference)
+    drawn = np.array([error(there.response * (1.0 + one)) for one in off])
     own = error(there.response)
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     rms, most = np.sqrt(np.mean(drawn**2, axis=1)), np.abs(drawn).max(axis=1)
     return TrackingError(
         np.arange(r.size) / C.rate_hz, own, low, high,
-        float(np.median(rms)), _ends(rms), float(np.median(most)), _ends(most),
+        float(np.median(rms)), _ends(rms, feedforward is None), float(np.median(most)), _ends(most, feedforward is None),
     )  # fmt: skip
 
 
-def _ends(values: Array) -> Interval:
+def _ends(values: Array, both: bool) -> Interval:
     low, high = np.quantile(values, (0.025, 0.975))
-    return float(low), float(high)
+    return float(low) if both else 0.0, float(high)
