@@ -88,9 +88,10 @@ def tracking_error_of(
     own = error(there.response)
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     rms, most = np.sqrt(np.mean(drawn**2, axis=1)), np.abs(drawn).max(axis=1)
+    both = feedforward is None
     return TrackingError(
         np.arange(r.size) / C.rate_hz, own, low, high,
-        float(np.median(rms)), _ends(rms, feedforward is None), float(np.median(most)), _ends(most, feedforward is None),
+        float(np.median(rms)), _ends(rms, both), float(np.median(most)), _ends(most, both),
     )  # fmt: skip
 
 
