@@ -20,6 +20,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.stats import gamma
 from scipy.stats import t as student
 
@@ -232,8 +233,11 @@ def _judged_lines(size: int, part: int) -> int:
 
 def without_line(values: Array) -> Array:
     """A signal (n,) without its least-squares straight line."""
-    k = np.arange(values.size) - 0.5 * (values.size - 1)
-    return np.asarray(values - values.mean() - k * (k @ values / (k @ k)), dtype=float)
+    n = values.size
+    k = np.arange(n) - 0.5 * (n - 1)
+    out = values - values.mean()
+    out -= k * (float(k @ out) * 12.0 / (n * (n * n - 1.0)))
+    return np.asarray(out, dtype=float)
 
 
 @lru_cache(maxsize=8)
@@ -248,23 +252,27 @@ def periodogram(values: Array) -> Array:
 
 
 def _lines(power: Array, chance: float, free: float) -> list[tuple[int, float]]:
-    """Lines (and their chance) at which a periodogram stands out of both sides; each tone once, the clearest first."""
+    """Lines (and their chance) at which a periodogram stands out of both sides; each tone once.
+
+    What stands out is taken out of the sides, and the rest looked at again: a tone hides weaker ones beside it.
+    """
     usable = np.ones(power.size, dtype=bool)
     found: list[tuple[int, float]] = []
-    least = -np.log(chance) * free  # of a side that is known exactly
+    least = -0.8 * np.log(chance) * free  # below what any count of lines allows
     while len(found) < MOST:
         left, right, counts = sides(power, usable)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(usable, power / np.maximum(left, right), 0.0)
         ratio[~np.isfinite(ratio)] = 0.0
-        k = int(np.argmax(ratio))
-        if ratio[k] < 0.8 * least:
+        high = np.flatnonzero(ratio >= least)
+        peaks = high[ratio[high] == maximum_filter1d(ratio, 2 * GAP + 1)[high]] if high.size else high
+        chances = [(int(k), _chance_of(float(ratio[k]) / free, int(counts[k]))) for k in peaks]
+        clear = [(k, p) for k, p in chances if p < chance]
+        if not clear:
             break
-        p = _chance_of(float(ratio[k]) / free, int(counts[k]))
-        if p >= chance:
-            break
-        found.append((k, p))
-        usable[max(k - GAP, 0) : k + GAP + 1] = False
+        found += clear
+        for k, _ in clear:
+            usable[max(k - GAP, 0) : k + GAP + 1] = False
     return found
 
 
