@@ -51,5 +51,5 @@ class Feedforward:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        made: dict[str, Any] = json_ready(self, None)
+        made: dict[str, Any] = json_ready(vars(self), None)
         return made
