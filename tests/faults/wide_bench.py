@@ -105,7 +105,7 @@ def recorded(excited):
 
 def commands(folder):
     """Words of the bench's commands and of these."""
-    run, two, out, machine = folder / "run", folder / "two", partial(folder.joinpath), folder / "many" / "d000000"
+    run, two, out, machine = folder / "run", folder / "two", partial(folder.joinpath), folder / "many" / "d000000-x1"
     study, require, controller = folder / "study.toml", folder / "require.toml", folder / "controller.toml"
     several = (two, "--require", out("several.toml"), "--no-figures")
     simulated = ("--out", out("simulated"))
