@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from loopshape.cli.bound import bound
-from loopshape.cli.campaigns import campaign
+from loopshape.cli.campaign import campaign
 from loopshape.cli.check import check
 from loopshape.cli.compare import compare
 from loopshape.cli.demo import demo
