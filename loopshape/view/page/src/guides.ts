@@ -53,7 +53,7 @@ export function sizeGuides(plot: Plot, name: string, wished: Wished): void {
     if (left >= plot.x.high) continue;
     forbid(plot, [left, plot.x.high], [level, level], plot.y.high);
     const from = fromHz ? ` from ${fromHz} Hz` : "";
-    plot.text(`at most ${Number(level.toPrecision(4))} dB${from}`, plot.px(plot.x.high) - 6, plot.py(level) - 4, limit, "right");
+    plot.say(`at most ${Number(level.toPrecision(4))} dB${from}`, plot.px(plot.x.high) - 6, plot.py(level) - 4, limit, "right");
   }
   for (const mask of masksOn(wished.every, name)) {
     const [hz, levels] = [mask.points.map(([f]) => f), mask.points.map(([, level]) => level)];
@@ -66,7 +66,7 @@ export function sizeGuides(plot: Plot, name: string, wished: Wished): void {
   plot.upright(bandwidth, edge(plot));
   const isLeft = plot.px(bandwidth) > plot.width / 2;
   const place = plot.px(bandwidth) + (isLeft ? -5 : 5);
-  plot.text(`bandwidth at least ${bandwidth} Hz`, place, plot.py(plot.y.low) - 6, limit, isLeft ? "right" : "left");
+  plot.say(`bandwidth at least ${bandwidth} Hz`, place, plot.py(plot.y.low) - 6, limit, isLeft ? "right" : "left");
 }
 
 function forbid(plot: Plot, x: number[], y: number[], end: number): void {
@@ -80,7 +80,7 @@ export function phaseGuides(plot: Plot, wished: Wished): void {
   const margin = required(wished, "phase_margin_deg");
   if (margin === null) return;
   plot.level(margin - 180, { ...edge(plot), dash: [2, 3] });
-  plot.text(`phase margin ${margin} deg`, plot.px(plot.x.low) + 6, plot.py(margin - 180) - 5, plot.colours.limit);
+  plot.say(`phase margin ${margin} deg`, plot.px(plot.x.low) + 6, plot.py(margin - 180) - 5, plot.colours.limit);
 }
 
 /** Whole turns in degrees by which -180 is repeated within a range of phases. */

@@ -68,6 +68,7 @@ export class Plot {
   colours: Colours;
   private home: { x: Axis; y: Axis };
   private zoomed = false;
+  private above: (() => void)[] = [];
   width = 0;
   height = 0;
 
@@ -142,6 +143,7 @@ export class Plot {
   }
 
   end(): void {
+    for (const write of this.above.splice(0)) write();
     this.ctx.restore();
     this.ctx.strokeStyle = this.colours.quiet;
     this.ctx.lineWidth = 1;
@@ -325,7 +327,12 @@ export class Plot {
     ctx.stroke();
   }
 
-  /** Words with a halo of paper, which curves do not cross out. */
+  /** Words that stand above all curves, whenever they are given. */
+  say(text: string, px: number, py: number, colour: string, align: CanvasTextAlign = "left"): void {
+    this.above.push(() => this.text(text, px, py, colour, align));
+  }
+
+  /** Words with a halo of paper. */
   text(text: string, px: number, py: number, colour: string, align: CanvasTextAlign = "left"): void {
     const { ctx } = this;
     ctx.font = FONT;
