@@ -206,7 +206,7 @@ def _with_residue(
     error = noise / across
     residue = np.asarray(solved[:, -1], dtype=complex)
     size = np.abs(residue * R[:, -1, -1]) / noise
-    by_residue = 1.0 / (residue * R[:, -1, -1] + 1e-300)
+    by_residue = 1.0 / (residue * R[:, -1, -1] + 1e-150)
     by_pole = 1j / pole.imag - by_residue * onto[:, -1, 0]
     to_pole = bent.conj() / across[:, None] ** 2
     to_peak = by_residue[:, None] * Q[:, :, -1].conj() + by_pole[:, None] * to_pole
@@ -229,6 +229,8 @@ def _seen_noise(left: ComplexArray, overlap: float, free: int) -> tuple[Array, A
 
 def _of_noise(influence: ComplexArray, square: Array, beside: Array) -> Array:
     """Deviation (n,) of Re(influence (n, lines) . e), complex errors e of this mean square, neighbours correlated."""
-    alone = (np.abs(influence) ** 2).sum(axis=1)
-    near = 2.0 * beside * (influence[:, 1:] * influence[:, :-1].conj()).real.sum(axis=1)
-    return np.asarray(np.sqrt(0.5 * square * np.maximum(alone + near, 0.05 * alone)))
+    largest = np.abs(influence).max(axis=1)  # without limit where there is no residue: it must not be squared
+    share = influence / np.maximum(largest, 1e-300)[:, None]
+    alone = (np.abs(share) ** 2).sum(axis=1)
+    near = 2.0 * beside * (share[:, 1:] * share[:, :-1].conj()).real.sum(axis=1)
+    return np.asarray(largest * np.sqrt(0.5 * square * np.maximum(alone + near, 0.05 * alone)))
