@@ -118,8 +118,12 @@ def estimate_and_report(
 
 
 def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:
-    """Warnings of tones in the excited loops' outputs that grow and that the excitation does not explain."""
+    """Warnings of tones in the excited loops' outputs that grow and that the excitation does not explain.
+
+    Recordings that are not held whole are left to `loopshape tones`: the look would take longer than their estimate.
+    """
     from loopshape.core.errors import BadSignalError
+    from loopshape.core.stretches import LongSignal
     from loopshape.data.channel import sum_terms
     from loopshape.identify.tones import SHORTEST
     from loopshape.verbs.tones import tones_in
@@ -128,7 +132,8 @@ def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:
     for recording in recordings:
         columns = dict.fromkeys(c for name in recording.info.excited for c in sum_terms(run.loop(name).output))
         with suppress(BadSignalError):  # a column that the FRF does without may hold what is no number
-            if recording.stored(next(iter(columns))).size >= SHORTEST:
+            stored = recording.stored(next(iter(columns)))
+            if stored.size >= SHORTEST and not isinstance(stored, LongSignal):
                 words += [w for found in tones_in(run, recording, list(columns)) for w in found.warnings]
     return words
 
