@@ -45,6 +45,7 @@ def asked(page: Page, C: Controller) -> dict[str, Any]:
     return dict(json.loads(page.evaluate(f"loopshape.ask({words}).then(found => JSON.stringify(found, {PLAIN}))")))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["sharp", "minus"])
 def test_verdicts_are_those_of_check(kind: str, browser: Firefox, tmp_path: Path) -> None:
     frfs, R, rng = shaped_cases.plants(kind), replace(WANTED, masks=MASKS), np.random.default_rng(5)

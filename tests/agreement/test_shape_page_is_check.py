@@ -92,6 +92,7 @@ def test_the_bench_and_its_controller(context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, [P], C, R, 2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
 def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)

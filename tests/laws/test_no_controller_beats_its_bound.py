@@ -43,6 +43,7 @@ def test_one_plant(seed):
     assert bound.bound_hz > bound.first_hz
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(20, 22))
 def test_several_plants_together_by_the_q_of_each(seed):
     rng = np.random.default_rng(seed)
@@ -58,6 +59,7 @@ def test_several_plants_together_by_the_q_of_each(seed):
         assert together.bound_hz <= 1.02 * alone.bound_hz  # more is asked; a node of 1.5 % aside
 
 
+@pytest.mark.long
 def test_several_plants_bound_more_than_each_alone():
     # a gain of 1 and of 16, |S| within 6 dB: what lifts the weak one over 0 dB is loud on the strong one
     plants = [(TransferFunction([k], [1.0, 0.0], 0.02), 1) for k in (1.0, 16.0)]

@@ -56,6 +56,7 @@ def test_gains_just_inside_and_outside(share, stable):
     assert found.stable == ("stable" if stable else "unstable")
 
 
+@pytest.mark.long
 def test_a_check_passes_each_loop_and_fails_the_pair():
     wished = [Requirements(name, gain_margin_db=6.0, phase_margin_deg=45.0, modulus_margin=0.6) for name in "ab"]
     wanted = SeveralRequirements(disk_margin=0.5, integrators=0, unstable_poles=0)

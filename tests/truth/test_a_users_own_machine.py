@@ -28,6 +28,7 @@ def diagnosed(**effect):
     return ls.gap(run(**effect), model=own_machine.MODEL, table=False)
 
 
+@pytest.mark.long
 def test_dry_friction_is_named_with_its_place_and_size():
     found = diagnosed(coulomb=0.03)
     first = found.ranking[0]
@@ -42,6 +43,7 @@ def test_dry_friction_is_named_with_its_place_and_size():
     assert f"record {found.proposal.name} again" in found.proposal.sentence
 
 
+@pytest.mark.long
 def test_the_next_recording_is_the_one_that_shows_what_two_hypotheses_differ_in():
     # two springs that are alike at small angles and part with the cube of the angle: larger motion tells them apart
     plant, spring = OwnMachine(own_machine.MODEL), {"port.bearing.stiffness": 0.1}
@@ -173,6 +175,7 @@ def test_the_kernel_is_the_simulation_of_another_engine():
     np.testing.assert_allclose(mine, theirs, atol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("play", "off"), [(0.0, 1e-5), (0.01, 5e-4)])  # (2 ms * 120 rad/s)^5 / 120; a blurred contact
 def test_a_joint_with_a_spring_or_play_is_the_simulation_of_another_engine(play, off):
     f = replace(prepared_of(0), first=np.array([0]))
@@ -220,6 +223,7 @@ def test_delays_and_lags_are_late_by_what_they_say():
         assert lagged(ramp, 5.0, order)[300] == pytest.approx(295.0, abs=1e-6)
 
 
+@pytest.mark.long
 def test_bristles_that_slide_in_less_than_a_step_are_the_simulation_of_another_engine():
     # bend of 0.2 mrad at some rad/s: 1e4 1/s, where the tick of 2 ms allows explicit steps up to 1400 1/s
     f = replace(prepared_of(0), first=np.array([0]))

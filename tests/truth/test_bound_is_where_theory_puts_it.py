@@ -16,6 +16,7 @@ from loopshape.design.bound_nodes import weights
 from loopshape.design.bound_reach import reach
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("peak", [1.5, 2.0, 3.0])
 def test_a_zero_in_the_right_half_plane_excludes_what_the_two_constants_theorem_excludes(peak):
     # S(z) = 1 at a zero z. With |S| <= 2^-1/2 below f and <= M above, ln 1 <= a ln 2^-1/2 + (1 - a) ln M with the
@@ -53,6 +54,7 @@ def test_twice_the_delay_halves_the_bound():
     assert found[0] == pytest.approx(2.0 * found[1], rel=0.06)
 
 
+@pytest.mark.long
 def test_a_high_order_controller_reaches_most_of_the_bound_and_is_stable():
     model = TransferFunction([3.0], np.polymul([1.0, 0.0], [1 / 900.0, 0.1 / 30.0, 1.0]), 0.01)
     loop = loop_of(model, integrators=1)

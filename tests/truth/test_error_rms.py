@@ -75,6 +75,7 @@ def found(verdict):
     return margins.error_rms, margins.intervals["error_rms"]
 
 
+@pytest.mark.long
 def test_intervals_cover_the_true_rms():
     """100 draws of FRF and recording: 95 % intervals cover as often as binomial chance of 1e-4 allows."""
     rng, truth, covered = np.random.default_rng(1), true_rms(NEW), 0

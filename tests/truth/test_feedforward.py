@@ -114,6 +114,7 @@ def test_what_cannot_be_inverted_is_refused():
         ls.tracking_error(measured(), ls.controller(ls.gain(1.0), rate_hz=1000.0), R, F)
 
 
+@pytest.mark.long
 def test_the_command_writes_taps_and_predicts_a_move(tmp_path):
     run = ls.Run.from_arrays(u=np.ones(100), y=np.ones(100), rate_hz=RATE, loop="axis", recording="r1")
     write_run(tmp_path / "run", run)

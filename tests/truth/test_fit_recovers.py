@@ -141,6 +141,7 @@ def hann_errors(rng, std, averages=10):
     return std * (E * N.conj()).sum(0) / np.sqrt(averages)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("known", [True, False])
 def test_fits_to_hann_lines_need_their_overlap(known):
     f = np.arange(0.3, 15.0, 0.1)
@@ -202,6 +203,7 @@ def test_rational_converges_from_ten_percent_of_noise():
     assert np.mean([found.chi2_per_dof < 2.0 for found in fits]) == 1.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.01, 0.02])
 def test_relative_intervals_hold_where_the_noise_is_one_share_of_the_response(share):
     # weights from the measured |G| pull the gain down by share², a quarter of its deviation at 2 %
@@ -210,6 +212,7 @@ def test_relative_intervals_hold_where_the_noise_is_one_share_of_the_response(sh
     assert np.mean([found.chi2_per_dof for found in fits]) == pytest.approx(1.0, abs=0.03)  # by the FRF's own variance
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("share", "slope"),
     [

@@ -72,6 +72,7 @@ def test_a_healthy_arm_is_healthy_and_leaves_noise(healthy):
     assert np.all(np.abs(a.none.fitted.phi) <= 1.0)
 
 
+@pytest.mark.long
 def test_what_the_catalogue_lacks_is_unknown():
     a = attributed(short({"potentiometer_waves": 1.2}, 44))
     assert a.verdict == "unknown"

@@ -164,6 +164,7 @@ def test_too_few_lines_are_refused_with_a_way_out():
     assert "Welch" in str(caught.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", two.PLACES)
 def test_a_matrix_in_closed_loop_is_as_good_as_it_says(place):
     (run,) = two.runs(place, [two.white(1, 1, 2000), two.white(2, 1, 2000)], 0.05, 1)

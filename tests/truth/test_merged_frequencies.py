@@ -126,6 +126,7 @@ def test_margins_of_an_exact_frf_are_those_of_the_plant():
     assert found.crossings_hz[0] == pytest.approx(first_hz, rel=2e-4)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth():
     """Of 16 intervals of 95 % fewer than 12 hold the truth once in 3000 cases."""
     peak_db, phase_deg, _ = exact()

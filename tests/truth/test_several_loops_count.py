@@ -196,6 +196,7 @@ def test_an_eigenvalue_as_good_as_on_the_limit_is_undecided_however_large_the_ot
     assert "an eigenvalue of L passes -1" in near.reason
 
 
+@pytest.mark.long
 def test_noise_alone_changes_no_answer():
     rng = np.random.default_rng(0)
     f = np.arange(0.1, 12.0, 0.1)
