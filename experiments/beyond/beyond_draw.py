@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from beyond_feedforward import RATE_HZ, Path
-from beyond_supply import AtSupply
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -18,7 +17,7 @@ Tables = Mapping[str, Sequence[Mapping]]
 
 
 @styled()
-def draw_supply(found: Sequence[AtSupply], tables: Tables) -> Figure:
+def draw_supply(tables: Tables) -> Figure:
     """Bandwidths, flows and settling over the supply and over the points."""
     figure = new_figure(2, 2, (7.2, 5.6))
     rows = tables["supply"]
@@ -38,7 +37,8 @@ def bandwidths(ax: Axes, rows: Sequence[Mapping], bars: Sequence[float]) -> None
         "robust_lowest_hz": "one for all, lowest",
     }.items()):  # fmt: skip
         ax.plot(bars, [r[key] for r in rows], marker=MARKERS[k], color=COLOURS[k], label=label)
-    ax.set(xlabel="supply [bar]", ylabel="first 0 dB crossing [Hz]", title="bandwidth", ylim=(0.0, 5.0))
+    ax.set(xlabel="supply [bar]", ylabel="first 0 dB crossing [Hz]", title="bandwidth", yscale="log", ylim=(0.4, 40.0))
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.legend(ncols=2, loc="upper left")
 
 
@@ -60,7 +60,8 @@ def by_point(ax: Axes, tables: Tables) -> None:
         own = [r["own_hz"] for r in tables["points"] if r["supply_bar"] == bar]
         ax.plot(range(len(points)), own, marker=MARKERS[k], linestyle="", color=COLOURS[k], label=f"{bar:g} bar")
     names(ax, points)
-    ax.set(ylabel="own bandwidth [Hz]", title="own controllers by supply", ylim=(0.0, 5.5))
+    ax.set(ylabel="own bandwidth [Hz]", title="own controllers by supply", yscale="log", ylim=(1.0, 60.0))
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.legend(ncols=4, loc="upper left", columnspacing=1.0, handletextpad=0.2)
 
 

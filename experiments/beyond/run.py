@@ -58,7 +58,7 @@ def main() -> None:
     for name, rows in tables.items():
         write(name, rows)
     write("scores", scores(tables))
-    write_bytes_whole(FIGURES / "supply.png", png(draw_supply(found, tables)))
+    write_bytes_whole(FIGURES / "supply.png", png(draw_supply(tables)))
     recordings = recordings_shown(shown, fitted, shipped, feed, seed)
     write_bytes_whole(FIGURES / "tracking.png", png(draw_tracking(shown, recordings, tables)))
 

@@ -32,6 +32,8 @@ from loopshape.loop.stability import unstable_count
 WITNESS_DB = 6.0
 #: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
 CONTRADICTED = 0.75
+#: a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of it
+LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
 #: lines above the band used count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
 
@@ -279,8 +281,35 @@ def refuse_too_high(requirements: Requirements, controller: Controller) -> None:
 
 def with_warnings(found: Verdict, loops: Sequence[Loop], requirements: Requirements, notes: tuple[str, ...]) -> Verdict:
     """A verdict on loops with what had to be assumed of them (`notes`) and what it warns of."""
-    unseen = outside_warnings(requirements, loops)
+    unseen = (*outside_warnings(requirements, loops), *crossing_warnings(found.margins, loops, requirements))
     return replace(found, warnings=(*notes, *unseen, *detuning_warnings(found.margins, loops[0].controller)))
+
+
+def crossing_warnings(
+    found: Mapping[str, Margins], loops: Sequence[Loop], requirements: Requirements
+) -> tuple[str, ...]:
+    """A sentence where |L| crosses 0 dB high and yet hardly reduces the error below, of the worst operating point.
+
+    An integrator with its crossing at f reduces the error by 12.3 dB at f/4; less than 9 dB all the way up to there,
+    at two lines and more, is a loop whose |L| stays near 1.
+    """
+    reduced = {
+        name: (-float(db(np.abs(loop.S[low])).min()), one.bandwidth_hz)
+        for (name, one), loop in zip(found.items(), loops, strict=True)
+        if np.isfinite(one.bandwidth_hz)
+        and np.count_nonzero(low := loop.frequency_hz <= 0.25 * one.bandwidth_hz) >= LEAST_LOW_LINES
+    }
+    flat = {name: pair for name, pair in reduced.items() if pair[0] < LEAST_REDUCTION_DB}
+    if requirements.bandwidth_hz is None or not flat:
+        return ()
+    worst = min(flat, key=lambda name: flat[name][0])
+    reduction, bandwidth = flat[worst]
+    others = f" and {len(flat) - 1} more" * (len(flat) > 1)
+    return (
+        f"|L| crosses 0 dB at {bandwidth:.4g} Hz, but up to a quarter of that the error is reduced by"
+        f" {reduction:.2g} dB at most, in {worst}{others}: a bandwidth does not tell the error; require |S| by masks, or"
+        " error_rms",
+    )
 
 
 def outside_warnings(requirements: Requirements, loops: Sequence[Loop]) -> tuple[str, ...]:

@@ -349,3 +349,26 @@ def test_lines_that_start_above_the_corners_are_never_judged_wrongly():
         answer = next(iter(check([frf], unit, wish(integrators=k)).margins.values())).stable
         truth = "unstable" if np.any(np.roots(np.polyadd(den, [gain])).real > 1e-9) else "stable"
         assert answer in (truth, "undecided")
+
+
+def plant_of(G, f=F):
+    return FRF.from_arrays(f, G, relative_std=1e-4, rate_hz=RATE)
+
+
+def test_a_crossing_with_L_near_1_below_it_is_warned_of_and_that_of_an_integrator_is_not():
+    """L = 1.1 / (1 + s/(2 pi 30)) crosses 0 dB at 30 sqrt(1.21 - 1) = 13.7 Hz and reduces the error by 20 log10 2.1."""
+    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    flat = check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked)
+    (said,) = [w for w in flat.warnings if "crosses 0 dB" in w]
+    crosses_hz, reduced_db = (float(x) for x in re.findall(r"at ([0-9.]+) Hz.* by ([0-9.]+) dB", said)[0])
+    assert crosses_hz == pytest.approx(30.0 * np.sqrt(0.21), rel=2e-3)
+    assert reduced_db == pytest.approx(db(2.1), abs=0.06)
+    rising = check([plant_of(13.7 / (1j * F))], C, replace(asked, integrators=1))
+    assert not [w for w in rising.warnings if "crosses 0 dB" in w]
+
+
+def test_a_crossing_is_not_warned_of_where_no_bandwidth_is_required():
+    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
+    assert not [w for w in check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked).warnings if "crosses 0 dB" in w]
