@@ -120,6 +120,20 @@ class Forecast:
         square = np.real(np.einsum("cnpab,npa,npb->cn", s["square"], K.conj(), K, optimize=True)) * np.abs(S) ** 2
         return np.asarray((own + s["Phi_rest"] - 2.0 * cross + square * s["total"]).sum(axis=1))
 
+    def variance_slopes(self, K: ComplexArray, L: ComplexArray) -> ComplexArray:
+        """G (cases, n, 2, 2) with d variance = Re sum G dK."""
+        s, S = self.sums, 1.0 / (1.0 + L)
+        g = S * np.einsum("cna,na->cn", s["own"], K[:, 0])
+        by_own = s["Phi_rest"] * g.conj() - s["Phi_own"] * (1.0 - g).conj()
+        cross = S * np.einsum("cnpa,npa->cn", s["cross"], K)
+        power = s["total"] * np.abs(S) ** 2
+        pulled = np.einsum("cnpba,npb->cnpa", s["square"], K.conj())
+        square = np.real(np.einsum("cnpa,npa->cn", pulled, K))
+        by_L = -by_own * g * S + S * cross - power * square * S
+        G = by_L[..., None, None] * self.sampled - S[..., None, None] * s["cross"] + power[..., None, None] * pulled
+        G[:, :, 0] += (by_own * S)[..., None] * s["own"]
+        return np.asarray(2.0 * G)
+
     def three_sigma(self, K: ComplexArray, L: ComplexArray, run_out: Array | float = 0.0) -> Array:
         """3 sigma (cases,) in % of the track."""
         return 300.0 * np.sqrt(self.variance(K, L) + run_out) / self.benchmark.numbers["track_pitch_m"]

@@ -1,7 +1,7 @@
 """Tune both controllers and both multirate filters at once: the least worst 3 sigma of nine plants within limits.
 
-Controllers are gains, poles and zeros; every step is a linear programme within a trust region, on slopes by differences
-of one factor at a time. Poles keep a least distance from the unit circle; zeros may lie anywhere.
+Controllers are gains, poles and zeros; every step is a linear programme within a trust region, on exact slopes.
+Poles keep a least distance from the unit circle; zeros may lie anywhere.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from hdd_benchmark import System
 from hdd_forecast import Forecast, run_out_variance
+from hdd_rows import Limits, Rows, rows_of
 from scipy.optimize import linprog
 
-from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg
+from loopshape.core.units import TWO_PI, Array, ComplexArray
 
 #: least distance of a pole from the unit circle
 LEAST = 1e-3
@@ -22,18 +23,8 @@ LEAST = 1e-3
 SMALLEST = 1e-5
 #: up to here |S| is held to the reference's, a little beyond 1 kHz for what lies between nodes
 LOW_HZ = 1015.0
-#: rows nearer to their limit than this (dB, degrees) are seen by a step
-NEAR_DB, NEAR_DEG = 2.5, 25.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Peak of |S|, gain margin either way, phase margin at every plant; up to 1 kHz |S| (cases, n) at most `low_db`."""
-
-    peak_db: float = 6.39
-    gain_db: float = 6.5
-    phase_deg: float = 48.0
-    low_db: Array | None = None
+#: points of 3 sigma that a dB of a missed limit weighs
+MISSED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +96,8 @@ def parameters_of(roots: Sequence[Roots]) -> list[Parameters]:
     return out
 
 
-def moved(roots: Sequence[Roots], parameters: Sequence[Parameters], dx: Array) -> list[Roots] | None:
-    """Roots after a step; None where a pole leaves its disk."""
+def moved(roots: Sequence[Roots], parameters: Sequence[Parameters], dx: Array) -> list[Roots]:
+    """Roots after a step; poles stop at their disk's edge, and pairs stay pairs."""
     out = [Roots(one.gain, one.zeros.copy(), one.poles.copy()) for one in roots]
     for p, d in zip(parameters, dx, strict=True):
         if p.part == "gain":
@@ -115,23 +106,32 @@ def moved(roots: Sequence[Roots], parameters: Sequence[Parameters], dx: Array) -
             getattr(out[p.system], p.part)[p.place] += d * p.step
     for one, before in zip(out, roots, strict=True):
         free = np.abs(before.poles - 1.0) > 2e-4
-        if np.any(np.abs(one.poles[free]) > 1.0 - LEAST):
-            return None
-        for part in ("zeros", "poles"):  # a pair stays a pair
-            was, now = getattr(before, part), getattr(one, part)
-            if np.any((was.imag > 0.0) & (now.imag <= 1e-6)):
-                return None
+        one.poles[free] *= np.minimum(1.0, (1.0 - LEAST) / np.maximum(np.abs(one.poles[free]), 1e-12))
+        for part in ("zeros", "poles"):
+            pairs, now = getattr(before, part).imag > 0.0, getattr(one, part)
+            now.imag[pairs] = np.maximum(now.imag[pairs], 1e-5)
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Controllers on the nodes: K, L, the worst 3 sigma's parts and the limits' slacks."""
+    """Controllers on the nodes: K, L, 3 sigma of each case, and the limits' rows."""
 
     roots: list[Roots]
     K: ComplexArray
     L: ComplexArray
     sigma: Array
+    rows: Rows
+
+    @property
+    def worst_miss(self) -> float:
+        """Largest miss of a limit."""
+        return float(max(0.0, -np.min(self.rows.slack, initial=0.0)))
+
+    @property
+    def merit(self) -> float:
+        """What a search makes small."""
+        return float(self.sigma.max()) + MISSED * self.worst_miss
 
 
 class Tuner:
@@ -145,7 +145,8 @@ class Tuner:
         """Where the controllers stand."""
         K = self.K(roots)
         L = self.forecast.loops(K)
-        return Place(roots, K, L, self.forecast.three_sigma(K, L, self.run_out))
+        sigma = self.forecast.three_sigma(K, L, self.run_out)
+        return Place(roots, K, L, sigma, rows_of(L, self.limits, self._ceiling(L.shape)))
 
     def K(self, roots: Sequence[Roots]) -> ComplexArray:
         """Controllers with filters (n, 2, 2)."""
@@ -158,15 +159,6 @@ class Tuner:
         self.run_out = run_out_variance(self.forecast.benchmark, lambda other: Tuner(other, self.limits).K(roots))
         return self.place(roots)
 
-    def rows(self, at: Place) -> tuple[Array, ...]:
-        """What rows look at here: cases and nodes of |S|, of 0 dB crossings, of passages of the negative real axis."""
-        S, L = -db(np.abs(1.0 + at.L)), at.L
-        size = db(np.abs(L))
-        sharp = np.argwhere(self._ceiling(S.shape) - S < NEAR_DB)
-        unit = np.argwhere(size[:, 1:] * size[:, :-1] < 0.0)
-        axis = np.argwhere((L.imag[:, 1:] * L.imag[:, :-1] < 0.0) & (L.real[:, 1:] + L.real[:, :-1] < 0.0))
-        return sharp, unit, axis
-
     def _ceiling(self, shape: tuple[int, ...]) -> Array:
         every = np.full(shape, self.limits.peak_db)
         if self.limits.low_db is not None:
@@ -174,70 +166,56 @@ class Tuner:
             every[:, low] = np.minimum(every[:, low], self.limits.low_db[:, low])
         return every
 
-    def slacks(self, at: Place, rows: tuple[Array, ...], above: Array) -> Array:
-        """Slack of each row, in dB or, of angles, in units of 6 degrees."""
-        L = at.L
-        sharp, unit, axis = ((row[:, 0], row[:, 1]) for row in rows)
-        S = self._ceiling(L.shape)[sharp] + db(np.abs(1.0 + L[sharp]))
-        after = L[unit[0], unit[1] + 1] / L[unit]
-        share = -np.log(np.abs(L[unit])) / np.log(np.abs(after))
-        phase = np.abs(np.angle(-L[unit] * np.exp(1j * share * np.angle(after))))
-        turned = L[axis[0], axis[1] + 1] / L[axis]
-        share = -np.angle(-L[axis]) / np.angle(turned)
-        size = db(np.abs(L[axis])) + share * db(np.abs(turned))
-        return np.concatenate([S, (deg(phase) - self.limits.phase_deg) / 6.0, above * size - self.limits.gain_db])
+    def slopes(self, at: Place, parameters: Sequence[Parameters]) -> tuple[Array, Array]:
+        """Slopes of 3 sigma (cases, parameters), without the run-out's, and of the rows' slacks (m, parameters)."""
+        pull = self.forecast.variance_slopes(at.K, at.L) * at.K
+        share = self.forecast.sampled * at.K / at.L[..., None, None]
+        sigma, slack = np.empty((at.sigma.size, len(parameters))), np.empty((at.rows.slack.size, len(parameters)))
+        for actuator in (0, 1):
+            own = np.array([k for k, p in enumerate(parameters) if p.system % 2 == actuator])
+            D = np.array([self._change(at.roots, parameters[k]) for k in own])
+            sigma[:, own] = np.real(np.tensordot(pull[..., actuator], D, axes=((1, 2), (1, 2))))
+            slack[:, own] = sum(self._at(at.rows, share[..., actuator], D, k) for k in (0, 1))
+        scale = 0.5 * (300.0 / self.forecast.benchmark.numbers["track_pitch_m"]) ** 2
+        return scale * sigma / at.sigma[:, None], slack
 
-    def above(self, at: Place, rows: tuple[Array, ...]) -> Array:
-        """Whether |L| is above 1 (1) or below (-1) at passages of the real axis."""
-        axis = rows[2]
-        return np.where(np.abs(at.L[axis[:, 0], axis[:, 1]]) > 1.0, 1.0, -1.0)
+    @staticmethod
+    def _at(rows: Rows, share: ComplexArray, D: ComplexArray, beside: int) -> Array:
+        """What the rows' first or second nodes add to the slopes."""
+        weight = rows.b if beside else rows.a
+        used = np.flatnonzero(weight)
+        i = rows.i[used] + beside
+        out = np.zeros((rows.slack.size, len(D)))
+        out[used] = np.real(np.einsum("mp,kmp->mk", weight[used, None] * share[rows.case[used], i], D[:, i]))
+        return out
 
-    def worst_miss(self, at: Place) -> float:
-        """Largest miss of a limit."""
-        rows = self.rows(at)
-        return float(max(0.0, -np.min(self.slacks(at, rows, self.above(at, rows)), initial=0.0)))
-
-    def merit(self, at: Place) -> float:
-        """What a search makes small."""
-        return float(at.sigma.max()) + 10.0 * self.worst_miss(at)
+    def _change(self, roots: Sequence[Roots], p: Parameters) -> ComplexArray:
+        """d ln K (n, 2) of one actuator by a parameter."""
+        z, half = self.forecast.at
+        points = z[:, None] if p.system < 2 else half
+        if p.part == "gain":
+            return np.ones(half.shape, dtype=complex)
+        root, step = getattr(roots[p.system], p.part)[p.place], p.step
+        if root.imag == 0.0:
+            change: ComplexArray = -step / (points - root)
+        else:
+            step = complex(step)
+            change = 2.0 * ((np.conj(root) * step).real - step.real * points) / _factor(points, root)
+        return np.broadcast_to(-change if p.part == "poles" else change, half.shape)
 
     def step(self, at: Place, parameters: Sequence[Parameters], radius: float) -> tuple[Array, float]:
         """The linear programme's step and the merit that it promises."""
-        rows = self.rows(at)
-        above = self.above(at, rows)
-        slacks = self.slacks(at, rows, above)
-        near = slacks < np.where(np.arange(slacks.size) < len(rows[0]), NEAR_DB, NEAR_DEG / 6.0)
-        sigma_slopes, slopes = np.empty((at.sigma.size, len(parameters))), np.empty((int(near.sum()), len(parameters)))
-        h = 1e-6
-        for k, p in enumerate(parameters):
-            there = self._nudged(at, p, h)
-            sigma_slopes[:, k] = (there.sigma - at.sigma) / h
-            slopes[:, k] = (self.slacks(there, rows, above)[near] - slacks[near]) / h
-        n = len(parameters)
-        A = np.zeros((at.sigma.size + slopes.shape[0], n + 2))
-        A[: at.sigma.size, :n], A[: at.sigma.size, n] = sigma_slopes, -1.0
-        A[at.sigma.size :, :n], A[at.sigma.size :, n + 1] = -slopes, -1.0
-        b = np.concatenate([-at.sigma, slacks[near]])
-        cost = np.concatenate([np.zeros(n), [1.0, 10.0]])
+        sigma_slopes, slopes = self.slopes(at, parameters)
+        binds = at.rows.slack < radius * np.abs(slopes).sum(axis=1)
+        n, m = len(parameters), at.sigma.size
+        A = np.zeros((m + int(binds.sum()), n + 2))
+        A[:m, :n], A[:m, n] = sigma_slopes, -1.0
+        A[m:, :n], A[m:, n + 1] = -slopes[binds], -1.0
+        b = np.concatenate([-at.sigma, at.rows.slack[binds]])
+        cost = np.concatenate([np.zeros(n), [1.0, MISSED]])
         bounds = [(-radius, radius)] * n + [(None, None), (0.0, None)]
         found = linprog(cost, A_ub=A, b_ub=b, bounds=bounds, method="highs")
-        if found.x is None:
-            return np.zeros(n), 0.0
-        return found.x[:n], self.merit(at) - float(found.fun)
-
-    def _nudged(self, at: Place, p: Parameters, h: float) -> Place:
-        """The place with one parameter moved by h: one factor of K changes."""
-        z, half = self.forecast.at
-        K, points = at.K.copy(), (z[:, None] if p.system < 2 else half)
-        if p.part == "gain":
-            ratio: ComplexArray | float = np.exp(h)
-        else:
-            root = getattr(at.roots[p.system], p.part)[p.place]
-            ratio = _factor(points, root + h * p.step) / _factor(points, root)
-            ratio = 1.0 / ratio if p.part == "poles" else ratio
-        K[..., p.system % 2] *= ratio
-        L = self.forecast.loops(K)
-        return Place(at.roots, K, L, self.forecast.three_sigma(K, L, self.run_out))
+        return (np.zeros(n), 0.0) if found.x is None else (found.x[:n], at.merit - float(found.fun))
 
 
 def _factor(points: ComplexArray, root: complex) -> ComplexArray:
@@ -263,14 +241,13 @@ def search(
         dx, promised = tuner.step(at, parameters, radius)
         if promised < 1e-4 or radius < SMALLEST:
             break
-        now = moved(at.roots, parameters, dx)
-        there = None if now is None else tuner.place(now)
-        gained = -1.0 if there is None else tuner.merit(at) - tuner.merit(there)
-        if there is not None and gained > 0.1 * promised:
+        there = tuner.place(moved(at.roots, parameters, dx))
+        gained = at.merit - there.merit
+        if gained > 0.1 * promised:
             at, radius = tuner.renewed(there.roots), min(radius * (1.6 if gained > 0.5 * promised else 1.0), 0.5)
         else:
             radius *= 0.5
-        say(f"{k} {at.sigma.max():.3f} % miss {tuner.worst_miss(at):.4f} radius {radius:.4g}")
+        say(f"{k} {at.sigma.max():.3f} % miss {at.worst_miss:.4f} radius {radius:.4g}")
     return at.roots
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,8 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from hdd_benchmark import HALF, NAMES, Benchmark, System, read_controllers, write_controllers  # noqa: E402
 from hdd_forecast import Forecast, nodes_hz, run_out_variance  # noqa: E402
-from hdd_tuning import Limits, Place, Roots, Tuner, resonators, search  # noqa: E402
+from hdd_rows import Limits, margins  # noqa: E402
+from hdd_tuning import Roots, Tuner, resonators, search  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from loopshape.core.units import TWO_PI, Array, db  # noqa: E402
@@ -25,8 +26,10 @@ from loopshape.view.style import new_figure, png, styled  # noqa: E402
 PEAK_DB, GAIN_DB, PHASE_DEG, LOW_DB = 0.03, 0.05, 0.2, 0.03
 #: other seeds, the rotation's first
 SEEDS = (101, 201)
-#: damping of the resonators at the fan's modes at first, and steps
-DAMPING, STEPS, RADII = 0.03, (45, 25, 6), (0.05, 0.004, 0.002)
+#: damping of the resonators at the fan's modes at first
+DAMPING = 0.03
+#: searches one after the other: widest gap between nodes, most steps, first radius
+WIDEST_HZ, STEPS, RADII = (70.0, 20.0), (150, 150), (0.05, 0.05)
 #: dense nodes on which margins are read
 DENSE = (8.0, 1.003)
 COLUMNS = (
@@ -39,9 +42,8 @@ def main() -> None:
     """Tune one set for nine plants, verify it and the reference; two tables, the controllers and a figure."""
     benchmark = Benchmark()
     reference = benchmark.reference()
-    dense, coarse = Forecast(benchmark, nodes_hz(*DENSE)), tuning_nodes(benchmark, 70.0)
-    ends = Forecast(benchmark, np.union1d(coarse, dense.f[-20:]))
-    low = tuned([Forecast(benchmark, f) for f in (coarse, tuning_nodes(benchmark, 20.0), ends.f)], reference)
+    dense = Forecast(benchmark, nodes_hz(*DENSE))
+    low = tuned([Forecast(benchmark, tuning_nodes(benchmark, widest_hz)) for widest_hz in WIDEST_HZ], reference)
     found = {key: one.system() for key, one in zip(NAMES, low, strict=True)}
     write_controllers(HERE / "controllers_tuned.json", found, "tuned by loopshape")
     sets = {"reference": reference, "tuned": read_controllers(HERE / "controllers_tuned.json")}
@@ -88,30 +90,6 @@ def tuned(forecasts: Sequence[Forecast], reference: Mapping[str, System]) -> lis
     return roots
 
 
-@dataclass(frozen=True)
-class Margins:
-    """Peak of |S| in dB, least gain margin either way in dB, least phase margin in degrees of one case."""
-
-    peak_db: float
-    gain_db: float
-    phase_deg: float
-
-
-def margins(forecast: Forecast, controllers: Mapping[str, System]) -> list[Margins]:
-    """Of each case on the nodes, crossings between them interpolated."""
-    K = forecast.K(dict(controllers))
-    L = forecast.loops(K)
-    tuner, at, out = Tuner(forecast, Limits(0.0, 0.0, 0.0)), Place([], K, L, np.zeros(0)), []
-    rows = tuner.rows(at)
-    slacks, ends = tuner.slacks(at, rows, tuner.above(at, rows)), np.cumsum([len(row) for row in rows])
-    _, phase, gain = np.split(slacks, ends[:2])
-    for case in range(len(L)):
-        peak = float(np.max(-db(np.abs(1.0 + L[case]))))
-        mine = [part[row[:, 0] == case].min() for part, row in ((gain, rows[2]), (6.0 * phase, rows[1]))]
-        out.append(Margins(peak, float(mine[0]), float(mine[1])))
-    return out
-
-
 def verified(
     benchmark: Benchmark,
     forecast: Forecast,
@@ -123,7 +101,7 @@ def verified(
     K = forecast.K(dict(controllers))
     L, given = forecast.loops(K), benchmark.disturbances()
     out = run_out_variance(benchmark, lambda other: other.K(dict(controllers)))
-    sigma, read = forecast.three_sigma(K, L, out), margins(forecast, controllers)
+    sigma, read = forecast.three_sigma(K, L, out), list(margins(L))
     below = forecast.f <= 1000.0
     over = -db(np.abs(1.0 + L)) + db(np.abs(1.0 + forecast.loops(forecast.K(dict(first)))))
     for k, case in enumerate(benchmark.cases):

@@ -48,7 +48,32 @@ def test_the_shipped_controllers_score_what_the_study_says(disk, disturbances):
         (row["controllers"], row["case"]): row for row in csv.DictReader((STUDY / "cases.csv").read_text().splitlines())
     }
     assert found == pytest.approx(float(rows["tuned", "9"]["three_sigma"]), rel=1e-3)
-    assert found < 13.3
+    assert found < 9.0
+
+
+def test_slopes_of_the_limits_rows_are_those_of_differences():
+    from hdd_rows import Limits, rows_of
+
+    f, rng = np.geomspace(0.1, 60.0, 400), np.random.default_rng(3)
+    L = (4.0 / (1j * f * (1.0 + 0.1j * f)) * (1.0 + 0.2j * f / (4.0 + 0.3j * f - f**2)))[None] * np.ones((2, 1))
+    step = 1e-7 * (rng.normal(size=L.shape) + 1j * rng.normal(size=L.shape))
+    limits, ceiling = Limits(), np.full(L.shape, 1.0)
+    rows, moved = rows_of(L, limits, ceiling), rows_of(L * np.exp(step), limits, ceiling)
+    after = np.minimum(rows.i + 1, f.size - 1)
+    said = np.real(rows.a * step[rows.case, rows.i] + rows.b * step[rows.case, after])
+    assert rows.slack.size > 20
+    np.testing.assert_allclose(moved.slack - rows.slack, said, rtol=1e-4, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("peak_db", "phase_deg", "slack"), [(-0.5, 20.0, 0.45), (-0.02, 20.0, -0.03), (-0.02, 60.0, 2.0)]
+)
+def test_a_turn_towards_1_keeps_away_from_it_or_has_the_phase_margin(peak_db, phase_deg, slack):
+    from hdd_rows import grazes
+
+    size = peak_db - 0.01 * np.arange(-50, 51) ** 2
+    L = 10.0 ** (size / 20.0) * np.exp(1j * np.radians(phase_deg - 180.0))
+    assert grazes(L[None], 48.0).slack == pytest.approx([slack], abs=1e-6)
 
 
 def test_the_forecast_is_the_mean_over_seeds(disk):
