@@ -2,8 +2,8 @@
 
 scipy's reader ends the process with a segmentation fault on some damaged files, so the few elements that
 carry numbers and texts are read here, every length checked against what is there. Format: MathWorks, "MAT-File
-Format", chapter 1 (level 5). Objects and other cells than lists of texts
-are named and left closed; structures are opened where it is asked for.
+Format", chapter 1 (level 5); of objects `mcos`.
+`read_mat5` reads variables alone, `read_mat5_tree` what lies within them too.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.io.growth import inflated
+from loopshape.io.mat_tree import DEEPEST, Found, Handle, Node, Thing
+from loopshape.io.mcos import Objects, handle_of
 
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
@@ -25,9 +27,7 @@ _NUMERIC_CLASSES = range(6, 16)
 _CELL, _CHAR = 1, 4
 _CODES = {1: "ascii", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _OPAQUE = 17
-_STRUCT = 2
-_DEEPEST = 8  # structures within structures
-_LABELS = ("Name", "name", "label", "Label", "blockName")
+_STRUCT, _OBJECT = 2, 3
 _COMPLEX = 0x0800
 
 
@@ -37,56 +37,114 @@ class _Element:
     data: memoryview
 
 
-def read_mat5(path: Path, *, texts: bool = False, structs: bool = False) -> dict[str, np.ndarray]:
+def read_mat5(path: Path, *, texts: bool = False) -> dict[str, np.ndarray]:
     """Arrays by name with MATLAB's shape, real or complex; what is not numeric is an empty array of objects.
 
-    With `texts` a text of one row is an array () of it, and a cell of texts one (n,) of them. With `structs` the
-    members of a structure are arrays `outer.field`, those of a list of structures `outer.LABEL.field` by the text in
-    their field Name or label, else `outer(1).field`.
+    With `texts` a text of one row is an array () of it, and a cell of texts one (n,) of them.
     Raises `ValueError` for a file that is damaged or of another version; `zlib.error` and `struct.error` too.
     """
     raw = path.read_bytes()
     order = _byte_order(raw)
     arrays: dict[str, np.ndarray] = {}
-    grown = 0
-    for element in _elements(memoryview(raw)[_HEADER:], order):
-        if element.kind == _COMPRESSED:
-            unpacked = inflated(path, element.data, grown)
-            grown += len(unpacked)
-            element = _next(_elements(memoryview(unpacked), order))
-        if element.kind != _MATRIX:
-            continue
-        if structs and (members := _members(element.data, order, "", 0)):
-            arrays |= members
-        elif (named := _matrix(element.data, order, texts)) and named[0]:
+    for element, _ in _unpacked(path, raw, order):
+        if (named := _matrix(element.data, order, texts)) and named[0]:
             arrays[named[0]] = named[1]
     return arrays
 
 
-def _members(data: memoryview, order: str, outer: str, depth: int) -> dict[str, np.ndarray]:
-    """The arrays within a structure by their names; empty for anything else."""
-    if not data:
-        return {}
-    parts = _elements(data, order)
-    if struct.unpack_from(order + "I", _next(parts).data)[0] & 0xFF != _STRUCT:
-        return {}
-    if depth >= _DEEPEST:
-        raise ValueError(f"structures lie more than {_DEEPEST} deep in each other")
-    sizes = np.frombuffer(_next(parts).data, dtype=order + "i4")
-    name = outer or bytes(_next(parts).data).decode("ascii")
-    if outer:
-        _next(parts)  # its own name, which is empty
-    fields = _field_names(parts, order)
-    count = math.prod(int(n) for n in sizes) if fields else 0
-    rows = [[_next(parts).data for _ in fields] for _ in range(count)]
-    places = [name] if count == 1 else _places(name, fields, rows, order)
-    found: dict[str, np.ndarray] = {}
-    for place, row in zip(places, rows, strict=True):
-        for field, inner in zip(fields, row, strict=True):
-            deeper = _members(inner, order, f"{place}.{field}", depth + 1)
-            value = None if deeper else _matrix(inner, order, False)
-            found |= deeper or ({} if value is None else {f"{place}.{field}": value[1]})
+def _unpacked(path: Path, raw: bytes, order: str) -> Iterator[tuple[_Element, int]]:
+    """The variables of a file, each with the byte that it begins at."""
+    grown, at = 0, _HEADER
+    for element in _elements(memoryview(raw)[_HEADER:], order):
+        begin, at = at, at + 8 + len(element.data)
+        if element.kind == _COMPRESSED:
+            unpacked = inflated(path, element.data, grown)
+            grown += len(unpacked)
+            element = _next(_elements(memoryview(unpacked), order))
+        else:
+            at += -len(element.data) % 8
+        if element.kind == _MATRIX:
+            yield element, begin
+
+
+def read_mat5_tree(path: Path) -> Found:
+    """Signals of a file by name, those within structures, cells, tables and objects among them.
+
+    Raises `ValueError` for a file that is damaged or of another version; `zlib.error` and `struct.error` too.
+    """
+    raw = path.read_bytes()
+    order = _byte_order(raw)
+    variables: list[tuple[str, Node]] = []
+    kept: Node = None
+    for element, at in _unpacked(path, raw, order):
+        name, node = _variable(element.data, order, 0)
+        if at == _objects_at(raw, order):
+            kept = node
+        elif name:
+            variables.append((name, node))
+    things = _objects(kept, path) if isinstance(kept, np.ndarray) else None
+    found = Found(np.asarray, _no_objects if things is None else things.of)
+    for name, node in variables:
+        found.add(name, node)
     return found
+
+
+def _no_objects(handle: Handle) -> list[Thing]:
+    raise ValueError("a variable holds an object, and the file's part of objects is missing")
+
+
+def _objects_at(raw: bytes, order: str) -> int:
+    """Where the part of objects begins, in bytes; 0 for none (8 blanks or noughts in the header)."""
+    place = raw[116:124]
+    return 0 if place.strip(b" ") == b"" else int(struct.unpack(order + "Q", place)[0])
+
+
+def _objects(kept: np.ndarray, path: Path) -> Objects | None:
+    """The part of objects: bytes of a small file of its own, with a structure whose field MCOS holds cells."""
+    raw = kept.astype(np.uint8).tobytes(order="F")
+    order = {b"IM": "<", b"MI": ">"}.get(raw[2:4], "<")
+    for element in _elements(memoryview(raw)[8:], order):
+        if element.kind == _COMPRESSED:
+            element = _next(_elements(memoryview(inflated(path, element.data, len(raw))), order))
+        if element.kind == _MATRIX:
+            _, node = _variable(element.data, order, 0)
+            cells = node.get("MCOS") if isinstance(node, dict) else None
+            if isinstance(cells, list) and len(cells) > 2 and isinstance(cells[0], np.ndarray):
+                return Objects(cells[0].astype(np.uint8).tobytes(), cells, order)
+    return None
+
+
+def _variable(data: memoryview, order: str, depth: int) -> tuple[str, Node]:
+    """Name and node (`mat_tree`) of one variable or member; what is not read is an empty array of objects."""
+    if depth > DEEPEST:
+        raise ValueError(f"structures lie more than {DEEPEST} deep in each other")
+    closed = np.empty(0, dtype=object)
+    if not data:  # an empty place of a cell
+        return "", closed
+    parts = _elements(data, order)
+    number_class = struct.unpack_from(order + "I", _next(parts).data)[0] & 0xFF
+    if number_class == _OPAQUE:
+        name, _, _ = (bytes(_next(parts).data).decode("ascii") for _ in range(3))  # its system and its class
+        return name, _variable(_next(parts).data, order, depth + 1)[1]
+    if number_class not in (_CELL, _STRUCT, _OBJECT):
+        name, values = _matrix(data, order, True) or ("", closed)
+        text = values.dtype.kind == "U" and not values.ndim
+        return name, str(values) if text else handle_of(values) or values
+    sizes = np.frombuffer(_next(parts).data, dtype=order + "i4")
+    name = bytes(_next(parts).data).decode("ascii")
+    if number_class == _CELL:
+        return name, [_variable(part.data, order, depth + 1)[1] for part in parts if part.kind == _MATRIX]
+    if number_class == _OBJECT:
+        _next(parts)  # its class
+    return name, _structures(parts, order, math.prod(int(n) for n in sizes), depth)
+
+
+def _structures(parts: Iterator[_Element], order: str, count: int, depth: int) -> Node:
+    """One structure as a dictionary of nodes, several as a list of them."""
+    fields = _field_names(parts, order)
+    count = count if fields else 0
+    rows = [{key: _variable(_next(parts).data, order, depth + 1)[1] for key in fields} for _ in range(count)]
+    return rows[0] if len(rows) == 1 else rows
 
 
 def _field_names(parts: Iterator[_Element], order: str) -> list[str]:
@@ -95,19 +153,6 @@ def _field_names(parts: Iterator[_Element], order: str) -> list[str]:
     if length <= 0 or len(raw) % length:
         raise ValueError("a structure has no names of its fields")
     return [raw[k : k + length].split(b"\0")[0].decode("ascii") for k in range(0, len(raw), length)]
-
-
-def _places(name: str, fields: list[str], rows: list[list[memoryview]], order: str) -> list[str]:
-    """What the structures of a list are called: by their labels where each has one of its own, else by their number."""
-    label = next((fields.index(known) for known in _LABELS if known in fields), None)
-    if label is not None:
-        found = [_matrix(row[label], order, True) for row in rows]
-        texts = [
-            str(one[1]) if one is not None and one[1].dtype.kind == "U" and not one[1].ndim else "" for one in found
-        ]
-        if all(texts) and len(set(texts)) == len(texts):
-            return [f"{name}.{text}" for text in texts]
-    return [f"{name}({k + 1})" for k in range(len(rows))]
 
 
 def _byte_order(raw: bytes) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,8 +15,10 @@ from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.io.dataflash import read_dataflash
 from loopshape.io.files import reading, short
-from loopshape.io.growth import check_growth, check_zip
-from loopshape.io.mat5 import read_mat5
+from loopshape.io.growth import check_zip
+from loopshape.io.mat5 import read_mat5_tree
+from loopshape.io.mat73 import mat73_array, mat73_long, read_mat73
+from loopshape.io.mat_tree import refuse_closed
 from loopshape.io.mdf4 import TIME_OF, mdf_array, mdf_names, mdf_units
 from loopshape.io.messages import read_bag, read_mcap
 from loopshape.io.plain_arrays import read_json_arrays, read_wav
@@ -239,61 +240,15 @@ def _mat_source(path: Path) -> Source:
 
 def _mat5_source(path: Path) -> Source:
     with reading(path, "MAT"):
-        arrays = read_mat5(path, structs=True)
-    return Source(path, tuple(arrays), arrays.__getitem__)
-
-
-_DEEPEST = 8  # structures within structures
+        found = read_mat5_tree(path)
+    refuse_closed(path, found)
+    return Source(path, tuple(found.arrays), found.arrays.__getitem__, stated=lambda: found.units)
 
 
 def _mat73_source(path: Path) -> Source:
-    """MAT v7.3 is HDF5 with every array's axes reversed; links to other files are not followed."""
-    import h5py
-
-    with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-        names = tuple(_own_arrays(file, "", 0))
-
-    def load(name: str) -> np.ndarray:
-        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            check_growth(path, file[name.replace(".", "/")].nbytes)
-            return np.asarray(file[name.replace(".", "/")][()]).T
-
-    def long(name: str) -> LongSignal | None:
-        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            check_growth(path, file[name.replace(".", "/")].nbytes)
-            shape, kind = file[name.replace(".", "/")].shape, file[name.replace(".", "/")].dtype.kind
-        if max(shape, default=0) < LONG or np.prod(shape) != max(shape) or kind not in "biuf":
-            return None
-        return LongSignal(max(shape), lambda start, stop: stretch(name, start, stop))
-
-    def stretch(name: str, start: int, stop: int) -> Array:
-        with reading(path, "MAT v7.3"), h5py.File(path, "r") as file:
-            values = file[name.replace(".", "/")]
-            rows = tuple(slice(start, stop) if n == values.size else slice(None) for n in values.shape)
-            return np.asarray(values[rows], dtype=float).ravel()
-
-    return Source(path, names, load, long=long)
-
-
-def _own_arrays(group: Any, outer: str, depth: int) -> Iterator[str]:
-    """Names of the arrays of a file and, as `outer.field`, of its structures, which are groups."""
-    import h5py
-
-    for key in group:
-        if key.startswith("#"):
-            continue
-        if _own_array(group, key):
-            yield f"{outer}{key}"
-        own = isinstance(group.get(key, getlink=True), h5py.HardLink)
-        if own and depth < _DEEPEST and isinstance(group[key], h5py.Group):
-            yield from _own_arrays(group[key], f"{outer}{key}.", depth + 1)
-
-
-def _own_array(file: Any, key: str) -> bool:
-    """Whether a member is a dataset that lies in this file itself."""
-    import h5py
-
-    if not isinstance(file.get(key, getlink=True), h5py.HardLink):
-        return False
-    member = file[key]
-    return isinstance(member, h5py.Dataset) and not member.is_virtual and not member.external
+    found = read_mat73(path)
+    refuse_closed(path, found)
+    return Source(
+        path, tuple(found.arrays), lambda name: mat73_array(path, found.arrays[name]),
+        long=lambda name: mat73_long(path, found.arrays[name]), stated=lambda: found.units,
+    )  # fmt: skip
