@@ -27,7 +27,8 @@ _UNIT_WORDS = {
     "metre": "m", "meters": "m", "n·m": "Nm", "n*m": "Nm", "n.m": "Nm", "n-m": "Nm", "rad/sec": "rad/s",
     "rad/s": "rad/s", "°/s": "deg/s", "deg/s": "deg/s", "dps": "deg/s", "1/min": "rpm", "u/min": "rpm", "m/s^2": "m/s2",
     "m/s²": "m/s2", "m/s/s": "m/s2", "-": "1", "none": "1", "count": "1", "counts": "1", "inc": "1", "%": "1",
-    "pu": "1", "p.u.": "1", "norm": "1",
+    "pu": "1", "p.u.": "1", "norm": "1", "arms": "A", "a rms": "A", "apk": "A", "a pk": "A", "vrms": "V", "v rms": "V",
+    "vpk": "V",
 }  # fmt: skip
 _LOWER = {unit.lower(): unit for unit in UNITS if unit not in ("Pa", "MPa", "nm", "Nm", "N m", "1", "m", "MPa")}
 _BRACKETED = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
@@ -41,12 +42,13 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
     Role.REFERENCE: {
         **dict.fromkeys(("r", "w", "ref", "reference", "setpoint", "sp", "soll", "sollwert", "target", "targets",
                          "desired", "des", "demand", "goal", "trajectory", "traj", "setp", "consigne", "riferimento",
-                         "referencia", "referentie"), 6.0),
+                         "referencia", "referentie", "führungsgröße", "fuehrungsgroesse"), 6.0),
         **dict.fromkeys(("cmd", "command", "commanded", "set", "profile", "input"), 2.5),
     },
     Role.INJECTED: {
         **dict.fromkeys(("inj", "injected", "injection", "exc", "excitation", "chirp", "sweep", "prbs", "multisine",
-                         "dither", "perturbation", "stimulus", "anregung", "disturbance", "noise", "probe", "dist",
+                         "dither", "perturbation", "stimulus", "anregung", "störgröße", "stoergroesse", "disturbance",
+                         "noise", "probe", "dist",
                          "n", "d"), 6.0),
     },
     Role.CONTROL: {
@@ -58,13 +60,14 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
     Role.OUTPUT: {
         **dict.fromkeys(("y", "actual", "act", "ist", "istwert", "meas", "measured", "measurement", "feedback", "fb",
                          "fbk", "pv", "response", "sensor", "mesure", "misura", "medida", "sortie", "uscita",
-                         "salida"), 4.0),
+                         "salida", "regelgröße", "regelgroesse"), 4.0),
         **dict.fromkeys(("pos", "position", "angle", "theta", "phi", "enc", "encoder", "velocity", "vel", "speed", "x",
                          "displacement", "gap", "height", "temperature", "pressure", "winkel", "weg", "drehzahl",
                          "acceleration", "accel", "acc", "gyro", "rate", "level", "output", "out", "q", "posizione",
                          "posicion", "hoek"), 2.0),
     },
-    Role.ERROR: dict.fromkeys(("e", "err", "error", "regelabweichung", "following", "deviation", "schleppfehler"), 9.0),
+    Role.ERROR: dict.fromkeys(("e", "err", "error", "regelabweichung", "regeldifferenz", "following",
+                               "deviation", "schleppfehler"), 9.0),
 }  # fmt: skip
 
 

@@ -43,10 +43,12 @@ _RATE_WORDS = re.compile(
     re.IGNORECASE,
 )
 _PERIOD_WORDS = re.compile(
-    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sample[ _]?interval"
-    r"|abtastzeit|cycle ?time|zykluszeit)\b[^0-9\n]{0,12}([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(us|µs|ms|s)?",
+    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sample[ _]?interval|increment|delta[ _]x"
+    r"|hresolution|abtastzeit|cycle ?time|zykluszeit)\b([^0-9\n]{0,12})([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)"
+    r"(?![0-9])\s*(us|µs|ms|s)?(?!\s*[a-zµ°/%])",
     re.IGNORECASE,
 )
+_IN_BRACKETS = re.compile(r"[\[(](us|µs|ms|s)[\])]")
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     if rate_hz is not None:
         found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
     signals = [c for c in columns if c.name != found.column and not c.name.startswith(TIME_OF)]
-    still = [c.name for c in signals if np.ptp(c.values) == 0.0]
+    still = [c.name for c in signals if np.ptp(c.values) == 0.0 or bool(np.all(np.diff(c.values) == 1.0))]
     moving = tuple(c for c in signals if c.name not in still)
     known = {Role(part): name for part, name in parts.items()}
     table = np.stack([c.values for c in moving], axis=1) if moving else np.empty((0, 0))
@@ -293,8 +295,10 @@ def _stated_rate(layout: TextLayout | None, scalars: Mapping[str, float]) -> _Ti
         if found := _RATE_WORDS.search(line):
             rate = float(found[2].replace(",", ".")) * (1e3 if (found[3] or "").lower() == "khz" else 1.0)
             return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
-        if found := _PERIOD_WORDS.search(line):
-            rate = 1.0 / (float(found[2].replace(",", ".")) * UNITS[unit_of_word(found[3] or "s") or "s"][1])
+        if (found := _PERIOD_WORDS.search(line)) and (period := float(found[3].replace(",", "."))) > 0.0:
+            bracket = _IN_BRACKETS.search(found[2])
+            unit = unit_of_word(found[4] or (bracket[1] if bracket else "s")) or "s"
+            rate = 1.0 / (period * UNITS[unit][1])
             return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
     for name, value in scalars.items():
         word = name.rpartition(".")[2].lower()
@@ -319,7 +323,7 @@ def _drafted(
     if not time.rate_hz:
         questions.append("no column rises as time does and no rate stands in the file: write rate_hz.")
     if still:
-        guesses.append(f"left out, since they never move: {', '.join(still)}.")
+        guesses.append(f"left out, since they never move or count the rows: {', '.join(still)}.")
     stored, rules, said = _rules(signals)
     named = {role: stored[name] for role, name in roles.by_role.items()}
     if Role.OUTPUT not in named and {Role.REFERENCE, Role.ERROR} <= set(named):

@@ -27,7 +27,7 @@ from loopshape.io.tables import TableColumns
 from loopshape.io.tdms import read_tdms, tdms_units
 from loopshape.io.ulog import read_ulog
 
-_TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+_TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".lvm", ".asc", ".log", ".prn")
 #: cures for files that are not read
 _OTHERS = {
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "save the sheet as CSV; "),

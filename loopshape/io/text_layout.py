@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -11,11 +11,17 @@ from pathlib import Path
 from loopshape.core.errors import UnreadableInputError
 from loopshape.io.csv_text import CsvShape, first_text
 from loopshape.io.files import short
+from loopshape.io.mdf4 import TIME_OF
 
 _LOOKED_AT = 1 << 18  # bytes
 _SEPARATORS = (";", "\t", ",", "|", " ")
 _NAMED = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_MOST_HEADS = 12
+#: first words of lines that name the channels or their units
+_UNIT_LINE = re.compile(r"(?<!time )(unit|einheit)", re.IGNORECASE)
+_NAME_LINE = re.compile(r"^(name|symbol ?name|signal|channel|variable|trace ?names?)s?$", re.IGNORECASE)
+_PERIOD_UNIT = re.compile(r"(?:sample|cycle|time)[^\[]*\[(us|µs|ms|s)\]", re.IGNORECASE)
 #: what a cell is called that holds a day alone
 DATE = "date"
 _CLOCKS = (
@@ -64,8 +70,10 @@ def read_layout(path: Path) -> TextLayout:
     """The layout that the first lines of a file show; refuses one without rows of numbers (`UnreadableInputError`)."""
     text, encoding = first_text(path, _LOOKED_AT)
     lines = text.splitlines()
-    made = [_rows(lines, s, d) for s, d in product(_SEPARATORS, (".", ",")) if s != d]
-    best = max((rows for rows in made if rows is not None), key=lambda rows: rows.worth, default=None)
+    best = None
+    for words in (False, True):
+        made = [_rows(lines, s, d, words) for s, d in product(_SEPARATORS, (".", ",")) if s != d]
+        best = best or max((rows for rows in made if rows is not None), key=lambda rows: rows.worth, default=None)
     if best is None:
         raise UnreadableInputError(*_nothing(path, lines))
     return _layout(lines, best, encoding)
@@ -98,38 +106,52 @@ def _is_value(cell: str, decimal: str) -> bool:
     return bool(_NUMBER.fullmatch(number)) and not (decimal == "," and "." in cell)
 
 
-def _full(cells: Sequence[str], decimal: str) -> bool:
-    """Whether cells are those of a row: values, stamps, and few empty ones."""
-    filled = [cell for cell in cells if cell]
+def _full(cells: Sequence[str], decimal: str, texts: Collection[int]) -> bool:
+    """Whether cells are those of a row: values, stamps, few empty ones, and texts in columns of text alone."""
+    filled = [cell for k, cell in enumerate(cells) if cell and k not in texts]
     values = sum(_is_value(cell, decimal) for cell in filled)
-    return bool(values) and values + sum(bool(clock_of(cell)) for cell in filled) == len(filled) > len(cells) // 2
+    whole = values + sum(bool(clock_of(cell)) for cell in filled) == len(filled)
+    return bool(values) and whole and len(filled) > (len(cells) - len(texts)) // 2
 
 
-def _rows(lines: Sequence[str], separator: str, decimal: str) -> _Rows | None:
-    """The last stretch of lines with values and one number of cells; it reaches the end but for empty lines."""
+def _texts(cells: Sequence[str], decimal: str) -> frozenset[int]:
+    """Columns of text in a row that has twice as many values at least."""
+    values = sum(_is_value(cell, decimal) for cell in cells)
+    found = frozenset(k for k, cell in enumerate(cells) if cell and not _is_value(cell, decimal) and not clock_of(cell))
+    return found if 2 * len(found) <= values else frozenset()
+
+
+def _rows(lines: Sequence[str], separator: str, decimal: str, words: bool) -> _Rows | None:
+    """The last stretch of lines with values and one number of cells; it reaches the end but for empty lines.
+
+    With `words` columns may hold text, as the last line does.
+    """
     end = len(lines)
     while end and not lines[end - 1].strip():
         end -= 1
+    texts = _texts(cells_of(lines[end - 1], separator), decimal) if words and end else frozenset()
     start, cells = end, None
     while start:
         found = cells_of(lines[start - 1], separator)
-        if not _full(found, decimal) or (cells is not None and len(found) != len(cells)):
+        if not _full(found, decimal, texts) or (cells is not None and len(found) != len(cells)):
             break
         cells, start = cells or found, start - 1
     return None if cells is None else _Rows(separator, decimal, start, end - start, cells)
 
 
 def _layout(lines: Sequence[str], rows: _Rows, encoding: str) -> TextLayout:
-    width, over = len(rows.cells), [k for k in range(rows.start) if lines[k].strip()]
-    heads = [k for k in over[-3:] if len(cells_of(lines[k].lstrip("#%; "), rows.separator)) == width]
-    if heads and heads[-1] != over[-1]:  # something else stands between
-        heads = []
-    texts = {k: cells_of(lines[k].lstrip("#%; "), rows.separator) for k in heads}
-    units_at = heads[-1] if len(heads) > 1 and _look_like_units(texts[heads[-1]]) else None
-    named = (heads[-2] if units_at is not None else heads[-1]) if heads else None
-    names = ("",) * width if named is None else texts[named]
-    units = ("",) * width if units_at is None else texts[units_at]
+    width = len(rows.cells)
+    heads = _heads(lines, rows)
+    units_at = next((k for k in reversed(heads) if len(heads) > 1 and _look_like_units(heads[k])), None)
+    above = [k for k in heads if units_at is None or k < units_at]
+    named = next((k for k in reversed(above) if not _all_alike(heads[k])), None)
+    names = ("",) * width if named is None else heads[named]
+    units = _beside(lines[: rows.start], _UNIT_LINE, width) if units_at is None else heads[units_at]
     by_name = named is not None and _usable(lines[named], names, rows.separator)
+    if pairs := _pairs(heads):
+        names, units, by_name = pairs
+    elif named is None:
+        names = _beside(lines[: rows.start], _NAME_LINE, width)
     shape = CsvShape(
         rows.separator,
         by_name,
@@ -140,7 +162,48 @@ def _layout(lines: Sequence[str], rows: _Rows, encoding: str) -> TextLayout:
     )
     guesses = tuple(_sentences(rows, shape, named, units_at, encoding))
     clocks = tuple("" if _is_value(cell, rows.decimal) else clock_of(cell) for cell in rows.cells)
-    return TextLayout(shape, names, units, clocks, tuple(lines[: rows.start]), guesses)
+    said = [f"{name}: {cell}" for name, cell in zip(names, units, strict=True) if _is_value(cell, rows.decimal)]
+    units = tuple("" if _is_value(cell, rows.decimal) and cell != "1" else cell for cell in units)
+    return TextLayout(shape, names, units, clocks, (*lines[: rows.start], *said), guesses)
+
+
+def _heads(lines: Sequence[str], rows: _Rows) -> dict[int, tuple[str, ...]]:
+    """The lines with one cell a column that stand straight above the rows, by their place."""
+    found: dict[int, tuple[str, ...]] = {}
+    for k in reversed([k for k in range(rows.start) if lines[k].strip()]):
+        cells = cells_of(lines[k].lstrip("#%; "), rows.separator)
+        cells = cells[:-1] if len(cells) == len(rows.cells) + 1 and not cells[-1] else cells
+        if len(cells) != len(rows.cells) or len(found) == _MOST_HEADS or not any(cells):
+            break
+        found[k] = cells
+    return dict(sorted(found.items()))
+
+
+def _all_alike(cells: Sequence[str]) -> bool:
+    """Whether a line says the same of several columns, as a row of types does."""
+    return len(cells) > 1 and len(set(cells)) == 1
+
+
+def _beside(lines: Sequence[str], word: re.Pattern[str], width: int) -> tuple[str, ...]:
+    """What a line of the head says of each column behind its first word, the time's column left out or not."""
+    for line in lines:
+        for separator in _SEPARATORS[:-1]:
+            first, *rest = cells_of(line, separator)
+            if word.search(first) and width - 1 <= len(rest) <= width and all(rest):
+                return ("",) * (width - len(rest)) + tuple(rest)
+    return ("",) * width
+
+
+def _pairs(heads: Mapping[int, Sequence[str]]) -> tuple[tuple[str, ...], tuple[str, ...], bool] | None:
+    """Names and units where each channel has its time beside it, with a word in the time's column; None otherwise."""
+    said = {cells[0].lower(): cells[1::2] for cells in heads.values() if len(cells) > 3 and _all_alike(cells[0::2])}
+    names = next((rest for word, rest in said.items() if _NAME_LINE.search(word)), None)
+    if names is None:
+        return None
+    units = next((rest for word, rest in said.items() if _UNIT_LINE.search(word)), ("",) * len(names))
+    stamp = next((found[1] for word in said if (found := _PERIOD_UNIT.search(word))), "")
+    columns = [(TIME_OF + name, stamp, name, unit) for name, unit in zip(names, units, strict=True)]
+    return tuple(x for c in columns for x in c[0::2]), tuple(x for c in columns for x in c[1::2]), False
 
 
 def _usable(line: str, names: Sequence[str], separator: str) -> bool:
@@ -154,7 +217,7 @@ def _look_like_units(cells: Sequence[str]) -> bool:
     """Whether a row holds units: short, some in brackets or known, and no two long words."""
     from loopshape.io.column_words import unit_of_word
 
-    filled = [cell for cell in cells if cell]
+    filled = [cell for cell in cells if cell and not _NUMBER.fullmatch(cell)]
     known = sum(cell[0] in "[(" or unit_of_word(cell) is not None for cell in filled)
     return bool(filled) and 2 * known >= len(filled) and max(map(len, filled)) <= 12
 

@@ -223,3 +223,83 @@ def test_names_of_other_languages_and_with_a_signal_s_letter(tmp_path, names):
     n, z, y = loop_signals()
     draft = draft_map(written(tmp_path / "a.csv", ["t_s", *names], [np.arange(N) / RATE, n, y, z]))
     assert [draft.roles.get(name) for name in names] == ["reference", "output", "control"]
+
+
+def scope_text(head, columns, separator=",", lead="", tail=""):
+    rows = (lead + separator.join(f"{v:.9g}" for v in row) + tail for row in zip(*columns, strict=True))
+    return head + "\n".join(rows) + "\n"
+
+
+def test_units_and_names_beside_words_above_the_rows(tmp_path):
+    """Scopes write them in lines of the head, with the time's column or without it (Tektronix, Yokogawa)."""
+    n, z, y = loop_signals()
+    t = np.arange(N) / RATE
+    (tmp_path / "a.csv").write_text(scope_text("Vertical Units,V,mm,V\n,,,\nTIME,inj,pos,u\n", [t, n, y, z]))
+    draft = draft_map(tmp_path / "a.csv")
+    assert [rule["unit"] for rule in draft.table["columns"].values()] == ["V", "mm", "V"]
+    head = '"TraceName"  ,"inj","pos","u"\n"VUnit" ,"V","mm","V"\n"HResolution",0.002,0.002,0.002\n\n'
+    (tmp_path / "b.csv").write_text(scope_text(head, [n, y, z], lead=","))
+    draft = draft_map(tmp_path / "b.csv")
+    assert draft.rate_hz == RATE
+    assert draft.roles == {"inj": "injected", "pos": "output", "u": "control"}
+    assert [rule["unit"] for rule in draft.table["columns"].values()] == ["V", "mm", "V"]
+
+
+def test_an_increment_beside_the_names_is_the_period_and_a_counter_is_no_signal(tmp_path):
+    n, z, y = loop_signals()
+    head = "X,inj,u,y,Start,Increment,\nSequence,Volt,Volt,mm,-6.0e-01,2.0e-03,\n"
+    (tmp_path / "a.csv").write_text(scope_text(head, [np.arange(N), n, z, y], tail=",,"))
+    draft = draft_map(tmp_path / "a.csv")
+    assert draft.rate_hz == RATE
+    assert draft.roles == {"inj": "injected", "u": "control", "y": "output"}
+    assert [rule["unit"] for rule in draft.table["columns"].values()] == ["V", "V", "mm"]
+
+
+def test_a_step_of_another_quantity_is_no_rate(tmp_path):
+    n, z, y = loop_signals()
+    file = written(tmp_path / "a.csv", ["inj", "u", "y"], [n, z, y], above="Encoder increment: 0.001 mm\n")
+    assert draft_map(file).rate_hz == 0.0
+
+
+def test_a_row_of_types_between_names_and_units_is_neither(tmp_path):
+    n, z, y = loop_signals()
+    head = "time\texc\tdrive_u\tpos\nf8\tf8\tf8\tf8\ns\tdeg\tV\tdeg\n"
+    (tmp_path / "a.asc").write_text(scope_text(head, [np.arange(N) / RATE, n, z, y], "\t"))
+    draft, run = accepted(tmp_path / "a.asc", tmp_path)
+    assert draft.roles == {"exc": "injected", "drive_u": "control", "pos": "output"}
+    assert run.loops[0].output == "pos_rad"
+
+
+def test_a_time_beside_each_channel(tmp_path):
+    """TwinCAT's scope: words in odd columns, what they say in even ones."""
+    n, z, y = loop_signals()
+    words = {
+        "Name": ("MAIN.fSetPos", "MAIN.fTorque", "MAIN.fActPos"),
+        "SampleTime[ms]": "222",
+        "Unit": ("mm", "%", "mm"),
+    }
+    head = "Name;Scope\n\n" + "".join(";".join(f"{key};{v}" for v in three) + "\n" for key, three in words.items())
+    t = 2.0 * np.arange(N)
+    (tmp_path / "a.csv").write_text(scope_text(head + "\n", [t, n, t, z, t, y], ";"))
+    draft, run = accepted(tmp_path / "a.csv", tmp_path)
+    assert draft.table["time"] == {"column": 1, "unit": "ms"}
+    assert run.rate_hz == RATE
+    assert draft.roles == {"MAIN.fSetPos": "reference", "MAIN.fTorque": "control", "MAIN.fActPos": "output"}
+    np.testing.assert_allclose(run.recordings[0].column(run.loops[0].output), 1e-3 * y, atol=1e-9)
+
+
+def test_a_column_of_text_among_numbers_is_left_out(tmp_path):
+    n, z, y = loop_signals()
+    triples = enumerate(zip(n, z, y, strict=True))
+    rows = "\n".join(f"{k / RATE:.4f},base,{a:.6g},{b:.6g},{c:.6g}" for k, (a, b, c) in triples)
+    (tmp_path / "a.csv").write_text("%time,frame,command,effort,position\n" + rows + "\n")
+    draft, run = accepted(tmp_path / "a.csv", tmp_path)
+    assert draft.roles == {"command": "reference", "effort": "control", "position": "output"}
+    assert run.rate_hz == RATE
+
+
+def test_names_by_the_standard_s_words_and_drives_units(tmp_path):
+    n, z, y = loop_signals()
+    for names in (("Führungsgröße", "Stellgröße", "Regelgröße"), ("VL.CMD (rpm)", "IL.CMD (Arms)", "VL.FB (rpm)")):
+        draft = draft_map(written(tmp_path / "a.csv", ["t_s", *names], [np.arange(N) / RATE, n, z, y]))
+        assert [draft.roles[name] for name in names] == ["reference", "control", "output"]
