@@ -45,6 +45,30 @@ def plants(kind: str) -> list[ls.FRF]:
     return out
 
 
+#: lines of a plant with resonances a few lines apart: noise as a share of |P|, (Hz, half width in gaps, peak over |P|)
+CROWDS = {
+    "three at 2 %": (0.02, (14.158, 0.043, 2.8), (14.273, 0.033, -13.0), (13.927, 0.692, 1.7)),
+    "three at 5 %": (0.05, (14.041, 0.039, -8.5), (14.388, 0.256, 1.7), (14.233, 0.06, 4.6)),
+    "two in one gap": (1e-6, (14.257, 0.224, -8.0), (14.291, 0.878, 4.9)),
+}
+
+
+def crowded(name: str) -> ls.FRF:
+    """An integrator with two lags that crosses 0 dB near 5 Hz at a gain of 1, and resonances close together."""
+    f = 0.1 * np.arange(1, 601)
+    noise, *modes = CROWDS[name]
+
+    def plant(f_hz: np.ndarray) -> np.ndarray:
+        s = 2j * np.pi * f_hz
+        return 30.0 / (s * (1.0 + s / (2 * np.pi * 15.0)) * (1.0 + s / (2 * np.pi * 40.0)))
+
+    P = plant(f)
+    for f_hz, width, peak in modes:
+        damping, x = 0.1 * width / f_hz, 1j * f / f_hz
+        P = P + peak * abs(plant(np.array([f_hz]))[0]) * 2.0 * damping * x / (x**2 + 2.0 * damping * x + 1.0)
+    return noisy(f, P, noise, name, seed=1)
+
+
 def moved(C: Controller, rng: np.random.Generator) -> Controller:
     """A controller with all parameters moved, and now and then another block, a delay, or another precision."""
     blocks = [

@@ -78,7 +78,8 @@ class Crowd:
     """Resonances between lines `first` .. `last` that explain them together, and what may hide beside them.
 
     m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a
-    power of f and behind a delay: nc ways that the lines allow, the likeliest first. `hidden` (last - first,), Hz
+    power of f and behind a delay: nc ways that the lines allow, the likeliest first, in single precision as the page of
+    `shape` is given them. `hidden` (last - first,), Hz
     times P, bounds the residue of a pole sharper than the lines in each gap: 0 where noise alone is `left`. Lines
     that scatter have no pole.
     """
@@ -173,7 +174,7 @@ def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, stretch: St
     hidden = fit.one_of_several(z)
     if left is Left.MORE:
         hidden = np.maximum(fit.unexplained(z, noise), hidden)
-    poles, coefficients = fit.allowed(z, noise)
+    poles, coefficients = (x.astype(np.complex64).astype(complex) for x in fit.allowed(z, noise))
     residue, polynomial = coefficients[:, : z.size], coefficients[:, z.size :]
     return Crowd(stretch.low, stretch.high, window, delay_s, poles, residue, polynomial, hidden, left)
 

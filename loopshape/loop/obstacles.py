@@ -12,7 +12,7 @@ from loopshape.data.loop import Loop
 from loopshape.identify.pooling import FREEDOM, pooled_variance
 from loopshape.loop.between import Path, measured, turns_past, turns_past_crowd, without_narrow
 from loopshape.loop.crossings import chords_to_minus_one
-from loopshape.loop.crowded import BESIDE, SHARPEST, Crowd, Left, crowd_of, strays, stretches
+from loopshape.loop.crowded import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.holes import hole
 from loopshape.loop.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
@@ -23,8 +23,6 @@ WRONG = 0.005
 REACH_95 = float(np.sqrt(-np.log(0.05)))
 #: a band to measure goes on beyond the lines in question by this factor
 ASIDE = 1.05
-#: the peak of a resonance a sixth of a gap wide is so many times its tails on the lines beside it
-TAILS = 3.0
 #: the peak of one 0.03 gaps wide is no more than so many times how far lines leave a polynomial
 PEAK = 33.0
 #: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
@@ -104,14 +102,12 @@ def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, 
 
 def _scatters(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> Obstacle | None:
     """Gaps about which lines that scatter lie so near -1 that their error, a disk about them, holds it."""
-    f, seen = loop.frequency_hz, (loop.frequency_hz, without_narrow(loop), *_spread(loop))
-    scatter = np.array(scattered(*seen, unstable=may_be_oscillatory(loop)))
+    f, (rough, scatter) = loop.frequency_hz, rough_in(loop)
     for crowd in crowds:
         scatter[crowd.first : crowd.last] = True
     if not scatter.any():
         return None
-    rough = np.where(scatter, roughness(*seen, unstable=may_be_oscillatory(loop)), 0.0)
-    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * rough > _nearest(path))
+    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * np.where(scatter, rough, 0.0) > _nearest(path))
     return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
 
 
@@ -128,18 +124,6 @@ def _nearest(path: Path) -> Array:
 def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
     reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
     return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz))
-
-
-def rough_reach(loop: Loop) -> Array:
-    """How far from its lines P may come within each gap (nf - 1,) that neither noise nor one pole explains; else 0.
-
-    A bound for those that do not follow resonances close together; `sampling` does.
-    """
-    seen = (loop.frequency_hz, without_narrow(loop), *_spread(loop))
-    rough = roughness(*seen, unstable=may_be_oscillatory(loop))
-    if not rough.any():
-        return rough
-    return np.where(scattered(*seen, unstable=may_be_oscillatory(loop)), SCATTER, TAILS) * rough
 
 
 def may_be_oscillatory(loop: Loop) -> bool:
@@ -161,24 +145,44 @@ def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
 
 def _crowds(loop: Loop, path: Path) -> list[Crowd]:
     """Resonances close together that might encircle -1, of measured lines: a narrow one may have been several."""
-    f, (variance, freedom), unstable = loop.frequency_hz, _spread(loop), may_be_oscillatory(loop)
-    rough = _not_one(loop, variance, freedom)
-    if not rough.any():
+    found = stretches_in(loop)
+    if not found:
         return []
-    P, near = measured(loop).siso, _nearest(path)
+    f, near = loop.frequency_hz, _nearest(path)
     reach = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
     return [
-        crowd_of(f, P, variance, freedom, stretch, unstable=unstable)
-        for stretch in stretches(f, rough)
-        if np.any((strays(f, P, variance, stretch) * reach > near)[stretch.low : stretch.high])
+        crowd_in(loop, stretch)
+        for stretch in found
+        if np.any((strays_in(loop, stretch) * reach > near)[stretch.low : stretch.high])
     ]
 
 
-def _not_one(loop: Loop, variance: Array, freedom: float) -> np.ndarray:
+def stretches_in(loop: Loop) -> tuple[Stretch, ...]:
+    """Stretches of a loop's measured lines that neither noise nor one pole explains, whatever its controller."""
+    return tuple(stretches(loop.frequency_hz, _not_one(loop)))
+
+
+def strays_in(loop: Loop, stretch: Stretch) -> float:
+    """How far the lines of a stretch leave a polynomial at most, in |P|."""
+    return strays(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], stretch)
+
+
+def crowd_in(loop: Loop, stretch: Stretch) -> Crowd:
+    """What explains the lines of a stretch, whatever the controller."""
+    unstable = may_be_oscillatory(loop)
+    return crowd_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), stretch, unstable=unstable)
+
+
+def rough_in(loop: Loop) -> tuple[Array, np.ndarray]:
+    """How far from its lines P may come in each gap (nf - 1,) that one pole does not explain, and where lines scatter."""
+    seen, unstable = (loop.frequency_hz, without_narrow(loop), *_spread(loop)), may_be_oscillatory(loop)
+    return roughness(*seen, unstable=unstable), np.array(scattered(*seen, unstable=unstable))
+
+
+def _not_one(loop: Loop) -> np.ndarray:
     """Gaps (nf - 1,) about which neither noise nor one pole explains the lines, and poles beside these."""
-    f, unstable = loop.frequency_hz, may_be_oscillatory(loop)
-    seen = f, without_narrow(loop), variance, freedom
-    rough = np.where(scattered(*seen, unstable=unstable), 0.0, roughness(*seen, unstable=unstable)) > 0.0
+    f, (size, scatter) = loop.frequency_hz, rough_in(loop)
+    rough = np.where(scatter, 0.0, size) > 0.0
     if rough.any():
         narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
         known = np.concatenate([[pole.centre_hz[0] for pole in hidden_in(loop)], narrow])

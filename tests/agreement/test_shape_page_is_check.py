@@ -15,7 +15,7 @@ import shaped_cases
 import loopshape as ls
 from loopshape.data.block import Block
 from loopshape.data.controller import Controller
-from loopshape.data.requirements import LIMITS, Requirements, SeveralRequirements
+from loopshape.data.requirements import LIMITS, Margins, Requirements, SeveralRequirements
 from loopshape.data.verdict import Verdict
 from loopshape.loop.step_response import predict_step
 from loopshape.loop.verdict import check
@@ -63,6 +63,8 @@ def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...
             pairs += [(m.bounds[limit.name], other["bounds"].get(limit.name))] if limit.name in m.bounds else []
             worst = max(far(a, b) for a, b in pairs)
             out += [] if worst < AGREES else [f"{name}: {limit.name} {pairs}"]
+        if "detuning_percent" not in without:
+            out += [f"{name}: {words}" for words in detuning_differences(m, other["detuning"])]
     rows = [(line.quantity, line.outcome) for line in verdict.lines]
     others = [(row["quantity"], row["outcome"]) for row in found["rows"]]
     out += [] if rows == others else [f"{rows} and {others}"]
@@ -70,6 +72,23 @@ def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...
         pairs = [(line.wished, row["wished"]), (line.spare, row["spare"])]
         out += [] if max(far(a, b) for a, b in pairs) < AGREES else [f"{line.quantity}: {pairs}"]
     return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
+
+
+def detuning_differences(m: Margins, found: dict[str, Any] | None) -> list[str]:
+    """Where up and down of the whole plant, or of single resonances, differ."""
+    if m.detuning is None or found is None:
+        return [] if m.detuning is None and found is None else [f"detuning {m.detuning} and {found}"]
+    alone = found["resonances"] or []
+    if len(alone) != len(m.detuning.resonances):
+        return [f"{len(m.detuning.resonances)} resonances and {len(alone)}"]
+    out = []
+    for one, other in zip((m.detuning, *m.detuning.resonances), (found, *alone), strict=True):
+        for way in ("up", "down"):
+            mine, its = getattr(one, way), other[way]
+            pairs = [(mine.percent, its["percent"]), *zip(mine.interval_percent, its["interval"], strict=True)]
+            same = (mine.breaks, mine.beyond) == (its["breaks"], its["beyond"])
+            out += [] if same and max(far(a, b) for a, b in pairs) < AGREES else [f"{way} {mine} and {its}"]
+    return out
 
 
 def page_on(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: Requirements) -> Any:
@@ -96,6 +115,21 @@ def test_the_bench_and_its_controller(context: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
 def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
+
+
+@pytest.mark.parametrize("name", shaped_cases.CROWDS)
+def test_resonances_close_together_are_followed_as_check_follows_them(
+    name: str, context: Any, tmp_path: Path
+) -> None:
+    """Gains at which they encircle -1, come near it, and stay clear of it."""
+    P, R = shaped_cases.crowded(name), Requirements("x", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
+    made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (1.0, 0.5, 0.1, 0.03)]
+    made += [ls.controller(ls.gain(2.0), ls.notch(14.1, 0.05, 0.5), rate_hz=shaped_cases.RATE_HZ, loop="x")]
+    page, verdicts = page_on(context, tmp_path, [P], made[0], R), [check([P], C, R) for C in made]
+    assert page.evaluate("loopshape.loop.points[0].crowds.length") == 1
+    assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * len(made)
+    page.close()
+    assert len({m.stable for v in verdicts for m in v.margins.values()}) > 1
 
 
 MASKS = (
@@ -180,6 +214,31 @@ def test_the_detuning_margin_moves_with_the_controller(percent: float | None, co
     page.close()
     found = [m.detuning_percent for v in verdicts for m in v.margins.values()]
     assert len({round(x, 3) for x in found if 0.0 < x < 20.0}) >= 3
+
+
+def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_path: Path) -> None:
+    """Two resonances that a notch and the crossover meet, with and without a model that leads below the lines."""
+    f = np.geomspace(0.5, 300.0, 300)
+    s, w = 2j * np.pi * f, 2.0 * np.pi * np.array([60.0, 95.0])
+    modes = [r * k**2 / (s**2 + 2 * d * k * s + k**2) for r, d, k in zip((8.0, 5.0), (0.02, 0.012), w, strict=True)]
+    P = shaped_cases.noisy(f, 30.0 / (s * (1.0 + s / 60.0)) * (0.4 + sum(modes)), 0.005, "two modes", seed=2)
+    R = Requirements("x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, integrators=1, unstable_poles=0)
+    R = replace(R, detuning_percent=1.5)
+    fit = ls.fit(P, "rational", numerator=4, denominator=6)
+    made = [
+        ls.controller(ls.gain(g), ls.notch(n, 0.02, 0.1), ls.notch(95.0, 0.015, 0.1), ls.low_pass(80.0, 0.7),
+                      ls.lead_lag(8.0, 60.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
+        for g, n in ((0.2, 60.0), (0.2, 59.3), (0.205, 60.4))
+    ]  # fmt: skip
+    verdicts = [check([P], C, R, (fit,)) for C in made]
+    file = tmp_path / "shape.html"
+    file.write_bytes(page_of([shaped([P], made[0], R, (fit,))], "test"))
+    page = page_in_browser.opened(context, file)
+    assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * len(made)
+    page.close()
+    moved = [one for v in verdicts for m in v.margins.values() if m.detuning for one in m.detuning.resonances]
+    assert {round(one.frequency_hz) for one in moved} == {60, 95}
+    assert len({round(way.percent, 3) for one in moved for way in (one.up, one.down) if 0.0 < way.percent < 20.0}) >= 3
 
 
 @pytest.mark.parametrize("coupling", [0.3, 2.0])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.json_ready import json_ready
+from loopshape.core.units import ComplexArray
 from loopshape.data import smoothed as dense
 from loopshape.data.block import BLOCK_KINDS, Block
 from loopshape.data.controller import Controller
@@ -26,9 +27,10 @@ from loopshape.data.requirements import LIMITS, Objective, Requirements
 from loopshape.data.verdict import Verdict
 from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
-from loopshape.identify.resonances import Phase, resonances
+from loopshape.identify.resonances import Phase, Resonance, resonances
 from loopshape.identify.smoothing import Recipe, recipe_of
 from loopshape.loop import between, detuning, holes, margins, obstacles, sampling, shifted, stability, step_response
+from loopshape.loop.crowded import Left, Stretch
 from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.prediction import fit_of
@@ -108,6 +110,10 @@ def _constants() -> dict[str, Any]:
         "places": PLACES.tolist(),
         "sharpest": sampling.SHARPEST,
         "fit_deg": stability.FIT_DEG,
+        "peak": obstacles.PEAK,
+        "scatter": obstacles.SCATTER,
+        "far": between.FAR,
+        "rounds": between.ROUNDS,
         "hole_fewest": holes.FEWEST,
         "hole_apart": holes.APART,
         "hole_turn": holes.TURN,
@@ -235,12 +241,8 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
         "unstable_poles": loop.unstable_poles,
         **_low_end(loop),
         "beyond": _beyond(loop.beyond),
-        "rough": _rough(loop),
-        "resonances": [
-            {"hz": x.frequency_hz, "damping": x.damping, "peak": x.peak}
-            for x in resonances(raw)
-            if x.phase is not Phase.UNKNOWN
-        ],
+        **_between_lines(loop),
+        "resonances": [_resonance(x) for x in resonances(raw) if x.phase is not Phase.UNKNOWN],
         "hidden": [
             {
                 "low_hz": one.low_hz,
@@ -299,9 +301,49 @@ def _beyond(frf: FRF | None) -> dict[str, str] | None:
     return None if frf is None else {"f": packed(frf.frequency_hz), "P": packed(frf.siso)}
 
 
-def _rough(loop: Loop) -> str | None:
-    reach = obstacles.rough_reach(loop)
-    return packed(reach) if reach.any() else None
+def _resonance(one: Resonance) -> dict[str, Any]:
+    return {
+        "hz": one.frequency_hz,
+        "damping": one.damping,
+        "peak": one.peak,
+        "pole": _pair(one.pole_hz),
+        "residue": _pair(one.residue),
+    }
+
+
+def _between_lines(loop: Loop) -> dict[str, Any]:
+    """Resonances close together, fitted, and where lines scatter: of the plant alone."""
+    crowds = [_crowd(loop, stretch) for stretch in obstacles.stretches_in(loop)]
+    rough, scatter = obstacles.rough_in(loop)
+    tells = scatter.any() or any(one["left"] == Left.SCATTER.value for one in crowds)
+    return {
+        "crowds": crowds,
+        "scattered": np.flatnonzero(scatter).tolist(),
+        "rough": packed(rough) if tells else None,
+    }
+
+
+def _crowd(loop: Loop, stretch: Stretch) -> dict[str, Any]:
+    """A stretch of lines and the ways in which poles explain it: those as complex64, as they are kept."""
+    crowd = obstacles.crowd_in(loop, stretch)
+    return {
+        "low": stretch.low,
+        "high": stretch.high,
+        "strays": obstacles.strays_in(loop, stretch),
+        "left": crowd.left.value,
+        "delay_s": crowd.delay_s,
+        "power": _pair(crowd.window.power[0]),
+        "middle_hz": float(crowd.window.middle[0]),
+        "poles": _singles(crowd.pole_hz),
+        "residues": _singles(crowd.residue),
+        "polynomials": _singles(crowd.polynomial),
+        "ways": len(crowd.pole_hz),
+        "hidden": packed(crowd.hidden),
+    }
+
+
+def _singles(values: ComplexArray) -> str:
+    return b64encode(values.astype("<c8").tobytes()).decode("ascii")
 
 
 def _fit(fit: Fit | None) -> dict[str, Any] | None:

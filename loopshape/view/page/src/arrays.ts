@@ -97,8 +97,11 @@ function bytes(text: string): ArrayBuffer {
 export const realOf = (text: string): Real => new Float64Array(bytes(text));
 export const halvesOf = (text: string): Uint8Array => new Uint8Array(bytes(text));
 
-export function complexOf(text: string): Complex {
-  const both = realOf(text);
+export const complexOf = (text: string): Complex => parted(realOf(text));
+/** Of numbers in single precision. */
+export const singlesOf = (text: string): Complex => parted(new Float32Array(bytes(text)));
+
+function parted(both: ArrayLike<number>): Complex {
   const out = zeros(both.length / 2);
   for (let k = 0; k < out.re.length; k++) {
     out.re[k] = both[2 * k];

@@ -188,7 +188,7 @@ function termResponse(point: Point, f: Real): Complex {
   return out;
 }
 
-function addPole(out: Complex, f: Real, [rr, ri]: [number, number], [zr, zi]: [number, number]): void {
+export function addPole(out: Complex, f: Real, [rr, ri]: [number, number], [zr, zi]: [number, number]): void {
   for (let k = 0; k < f.length; k++) {
     // r/(j (f - z)) = -j r/(f - z), and conj(r)/(j (f + conj(z)))
     for (const [re, im, dr, di] of [[rr, ri, f[k] - zr, -zi], [rr, -ri, f[k] + zr, -zi]]) {

@@ -1,16 +1,15 @@
-// Detuning margin: how far the plant's frequencies may move before something breaks (Python: loop/detuning.py and, for
-// a loop whose whole frequency axis is stretched, loop/shifted.py). Single resonances are left to Python.
+// Detuning margin: how far the plant's frequencies, or one resonance alone, may move before something breaks (Python:
+// loop/detuning.py).
 
-import { clip, concat, fromDb, placeIn, times, union, type Complex, type Real } from "./arrays";
+import { clip, fromDb, union, type Real } from "./arrays";
 import * as control from "./controller";
 import type { Controller } from "./controller";
-import { sumsOf, type Dense, type Draws } from "./dense";
-import { followed, judgedLines, type Loop, type Plant } from "./loop";
-import { aboveHz, LOGARITHMS, PLAIN, type Interval, type Margins } from "./margins";
-import type { Constants, Limit, Requirements } from "./payload";
-import { readerOf, type Reader } from "./limits";
+import type { Loop, Plant } from "./loop";
+import { LOGARITHMS, PLAIN, type Interval, type Margins } from "./margins";
+import type { Constants, Limit, Requirements, Seen } from "./payload";
+import { readerOf } from "./limits";
 import * as kernel from "./reading";
-import { countUnstable } from "./stability";
+import { seenResonances, Shiftable, type Moved, type Reading } from "./shifted";
 
 /** The largest shift one way, in per cent, below which all holds; what breaks there, and its 95 % interval. */
 export interface Reach {
@@ -20,13 +19,23 @@ export interface Reach {
   interval: Interval;
 }
 
-export interface Detuning {
+/** What one resonance of the plant, moved alone, leaves. */
+export interface MovedResonance {
+  hz: number;
+  damping: number;
   up: Reach;
   down: Reach;
 }
 
+export interface Detuning {
+  up: Reach;
+  down: Reach;
+  /** Of single resonances; null while, or where, they are not asked about. */
+  resonances: MovedResonance[] | null;
+}
+
 /** The lesser of up and down. */
-export function worstReach({ up, down }: Detuning): Reach {
+export function worstReach({ up, down }: Pick<Detuning, "up" | "down">): Reach {
   const less = down.percent < up.percent || (down.percent === up.percent && down.interval[0] < up.interval[0]);
   return less ? down : up;
 }
@@ -45,197 +54,32 @@ export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements:
   };
 }
 
-function detuningOf(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Detuning | null {
+/** Searches over shifts of one loop's plant, whole or a resonance at a time; null where its poles cannot be counted. */
+function searches(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): { whole: Search; alone: (one: Seen) => Search; seen: Seen[] } | null {
   if (!m.stability || m.stability.outcome === "undecided" || loop.f.length < 2) return null;
-  const moved = new Moved(loop, drawn, readerOf(requirements));
-  if (moved.reading(0).poles === null) return null;
-  const search = new Search(loop, m, requirements, limits, moved);
-  if (m.stability.outcome === "unstable") {
-    const none: Reach = { percent: 0, beyond: false, breaks: STABILITY, interval: [0, 0] };
-    return { up: none, down: none };
-  }
-  return { up: search.oneWay(1), down: search.oneWay(-1) };
+  const plant = new Shiftable(loop, drawn, readerOf(requirements));
+  const stretched = plant.stretched();
+  const unmoved = stretched.reading(0);
+  if (unmoved.poles === null) return null;
+  const seen = seenResonances(loop);
+  const search = (moved: Moved): Search => new Search(loop, m, requirements, limits, moved, unmoved, seen);
+  return { whole: search(stretched), alone: (one) => search(plant.withMoved(one)), seen };
+}
+
+function detuningOf(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Detuning | null {
+  const found = searches(loop, drawn, m, requirements, limits);
+  return found && { ...found.whole.both(), resonances: null };
+}
+
+/** Margins with what each of the plant's resonances, moved alone, leaves, where a detuning margin is required. */
+export function withResonances(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Margins {
+  if (!m.detuning || typeof requirements.detuning_percent !== "number") return m;
+  const found = searches(loop, drawn, m, requirements, limits);
+  const resonances = found && found.seen.map((one) => ({ hz: one.hz, damping: one.damping, ...found.alone(one).both() }));
+  return { ...m, detuning: { ...m.detuning, resonances } };
 }
 
 export const STABILITY = "stability";
-
-interface Reading {
-  values: Float64Array;
-  poles: number | null;
-  clear: number;
-}
-
-interface Lines {
-  grid: kernel.Grid;
-  C: Complex;
-  poles: (L: Complex) => number | null;
-}
-
-/** A plant with its whole frequency axis stretched, read once at each shift. */
-class Moved {
-  private readonly f: Real;
-  private readonly P: Complex;
-  private readonly std: Real;
-  private readonly draws: Draws;
-  private readonly belowF: Real;
-  private readonly belowP: Complex | null;
-  private readonly aboveF: Real;
-  readonly readings = new Map<number, Reading>();
-  private readonly scatters = new Map<number, { bias: Float64Array; reach: Float64Array }>();
-
-  constructor(
-    private readonly loop: Loop,
-    plant: Plant,
-    private readonly reader: Reader,
-  ) {
-    const { point, controller } = loop;
-    const dense = followed(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
-    const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
-    const { f, P, std, draws } = withLed(loop, own);
-    [this.f, this.P, this.std, this.draws] = [f, P, std, draws];
-    this.belowF = point.modelled ? point.below_f : new Float64Array(0);
-    this.belowP = point.modelled ? point.below[0] : null;
-    this.aboveF = aboveHz(point.f[point.f.length - 1], controller.rate_hz);
-  }
-
-  /** What margins and count are at a shift in per cent. */
-  reading(percent: number): Reading {
-    const known = this.readings.get(percent);
-    if (known) return known;
-    const { grid, C, poles } = this.linesAt(percent);
-    const n = grid.f.length;
-    const L = times(C, { re: this.P.re.subarray(0, n), im: this.P.im.subarray(0, n) });
-    const out = kernel.freshReading();
-    kernel.read(grid, L.re, L.im, true, out);
-    let clear = Infinity;
-    for (let k = 0; k < n; k++) {
-      const share = Math.hypot(1 + L.re[k], L.im[k]) / (Math.hypot(C.re[k], C.im[k]) * this.std[k]);
-      if (!(share >= clear)) clear = share;
-    }
-    const made = { values: out.found, poles: poles(L), clear };
-    this.readings.set(percent, made);
-    return made;
-  }
-
-  /** Bias and half interval of a reading's columns, by draws of the plant's error; infinite where one jumps. */
-  scatter(percent: number): { bias: Float64Array; reach: Float64Array } {
-    const known = this.scatters.get(percent);
-    if (known) return known;
-    const made = this.scattered(percent);
-    this.scatters.set(percent, made);
-    return made;
-  }
-
-  private scattered(percent: number): { bias: Float64Array; reach: Float64Array } {
-    const { grid, C } = this.linesAt(percent);
-    const { values } = this.reading(percent);
-    const { count } = this.draws;
-    const [n, wide] = [grid.f.length, this.f.length];
-    const [re, im] = [new Float64Array(n), new Float64Array(n)];
-    const out = kernel.freshReading();
-    const found = new Float64Array(count * kernel.COLUMNS);
-    for (let d = 0; d < count; d++) {
-      for (let k = 0; k < n; k++) {
-        const x = this.P.re[k] + this.draws.re[d * wide + k];
-        const y = this.P.im[k] + this.draws.im[d * wide + k];
-        re[k] = C.re[k] * x - C.im[k] * y;
-        im[k] = C.re[k] * y + C.im[k] * x;
-      }
-      kernel.read(grid, re, im, true, out);
-      found.set(out.found, d * kernel.COLUMNS);
-    }
-    const made = { bias: new Float64Array(kernel.COLUMNS), reach: new Float64Array(kernel.COLUMNS) };
-    for (let c = 0; c < kernel.COLUMNS; c++) {
-      const off = Float64Array.from({ length: count }, (_, d) => found[d * kernel.COLUMNS + c] - values[c]);
-      const known = Number.isFinite(values[c]) && off.every(Number.isFinite);
-      const mean = known ? off.reduce((a, b) => a + b, 0) / count : 0;
-      const squares = known ? off.reduce((a, b) => a + (b - mean) ** 2, 0) / count : 0;
-      made.bias[c] = mean;
-      made.reach[c] = known ? this.loop.plant.source.constants.detuning.reach * Math.sqrt(squares) : Infinity;
-    }
-    return made;
-  }
-
-  private last: { percent: number; lines: Lines } | null = null;
-
-  /** Lines below half the rate with the controller there, once for a reading and its scatter. */
-  private linesAt(percent: number): Lines {
-    if (this.last?.percent === percent) return this.last.lines;
-    const { controller, integrators, point, plant } = this.loop;
-    const { rate_hz } = controller;
-    const by = 1 + 0.01 * percent;
-    const stretched = this.f.map((x) => x * by);
-    const f = stretched.subarray(0, placeIn(stretched, 0.499 * rate_hz));
-    const above = this.aboveF.map((x) => x * by);
-    const more = this.aboveF.filter((x) => above.length > 0 && x > above[above.length - 1]);
-    const aboveF = concat(above, more).filter((x) => x > f[f.length - 1] && x <= 0.45 * rate_hz);
-    const C = control.response(controller, f);
-    const belowC = this.belowP && control.response(controller, this.belowF.map((x) => x * by));
-    const led = belowC && this.belowP ? times(belowC, this.belowP) : null;
-    const aboveC2 = kernel.squares(control.response(controller, aboveF));
-    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, this.reader);
-    const poles = (L: Complex): number | null =>
-      countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg);
-    this.last = { percent, lines: { grid, C, poles } };
-    return this.last.lines;
-  }
-}
-
-function fewerDraws(dense: Dense, count: number): Dense {
-  const draws = dense.draws as Draws;
-  const few = Math.min(count, draws.count);
-  const n = dense.f.length;
-  return { ...dense, draws: { count: few, of: draws.count, re: draws.re.subarray(0, few * n), im: draws.im.subarray(0, few * n) } };
-}
-
-/** Deviation of the plant at frequencies among its lines, straight between them. */
-function deviations({ point, dense }: Plant, at: Real): Real {
-  const draws = dense.draws as Draws;
-  const { power } = sumsOf(draws, dense.f.length);
-  const std = point.f.map((x) => Math.sqrt(power[placeIn(dense.f, x)] / draws.count));
-  return at.map((x) => {
-    const k = clip(placeIn(point.f, x, true) - 1, 0, point.f.length - 2);
-    return std[k] + ((std[k + 1] - std[k]) / (point.f[k + 1] - point.f[k])) * (x - point.f[k]);
-  });
-}
-
-interface Known {
-  f: Real;
-  P: Complex;
-  std: Real;
-  draws: Draws;
-}
-
-/** The lines with those before them where a model leads to the first one: as unsure as that. */
-function withLed(loop: Loop, own: Known): Known {
-  const led = judgedLines(loop)?.led ?? 0;
-  if (!led) return own;
-  const { led_f, led: ahead } = loop.point;
-  const n = own.f.length;
-  const { count } = own.draws;
-  const [pr, pi] = [own.P.re[0], own.P.im[0]];
-  const size = pr * pr + pi * pi;
-  const share: Complex = {
-    re: ahead.re.map((x, k) => (x * pr + ahead.im[k] * pi) / size),
-    im: ahead.re.map((x, k) => (ahead.im[k] * pr - x * pi) / size),
-  };
-  const draws: Draws = { count, re: new Float64Array(count * (n + led)), im: new Float64Array(count * (n + led)) };
-  for (let d = 0; d < count; d++) {
-    const [x, y, start] = [own.draws.re[d * n], own.draws.im[d * n], d * (n + led)];
-    for (let k = 0; k < led; k++) {
-      draws.re[start + k] = share.re[k] * x - share.im[k] * y;
-      draws.im[start + k] = share.re[k] * y + share.im[k] * x;
-    }
-    draws.re.set(own.draws.re.subarray(d * n, (d + 1) * n), start + led);
-    draws.im.set(own.draws.im.subarray(d * n, (d + 1) * n), start + led);
-  }
-  return {
-    f: concat(led_f, own.f),
-    P: { re: concat(ahead.re, own.P.re), im: concat(ahead.im, own.P.im) },
-    std: concat(share.re.map((x, k) => own.std[0] * Math.hypot(x, share.im[k])), own.std),
-    draws,
-  };
-}
 
 const columnOf = (name: string): number | undefined =>
   name === "sensitivity_peak_db" ? kernel.LN_MODULUS : (PLAIN[name] ?? LOGARITHMS[name]);
@@ -262,10 +106,12 @@ class Search {
 
   constructor(
     private readonly loop: Loop,
-    m: Margins,
+    private readonly m: Margins,
     requirements: Requirements,
     limits: Limit[],
     private readonly moved: Moved,
+    unmoved: Reading,
+    seen: Seen[],
   ) {
     const required = requirements.detuning_percent;
     this.c = loop.plant.source.constants.detuning;
@@ -275,9 +121,9 @@ class Search {
     this.signs = this.limits.map(({ name, sense }) => (sense === "at_least" || name === "sensitivity_peak_db" ? 1 : -1));
     this.wished = this.limits.map(({ name }) => scaled(name, requirements[name] as number));
     const now = this.limits.map(({ name }) => scaled(name, m.values[name]));
-    this.bias = this.columns.map((c, k) => finite(moved.reading(0).values[c] - now[k]));
+    this.bias = this.columns.map((c, k) => finite(unmoved.values[c] - now[k]));
     this.known = { "-1": this.knownReach(m, now, -1), "1": this.knownReach(m, now, 1) };
-    this.shifts = shiftsOf(loop, this.closely ? (required as number) : null);
+    this.shifts = shiftsOf(loop, seen, this.closely ? (required as number) : null);
   }
 
   /** How far the bad or good end of the unmoved loop's intervals lies from the estimate. */
@@ -325,8 +171,14 @@ class Search {
     return this.stable(percent, end) && this.slacks(percent, end).every((slack) => slack >= -this.c.rounding);
   }
 
+  /** Up and down. */
+  both(): { up: Reach; down: Reach } {
+    const none: Reach = { percent: 0, beyond: false, breaks: STABILITY, interval: [0, 0] };
+    return this.m.stability?.outcome === "unstable" ? { up: none, down: none } : { up: this.oneWay(1), down: this.oneWay(-1) };
+  }
+
   /** The largest shift one way, with its interval. */
-  oneWay(way: 1 | -1): Reach {
+  private oneWay(way: 1 | -1): Reach {
     const { percent, beyond } = this.firstBreak(way, 0, this.c.searched);
     const low = this.firstBreak(way, -1, percent).percent;
     const high = this.firstBreak(way, 1, this.c.searched).percent;
@@ -386,27 +238,17 @@ class Search {
 const finite = (value: number): number => (Number.isFinite(value) ? value : 0);
 
 /** Shifts in per cent that are looked at, all positive. */
-function shiftsOf(loop: Loop, required: number | null): number[] {
+function shiftsOf(loop: Loop, seen: Seen[], required: number | null): number[] {
   const c = loop.plant.source.constants.detuning;
   const farther = (near: Real, more: number[]): number[] => [...near, ...more.filter((x) => x > near[near.length - 1] + 1e-9)];
   if (required === null) return farther(even(c.warned, Math.round(c.warned / c.coarse)), c.fewer);
-  const sharpest = Math.min(...seenDampings(loop), sharpestOf(loop.controller));
+  const sharpest = Math.min(...seen.map(({ damping }) => damping), sharpestOf(loop.controller));
   const last = Math.max(required, c.warned);
   const near = even(last, Math.ceil(last / clip(50 * sharpest, c.finest, c.fine)));
   return farther(union(near, Float64Array.of(required)), c.outer);
 }
 
 const even = (last: number, count: number): Real => Float64Array.from({ length: count }, (_, k) => (k === count - 1 ? last : ((k + 1) * last) / count));
-
-/** Damping of the plant's resonances whose peak matters to L. */
-function seenDampings({ point, controller, plant }: Loop): number[] {
-  const { matters, near } = plant.source.constants.detuning;
-  return point.resonances.filter(({ hz, peak }) => {
-    if (hz >= (0.5 * controller.rate_hz) / (1 + near[near.length - 1])) return false;
-    const C = control.response(controller, Float64Array.from(near, (x) => hz * (1 + x)));
-    return Math.max(...kernel.squares(C)) ** 0.5 * peak > matters;
-  }).map(({ damping }) => damping);
-}
 
 /** Least damping of the controller's sections, of numerators and denominators; 1 without. */
 function sharpestOf({ blocks }: Controller): number {

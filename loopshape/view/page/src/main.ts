@@ -14,10 +14,10 @@ import { unitCrossings } from "./margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
 import { stepOf, type Step } from "./step";
-import { badge, RequirementTable } from "./table";
+import { badge, RequirementTable, type Late } from "./table";
 import { Engine, type Found } from "./verdict";
 import type { Trace } from "./views";
-import { Pool, workHere, type Worked } from "./work";
+import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
 import { worstOf } from "./worst";
 
 class Page implements Guest {
@@ -32,6 +32,8 @@ class Page implements Guest {
   /** Whether detuning margins are known of what is shown. */
   private detuned = false;
   private otherFound: Found | null = null;
+  /** The last answers of the workers, of this design or of one of a moment ago. */
+  private late: Late = {};
   private traces: Trace[] = [];
   private queued = 0;
   private worst = 0;
@@ -345,6 +347,7 @@ class Page implements Guest {
   private switchTo(loop: number): void {
     this.current = loop;
     this.otherFound = null;
+    this.late = {};
     this.build();
     this.sizes.disconnect();
     this.sizes.observe(this.screen.element);
@@ -434,17 +437,29 @@ class Page implements Guest {
 
   private worked(worked: Worked): void {
     if (worked.loop !== this.current) return;
-    const from = worked.detuned ? this.detuningFrom : this.intervalsFrom;
-    if (from !== null) this.timings[worked.detuned ? "detuning" : "intervals"].push(performance.now() - from);
-    if (worked.detuned) this.detuningFrom = null;
-    else this.intervalsFrom = null;
+    this.timed(worked.stage);
+    const { controller, requirements, margins, stage } = worked;
     const now = { controller: this.controller, requirements: this.design.requirements };
-    if (JSON.stringify([worked.controller, worked.requirements]) !== JSON.stringify([now.controller, now.requirements])) return;
-    this.found = this.engines[this.current].verdict(this.design.requirements, worked.margins);
-    this.worst = worstOf(this.found);
+    const found = this.engines[this.current].verdict(requirements, margins);
+    for (const known of STAGES.slice(0, STAGES.indexOf(stage) + 1)) this.late[known] = found;
+    if (JSON.stringify([controller, requirements]) !== JSON.stringify([now.controller, now.requirements])) {
+      this.tabulate(); // of a moment ago: what moves is drawn already
+      return;
+    }
+    this.found = found;
+    this.worst = worstOf(found);
     this.settled = true;
-    this.detuned = worked.detuned;
+    this.detuned = stage !== "intervals";
     this.show();
+  }
+
+  /** Milliseconds that an answer took, from the first change that it is of. */
+  private timed(stage: Stage): void {
+    if (stage === "resonances") return;
+    const from = stage === "detuning" ? this.detuningFrom : this.intervalsFrom;
+    if (from !== null) this.timings[stage].push(performance.now() - from);
+    if (stage === "detuning") this.detuningFrom = null;
+    else this.intervalsFrom = null;
   }
 
   /** Whether all that the verdict depends on is known. */
@@ -462,7 +477,7 @@ class Page implements Guest {
     const asked = found.rows.length > 0;
     this.verdict.replaceChildren(badge(this.decided ? found.outcome : null));
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
-    this.table.show(this.design.requirements, found, { settled: this.settled, detuned: this.detuned }, this.otherFound);
+    this.tabulate();
     this.blocks.show(this.controller);
     this.closed.textContent = this.closedWords();
     this.closed.hidden = !this.loop.closed.length;
@@ -479,6 +494,11 @@ class Page implements Guest {
     this.draw();
   }
 
+  private tabulate(): void {
+    const { settled, detuned, late } = this;
+    if (this.found) this.table.show(this.design.requirements, this.found, { settled, detuned, late }, this.otherFound);
+  }
+
   private draw(): void {
     if (!this.found) return;
     const other = this.others[this.current];
@@ -490,7 +510,7 @@ class Page implements Guest {
     const engine = this.engines[this.current];
     const { requirements } = this.design;
     const margins = Array.from({ length: engine.size }, (_, k) =>
-      engine.detuned(k, controller, requirements, engine.settled(k, controller, requirements)),
+      DETUNED.reduce((m, stage) => engine[stage](k, controller, requirements, m), engine.settled(k, controller, requirements)),
     );
     return engine.verdict(requirements, margins);
   }

@@ -1,6 +1,6 @@
 // What Python puts into the page: the measured plants, what their draws are made from, and all constants by name.
 
-import { complexOf, halvesOf, realOf, type Complex, type Real } from "./arrays";
+import { complexOf, halvesOf, realOf, singlesOf, type Complex, type Real } from "./arrays";
 import type { Controller } from "./controller";
 import type { AtPoints, Mask, OperatingPoint } from "./limits";
 import type { State } from "./random";
@@ -34,6 +34,11 @@ export interface Constants {
   wrong: number;
   strays: number;
   on_it: number;
+  /** Of resonances close together and of lines that scatter (Python: loop/obstacles.py, loop/between.py). */
+  peak: number;
+  scatter: number;
+  far: number;
+  rounds: number;
   hole_fewest: number;
   hole_apart: number;
   hole_turn: number;
@@ -89,6 +94,8 @@ interface RawPoint {
   led: string;
   down: { P: string; P_led: string; moves: string | null; lines: number }[];
   beyond: { f: string; P: string } | null;
+  crowds: (Omit<Crowd, "poles" | "residues" | "polynomials" | "hidden"> & Record<"poles" | "residues" | "polynomials" | "hidden", string>)[];
+  scattered: number[];
   rough: string | null;
   resonances: Seen[];
   fit: FitModel | null;
@@ -105,11 +112,32 @@ export interface FitModel {
   delay_s: number;
 }
 
-/** A resonance of the plant: frequency in Hz, damping, and the height of its peak. */
+/** A resonance of the plant: frequency in Hz, damping, the height of its peak, and r and z of r/(j (f - z)) and its mirror. */
 export interface Seen {
   hz: number;
   damping: number;
   peak: number;
+  pole: [number, number];
+  residue: [number, number];
+}
+
+/** Lines `low` .. `high` that resonances close together explain, in each of some `ways`: poles over a polynomial in ln f. */
+export interface Crowd {
+  low: number;
+  high: number;
+  /** How far its lines leave a polynomial at most. */
+  strays: number;
+  left: "noise" | "more" | "scatter";
+  delay_s: number;
+  power: [number, number];
+  middle_hz: number;
+  ways: number;
+  /** One way after the other. */
+  poles: Complex;
+  residues: Complex;
+  polynomials: Complex;
+  /** Largest residue in each gap that may hide there besides. */
+  hidden: Real;
 }
 
 export interface Term {
@@ -155,6 +183,9 @@ export interface Point {
   led: Complex;
   down: Down[];
   beyond: { f: Real; P: Complex } | null;
+  crowds: Crowd[];
+  /** Gaps about which lines scatter, and how far from its lines P may come in each gap, where that matters. */
+  scattered: number[];
   rough: Real | null;
   resonances: Seen[];
   fit: FitModel | null;
@@ -228,6 +259,13 @@ function pointOf(raw: RawPoint): Point {
       lines: x.lines,
     })),
     beyond: raw.beyond && { f: realOf(raw.beyond.f), P: complex(raw.beyond.P) },
+    crowds: raw.crowds.map((x) => ({
+      ...x,
+      poles: singlesOf(x.poles),
+      residues: singlesOf(x.residues),
+      polynomials: singlesOf(x.polynomials),
+      hidden: realOf(x.hidden),
+    })),
     rough: raw.rough === null ? null : realOf(raw.rough),
     hidden: raw.hidden.map((x) => ({
       ...x,

@@ -1,34 +1,20 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
-// obstacles.py, between.py, doubt.py, holes.py). What cannot be proved here is undecided.
+// obstacles.py, doubt.py, holes.py). What cannot be proved here is undecided.
 
 import { clip, concat, deg, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "./arrays";
+import { pastResonances, short, type Obstacle, type Past } from "./between";
 import * as control from "./controller";
-import { narrowAt, sumsOf, type Draws } from "./dense";
+import { sumsOf, type Draws } from "./dense";
 import { judgedLines, type Loop } from "./loop";
-import type { Hidden } from "./payload";
+import { angleOf, chords } from "./turns";
 
 export interface Stability {
   outcome: "stable" | "unstable" | "undecided";
   reason: string;
   band_hz: [number, number] | null;
-  /** Whether Python follows closer what is bounded here, and may decide. */
-  wider?: boolean;
 }
 
-interface Obstacle {
-  reason: string;
-  band_hz: [number, number] | null;
-  wider?: boolean;
-}
-
-const undecided = (reason: string, band_hz: [number, number] | null = null, wider = false): Stability => ({
-  outcome: "undecided",
-  reason,
-  band_hz,
-  wider,
-});
-
-const short = (value: number, digits = 3): string => String(Number(value.toPrecision(digits)));
+const undecided = (reason: string, band_hz: [number, number] | null = null): Stability => ({ outcome: "undecided", reason, band_hz });
 
 /** Whether the closed loop is stable, as far as these data carry the count. */
 export function closedLoopStability(loop: Loop): Stability {
@@ -46,7 +32,7 @@ export function closedLoopStability(loop: Loop): Stability {
     );
   }
   const poles = unstableCount(loop, point.unstable_poles);
-  if (typeof poles !== "number") return undecided(poles.reason, poles.band_hz, poles.wider);
+  if (typeof poles !== "number") return undecided(poles.reason, poles.band_hz);
   if (poles < 0) return undecided(`${-poles} encirclements too many for ${point.unstable_poles} unstable poles`);
   if (poles) return { outcome: "unstable", reason: `${poles} closed-loop poles in the right half plane`, band_hz: null };
   return { outcome: "stable", reason: "the encirclements of -1 balance the unstable poles", band_hz: null };
@@ -57,7 +43,7 @@ function unstableCount(loop: Loop, unstable: number): number | Obstacle {
   const fitDeg = loop.plant.source.constants.fit_deg;
   const belowC = control.response(controller, point.below_f);
   const led = point.modelled ? times(belowC, point.below[0]) : null;
-  const between = pastHidden(loop);
+  const between = pastResonances(loop);
   const found = obstacle(loop, between, startOf(loop, led, unstable));
   if (found) return found;
   let poles = countUnstable(denseL, integrators, unstable, led, fitDeg);
@@ -105,11 +91,6 @@ export function countUnstable(
   return Math.round(unstable + 0.5 * Math.max(integrators, 0) - turn / Math.PI);
 }
 
-/** Angle of a quotient. */
-function angleOf(ar: number, ai: number, br: number, bi: number): number {
-  return Math.atan2(ai * br - ar * bi, ar * br + ai * bi);
-}
-
 function turnToFirst(
   re: number, im: number, integrators: number, negative: boolean, either: boolean, fitDeg: number,
 ): number | null {
@@ -123,158 +104,6 @@ function turnToFirst(
   if (integrators) return swing + angleOf(1 + re, im, re, im);
   if (flipped && !either && re > -1) return null;
   return Math.atan2(im, 1 + re) - (re < -1 ? Math.PI : 0) * Math.sign(im || 1);
-}
-
-interface Past {
-  turns: number;
-  followed: Uint8Array;
-  unclear: Obstacle | null;
-}
-
-/** Turns of 1 + L past resonances of the plant that lines and path step over (`sampling`, `turns_past`). */
-function pastHidden(loop: Loop): Past {
-  const { point, f } = loop;
-  const out: Past = { turns: 0, followed: new Uint8Array(Math.max(f.length - 1, 0)), unclear: null };
-  for (const pole of point.hidden) {
-    const { first, last, least, most, sure } = turnsPast(loop, pole);
-    out.turns += least;
-    out.followed.fill(1, first, last);
-    if ((least !== most || !sure) && out.unclear === null) {
-      const band: [number, number] = [f[first], f[last]];
-      out.unclear = {
-        reason:
-          `a resonance between ${short(band[0], 4)} and ${short(band[1], 4)} Hz, sharper than the lines, may or may` +
-          " not encircle -1: measure finer there",
-        band_hz: band,
-      };
-    }
-  }
-  out.unclear ??= rough(loop);
-  return out;
-}
-
-interface Turns {
-  first: number;
-  last: number;
-  least: number;
-  most: number;
-  sure: boolean;
-}
-
-function turnsPast(loop: Loop, pole: Hidden): Turns {
-  const { point, f, denseL, dense, controller } = loop;
-  const { aside } = loop.plant.source.constants;
-  const low = clip(placeIn(f, pole.low_hz, true) - 1, 0, f.length - 2);
-  const high = clip(placeIn(f, pole.high_hz), low + 1, f.length - 1);
-  const first = Math.max(low - aside, 0);
-  const last = Math.min(high + aside, f.length - 1);
-  const own = f.slice(first, last + 1);
-  const rest: Complex = { re: point.raw.re.slice(first, last + 1), im: point.raw.im.slice(first, last + 1) };
-  for (let k = 0; k < own.length; k++) {
-    const narrow = narrowAt(point, own[k]);
-    rest.re[k] -= narrow[0];
-    rest.im[k] -= narrow[1];
-  }
-  const [here, there] = [placeIn(dense.f, own[0]), placeIn(dense.f, own[own.length - 1])];
-  const straight = turnAlong(denseL, here, there);
-  const out: Turns = { first, last, least: Infinity, most: -Infinity, sure: true };
-  for (let c = 0; c < pole.centre.length; c++) {
-    const path = pastPole(loop, pole, c, own, rest);
-    const turns = Math.round((turnAlong(path.L, 0, path.at.length - 1) - straight) / TWO_PI);
-    out.least = Math.min(out.least, turns);
-    out.most = Math.max(out.most, turns);
-    if (c === 0) {
-      const bulge = bulges(own, times(control.response(controller, own), path.smooth), loop.plant.source.constants.bulge);
-      out.sure = chords(path.L).every((near, k) => near > bulge[clip(placeIn(own, path.at[k], true) - 1, 0, own.length - 2)]);
-    }
-  }
-  return out;
-}
-
-function turnAlong(L: Complex, from: number, to: number): number {
-  let turn = 0;
-  for (let k = from + 1; k <= to; k++) turn += angleOf(1 + L.re[k], L.im[k], 1 + L.re[k - 1], L.im[k - 1]) || 0;
-  return turn;
-}
-
-function pastPole(loop: Loop, pole: Hidden, c: number, own: Real, rest: Complex): { at: Real; L: Complex; smooth: Complex } {
-  const [zr, zi] = [pole.centre[c], pole.width[c]];
-  const [rr, ri] = [pole.residue.re[c], pole.residue.im[c]];
-  const term = (x: number): [number, number] => {
-    const size = (x - zr) ** 2 + zi * zi;
-    const [qr, qi] = [(rr * (x - zr) - ri * zi) / size, (ri * (x - zr) + rr * zi) / size];
-    return [qi, -qr];
-  };
-  const smooth: Complex = { re: rest.re.slice(), im: rest.im.slice() };
-  own.forEach((x, k) => {
-    const [re, im] = term(x);
-    smooth.re[k] -= re;
-    smooth.im[k] -= im;
-  });
-  const [start, end] = [own[0], own[own.length - 1]];
-  const even = Array.from({ length: 4 * own.length }, (_, k) => start + ((end - start) * k) / (4 * own.length - 1));
-  const near = loop.plant.source.constants.along.map((place) => zr + Math.abs(zi) * place);
-  const at = Float64Array.from([...near, ...own, ...even], (x) => clip(x, start, end)).sort();
-  const P: Complex = { re: new Float64Array(at.length), im: new Float64Array(at.length) };
-  for (let k = 0; k < at.length; k++) {
-    const gap = clip(placeIn(own, at[k], true) - 1, 0, own.length - 2);
-    const share = (at[k] - own[gap]) / (own[gap + 1] - own[gap]);
-    const [re, im] = term(at[k]);
-    const narrow = narrowAt(loop.point, at[k]);
-    P.re[k] = re + smooth.re[gap] + share * (smooth.re[gap + 1] - smooth.re[gap]) + narrow[0];
-    P.im[k] = im + smooth.im[gap] + share * (smooth.im[gap + 1] - smooth.im[gap]) + narrow[1];
-  }
-  return { at, L: times(control.response(loop.controller, at), P), smooth };
-}
-
-/** How far L may leave its curve between lines (`bulges`). */
-function bulges(f: Real, L: Complex, share: number): Real {
-  const n = f.length;
-  const off = new Float64Array(n);
-  for (let k = 1; k < n - 1; k++) {
-    const part = Math.log(f[k] / f[k - 1]) / Math.log(f[k + 1] / f[k - 1]);
-    const size = Math.hypot(L.re[k + 1], L.im[k + 1]) / Math.hypot(L.re[k - 1], L.im[k - 1]);
-    const turn = angleOf(L.re[k + 1], L.im[k + 1], L.re[k - 1], L.im[k - 1]) * part;
-    const [qr, qi] = [size ** part * Math.cos(turn), size ** part * Math.sin(turn)];
-    const re = L.re[k - 1] * qr - L.im[k - 1] * qi;
-    const im = L.re[k - 1] * qi + L.im[k - 1] * qr;
-    const value = Math.hypot(L.re[k] - re, L.im[k] - im);
-    off[k] = Number.isFinite(value) ? value : 0;
-  }
-  off[0] = off[1];
-  off[n - 1] = off[n - 2];
-  return Float64Array.from({ length: n - 1 }, (_, k) => share * Math.max(off[k], off[k + 1]));
-}
-
-/** Distance of each chord of L from -1. */
-function chords(L: Complex): Real {
-  return Float64Array.from({ length: Math.max(L.re.length - 1, 0) }, (_, k) => chord(L, k)[0]);
-}
-
-function chord(L: Complex, k: number): [number, number] {
-  const [x, y] = [1 + L.re[k], L.im[k]];
-  const [dx, dy] = [L.re[k + 1] - L.re[k], L.im[k + 1] - L.im[k]];
-  const length = dx * dx + dy * dy;
-  const share = length > 0 ? clip(-(x * dx + y * dy) / length, 0, 1) : 0;
-  return [Math.hypot(x + share * dx, y + share * dy), share];
-}
-
-function rough(loop: Loop): Obstacle | null {
-  const { point, f, C, dense, denseL } = loop;
-  if (!point.rough) return null;
-  const near = chords(denseL);
-  const size = magnitudes(C);
-  const at = Array.from(f, (x) => placeIn(dense.f, x));
-  const gaps: number[] = [];
-  for (let k = 0; k < f.length - 1; k++) {
-    let least = Infinity;
-    for (let i = at[k]; i < at[k + 1]; i++) least = Math.min(least, near[i]);
-    if (Math.max(size[k], size[k + 1]) * point.rough[k] > least) gaps.push(k);
-  }
-  if (!gaps.length) return null;
-  const band: [number, number] = [f[gaps[0]], f[gaps[gaps.length - 1] + 1]];
-  const reason = `neither noise nor one resonance explains the lines between ${short(band[0], 4)} and ${short(band[1], 4)} Hz: measure finer there`;
-  return { reason, band_hz: band, wider: true };
 }
 
 function obstacle(loop: Loop, between: Past, start: number[] | null): Obstacle | null {

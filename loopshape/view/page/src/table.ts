@@ -3,9 +3,10 @@
 import { button, el, focusedIn, numberField, shown } from "./dom";
 import { MASKED, requirementsAt } from "./limits";
 import type { Margins } from "./margins";
-import { STABILITY, worstReach } from "./detuning";
+import { STABILITY, worstReach, type Reach } from "./detuning";
 import type { Limit, Requirements } from "./payload";
 import type { Found, Outcome, Row } from "./verdict";
+import type { Stage } from "./work";
 
 export const OUTCOMES: Record<Outcome, [string, string]> = {
   passed: ["✓", "passed"],
@@ -18,10 +19,14 @@ export function badge(outcome: Outcome | null): HTMLElement {
   return el("span", { class: `badge ${outcome ?? "none"}` }, `${sign} ${word}`);
 }
 
-/** What is known beside estimates: intervals and stability, and after them detuning margins. */
+/** The last that is known beside estimates, of this design or of one of a moment ago. */
+export type Late = Partial<Record<Stage, Found>>;
+
+/** Whether intervals and stability, and after them detuning margins, are of this design; and the last that are known. */
 export interface Known {
   settled: boolean;
   detuned: boolean;
+  late: Late;
 }
 
 interface Cells {
@@ -41,6 +46,7 @@ export class RequirementTable {
   private readonly body = el("tbody");
   private readonly stability = el("p", { class: "stability" });
   private readonly detuning = el("p", { class: "stability", id: "detuning" });
+  private readonly resonances = el("ul", { class: "stability", id: "resonances", "aria-label": "Detuning margins of single resonances" });
   private readonly adder = el("select", { id: "add-requirement" });
   private readonly cells = new Map<string, Cells>();
   private shape = "";
@@ -56,7 +62,7 @@ export class RequirementTable {
     const table = el("table", { id: "requirements" }, el("thead", {}, row), this.body);
     const label = el("label", { for: "add-requirement" }, "Add a requirement ");
     const add = button("Add", "add the requirement that is chosen", () => this.added());
-    this.element.append(el("div", { class: "scroll" }, table), this.stability, this.detuning, el("p", { class: "row" }, label, this.adder, add));
+    this.element.append(el("div", { class: "scroll" }, table), this.stability, this.detuning, this.resonances, el("p", { class: "row" }, label, this.adder, add));
   }
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
@@ -73,21 +79,33 @@ export class RequirementTable {
       const common = everywhere[limit.name];
       if (cells.required && focusedIn(cells.required) !== cells.required) cells.required.value = String(common);
       cells.own.textContent = row.wished === common ? "" : `${signOf(limit)} ${shown(row.wished)} ${unit(limit)} at this operating point`;
-      this.fill(limit, row, cells, limit.name === DETUNING ? known.detuned : known.settled, before?.rows.find((one) => one.quantity === limit.name) ?? null);
+      const [isKnown, late] = limit.name === DETUNING ? [known.detuned, known.late.detuning] : [known.settled, known.late.intervals];
+      this.fill(limit, row, cells, isKnown, rowOf(late, limit), rowOf(before, limit));
     }
-    this.stability.replaceChildren(...this.stabilityWords(found, known.settled));
-    this.detuning.textContent = this.detuningWords(found, known.detuned);
+    const counted = known.settled ? found : known.late.intervals;
+    this.stability.replaceChildren(...(counted ? this.stabilityWords(counted) : ["Stability: computing"]));
+    this.stability.classList.toggle("late", !known.settled);
+    this.tellDetuning(known.detuned, known.late);
   }
 
-  private fill(limit: Limit, row: Row, cells: Cells, settled: boolean, before: Row | null): void {
+  /** What the last detuning says, slanted while it is of a design of a moment ago. */
+  private tellDetuning(isKnown: boolean, { detuning, resonances }: Late): void {
+    this.detuning.textContent = detuning ? this.detuningWords(detuning) : "Detuning margin: computing";
+    this.detuning.classList.toggle("late", !isKnown);
+    const lines = resonances ? this.resonanceWords(resonances) : [];
+    this.resonances.replaceChildren(...lines.map((words) => el("li", {}, words)));
+    this.resonances.classList.toggle("late", resonances !== detuning);
+    this.resonances.hidden = !lines.length;
+  }
+
+  /** `late` is the row as it was known last: while this one is not, its interval is shown. */
+  private fill(limit: Limit, row: Row, cells: Cells, settled: boolean, late: Row | null, before: Row | null): void {
     cells.row.className = `${row.outcome}${settled ? "" : " pending"}`;
-    const [low, high] = row.interval ?? [row.found, row.found];
-    const ends = row.bound === null ? [low, high] : [Math.min(low, row.bound), Math.max(high, row.bound)];
-    const some = row.interval !== null || row.bound !== null;
-    const interval = some ? `${ends.map(shown).join(" … ")}${row.bound === null ? "" : " (bound)"}` : "no interval";
-    const small = settled ? interval : "interval follows";
+    const known = settled ? row : late;
+    const small = known ? intervalWords(known) : "interval follows";
     const compare = before ? el("span", { class: "other" }, `B: ${shown(before.found)}`) : null;
-    cells.found.replaceChildren(el("b", {}, `${row.beyond ? "≥ " : ""}${shown(row.found)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
+    const best = limit.name === DETUNING && known ? known : row;
+    cells.found.replaceChildren(el("b", {}, `${best.beyond ? "≥ " : ""}${shown(best.found)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
     cells.slack.textContent = shown(row.spare);
     const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz`;
     const name = this.names[row.point];
@@ -146,33 +164,55 @@ export class RequirementTable {
   }
 
   /** How far frequencies of the plant may move, and what breaks first, at the operating point that bears least. */
-  private detuningWords({ margins }: Found, detuned: boolean): string {
-    if (!detuned) return "Detuning margin: computing";
+  private detuningWords({ margins }: Found): string {
     const each = margins.flatMap((m, k) => (m.detuning ? [{ ...worstReach(m.detuning), interval: m.intervals[DETUNING], k }] : []));
     if (!each.length) return "Detuning margin: not known where stability is undecided.";
     const least = each.reduce((a, b) => (b.percent < a.percent ? b : a));
     const ends = least.interval ? ` (95 %: ${shown(least.interval[0])} … ${shown(least.interval[1])})` : "";
     const where = margins.length > 1 ? ` at ${this.names[least.k]}` : "";
     if (least.beyond) return `Detuning margin: nothing breaks while the plant's frequencies move by ±${shown(least.percent)} %${ends}.`;
-    const label = this.limits.find((limit) => limit.name === least.breaks)?.label ?? STABILITY;
+    const label = this.labelOf(least.breaks);
     if (least.percent === 0) return `Detuning margin: 0 %${where}: ${label} is missed at the plant's own frequencies or at the first shift.`;
     return `Detuning margin: ${shown(least.percent)} %${ends}${where}. Farther shifts of the plant's frequencies break first: ${label}.`;
   }
 
-  private stabilityWords(found: Found, settled: boolean): (Node | string)[] {
-    if (!settled) return ["Stability: computing"];
+  private labelOf(breaks: string): string {
+    return this.limits.find(({ name }) => name === breaks)?.label ?? STABILITY;
+  }
+
+  /** What resonances leave that move alone, the least first. */
+  private resonanceWords({ margins }: Found): string[] {
+    const each = margins.flatMap((m, k) => (m.detuning?.resonances ?? []).map((one) => ({ ...one, least: worstReach(one), k })));
+    const one = (reach: Reach, sign: string): string => `${sign}${shown(reach.percent)} %${reach.beyond ? " and more" : ` (95 %: ${reach.interval.map(shown).join(" … ")}; then ${this.labelOf(reach.breaks)})`}`;
+    return each.sort((a, b) => a.least.percent - b.least.percent).slice(0, MOST_RESONANCES).map(({ hz, damping, up, down, k }) => {
+      const where = margins.length > 1 ? ` at ${this.names[k]}` : "";
+      return `Resonance at ${shown(hz)} Hz (damping ${shown(damping)})${where}, moved alone: ${one(up, "+")}, ${one(down, "−")}`;
+    });
+  }
+
+  private stabilityWords(found: Found): (Node | string)[] {
     const count = found.margins.length;
     if (!found.unstable.length) return [`Closed loop stable at ${count === 1 ? "the" : `all ${count}`} operating point${count === 1 ? "" : "s"}.`];
     return found.unstable.slice(0, 3).map((k) => {
       const { stability } = found.margins[k] as Margins;
       const word = stability?.outcome === "unstable" ? "failed" : "undecided";
-      const more = stability?.wider ? ". loopshape check follows resonances that stand close together and may decide" : "";
-      return el("span", { class: `line ${word}` }, `${this.names[k]}: ${stability?.outcome ?? ""}, ${stability?.reason ?? ""}${more}`);
+      return el("span", { class: `line ${word}` }, `${this.names[k]}: ${stability?.outcome ?? ""}, ${stability?.reason ?? ""}`);
     });
   }
 }
 
 const DETUNING = "detuning_percent";
+const MOST_RESONANCES = 6;
+
+const rowOf = (found: Found | null | undefined, { name }: Limit): Row | null => found?.rows.find((row) => row.quantity === name) ?? null;
+
+/** The interval of a row, a bound among its ends. */
+function intervalWords({ interval, bound, found }: Row): string {
+  if (interval === null && bound === null) return "no interval";
+  const [low, high] = interval ?? [found, found];
+  const ends = bound === null ? [low, high] : [Math.min(low, bound), Math.max(high, bound)];
+  return `${ends.map(shown).join(" … ")}${bound === null ? "" : " (bound)"}`;
+}
 
 const signOf = (limit: Limit): string => (limit.sense === "at_least" ? "≥" : "≤");
 

@@ -2,7 +2,7 @@
 
 import type { Controller } from "./controller";
 import { Source } from "./dense";
-import { withDetuning, worstReach } from "./detuning";
+import { withDetuning, withResonances, worstReach } from "./detuning";
 import { readerOf, requirementsAt } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
@@ -132,9 +132,15 @@ export class Engine {
   }
 
   /** The same with its detuning margin, which takes longest. */
-  detuned(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
+  detuning(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
     const loop = new Loop(this.quick[index], controller);
     return withDetuning(loop, this.drawn[index], m, this.asked(requirements)[index], this.payload.limits);
+  }
+
+  /** The same with what each resonance leaves that moves alone. */
+  resonances(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
+    const loop = new Loop(this.quick[index], controller);
+    return withResonances(loop, this.drawn[index], m, this.asked(requirements)[index], this.payload.limits);
   }
 
   get size(): number {

@@ -23,17 +23,25 @@ interface Start {
   of: number;
 }
 
+/** What an answer has: intervals and stability, detuning margins too, and those of single resonances. */
+export const DETUNED = ["detuning", "resonances"] as const;
+export const STAGES = ["intervals", ...DETUNED] as const;
+export type Stage = (typeof STAGES)[number];
+
 interface Answer {
   id: number;
-  detuned: boolean;
+  stage: Stage;
   points: [number, Margins][];
 }
 
-/** Margins at all operating points; `detuned` tells that detuning margins are in them. */
+/** Margins at all operating points. */
 export interface Worked extends Asked {
   margins: Margins[];
-  detuned: boolean;
+  stage: Stage;
 }
+
+/** Detuning that takes no longer, in ms, is finished while something is dragged; what takes longer waits for a pause. */
+const QUICK = 80;
 
 /** What runs in a worker: the newest task is done, those that it overtook are not; a margin at a time between messages. */
 export function workHere(scope: DedicatedWorkerGlobalScope): void {
@@ -47,6 +55,7 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
     engines.set(loop, made);
     return made;
   };
+  const tell = (task: Task, stage: Stage, points: [number, Margins][]): void => scope.postMessage({ id: task.id, stage, points } satisfies Answer);
   const work = (): void => {
     if (!next || !start || !payload) return;
     const task = next;
@@ -54,18 +63,32 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
     const engine = engineOf(task.loop, payload);
     const points: [number, Margins][] = [];
     for (let k = start.share; k < engine.size; k += start.of) points.push([k, engine.settled(k, task.controller, task.requirements)]);
-    scope.postMessage({ id: task.id, detuned: false, points } satisfies Answer);
-    setTimeout(() => detune(engine, task, points, 0), 0);
+    tell(task, "intervals", points);
+    const steps = stepsOf(engine, task, points);
+    if (took < QUICK) atOnce(steps);
+    else setTimeout(() => inPieces(task, steps), 0);
   };
-  const detune = (engine: Engine, task: Task, points: [number, Margins][], at: number): void => {
-    if (next || current !== task) return;
-    if (at === points.length) {
-      scope.postMessage({ id: task.id, detuned: true, points } satisfies Answer);
-      return;
+  /** Milliseconds that the last detuning took. */
+  let took = Infinity;
+  /** All detuning of a task, a piece at a time: first of whole plants, then of single resonances. */
+  function* stepsOf(engine: Engine, task: Task, points: [number, Margins][]): Generator<void> {
+    let spent = 0;
+    for (const stage of DETUNED) {
+      for (const one of points) {
+        const begun = performance.now();
+        one[1] = engine[stage](one[0], task.controller, task.requirements, one[1]);
+        spent += performance.now() - begun;
+        yield;
+      }
+      tell(task, stage, points);
     }
-    const [k, margins] = points[at];
-    points[at] = [k, engine.detuned(k, task.controller, task.requirements, margins)];
-    setTimeout(() => detune(engine, task, points, at + 1), 0);
+    took = spent;
+  }
+  const atOnce = (steps: Generator<void>): void => {
+    while (!steps.next().done);
+  };
+  const inPieces = (task: Task, steps: Generator<void>): void => {
+    if (!next && current === task && !steps.next().done) setTimeout(() => inPieces(task, steps), 0);
   };
   scope.onmessage = ({ data }: MessageEvent<Start | Task>) => {
     if ("raw" in data) {
@@ -83,17 +106,16 @@ interface DedicatedWorkerGlobalScope {
   postMessage(message: unknown): void;
 }
 
-/** Shares of an answer that are still missing, and what came. */
-interface Gathered {
-  left: number;
-  margins: Margins[];
+/** A task that is under way: shares of each answer that are still missing, and what came. */
+interface Open {
+  task: Task;
+  answers: Map<Stage, { left: number; margins: Margins[] }>;
 }
 
 /** Workers, and what they are asked. */
 export class Pool {
   private readonly workers: Worker[];
-  private task: Task | null = null;
-  private gathered = new Map<boolean, Gathered>();
+  private open: Open[] = [];
   private waiting: Task | null = null;
   private busy = false;
   private last = 0;
@@ -124,21 +146,23 @@ export class Pool {
   private send(): void {
     const task = this.waiting;
     if (!task) return;
-    [this.waiting, this.task, this.busy] = [null, task, true];
-    this.gathered = new Map([false, true].map((detuned) => [detuned, { left: this.workers.length, margins: [] }]));
+    [this.waiting, this.busy] = [null, true];
+    this.open = [...this.open.slice(-2), { task, answers: new Map() }];
     for (const worker of this.workers) worker.postMessage(task);
   }
 
-  private answered({ id, detuned, points }: Answer): void {
-    const { task } = this;
-    const one = this.gathered.get(detuned);
-    if (!task || !one || task.id !== id) return;
+  private answered({ id, stage, points }: Answer): void {
+    const open = this.open.find(({ task }) => task.id === id);
+    if (!open) return;
+    const one = open.answers.get(stage) ?? { left: this.workers.length, margins: [] };
+    open.answers.set(stage, one);
     for (const [k, margins] of points) one.margins[k] = margins;
     one.left -= 1;
     if (one.left) return;
-    const { loop, controller, requirements } = task;
-    if (!detuned) this.busy = false;
-    this.done({ loop, controller, requirements, margins: one.margins, detuned });
-    if (!detuned) this.send();
+    if (stage !== "intervals") this.open = this.open.filter(({ task }) => task.id >= id); // older ones were overtaken
+    if (stage === "intervals") this.busy = false;
+    const { loop, controller, requirements } = open.task;
+    this.done({ loop, controller, requirements, margins: one.margins, stage });
+    if (stage === "intervals") this.send();
   }
 }

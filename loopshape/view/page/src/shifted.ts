@@ -1,0 +1,251 @@
+// A plant whose resonances have moved, all or one, and what margins and count read from it (Python: loop/shifted.py).
+
+import { clip, concat, placeIn, times, type Complex, type Real } from "./arrays";
+import * as control from "./controller";
+import { addPole, sumsOf, type Dense, type Draws } from "./dense";
+import { followed, judgedLines, type Loop, type Plant } from "./loop";
+import { aboveHz } from "./margins";
+import type { Seen } from "./payload";
+import type { Reader } from "./limits";
+import * as kernel from "./reading";
+import { countUnstable } from "./stability";
+
+/** Margins by column, unstable poles by the bare count, and the least distance of L from -1 over its deviation. */
+export interface Reading {
+  values: Float64Array;
+  poles: number | null;
+  clear: number;
+}
+
+/** A plant at a shift: its frequency axis stretched by a factor, P on it, and what leads below its first line. */
+interface Stand {
+  by: number;
+  P: Complex;
+  belowP: Complex | null;
+}
+
+/** Lines that margins are read from, with deviation and draws of P, and frequencies below and above them. */
+interface Lines {
+  f: Real;
+  P: Complex;
+  std: Real;
+  draws: Draws;
+  belowF: Real;
+  belowP: Complex | null;
+  aboveF: Real;
+}
+
+/** What a controller makes of lines that stand at a place. */
+interface Met {
+  grid: kernel.Grid;
+  C: Complex;
+  belowC: Complex | null;
+}
+
+/** The unmoved plant of a loop, and how it stands when its axis is stretched or one resonance is moved. */
+export class Shiftable {
+  readonly lines: Lines;
+
+  constructor(
+    readonly loop: Loop,
+    plant: Plant,
+    readonly reader: Reader,
+  ) {
+    this.lines = linesOf(loop, plant);
+  }
+
+  /** The plant with its whole frequency axis stretched. */
+  stretched(): Moved {
+    const { P, belowP } = this.lines;
+    return new Moved(this, (percent) => ({ by: 1 + 0.01 * percent, P, belowP }));
+  }
+
+  /** The plant with one of its resonances moved alone: taken out, and put back moved. */
+  withMoved(one: Seen): Moved {
+    const { f, P, belowF, belowP } = this.lines;
+    return new Moved(this, (percent) => ({
+      by: 1,
+      P: sum(P, change(one, f, 0.01 * percent)),
+      belowP: belowP && sum(belowP, change(one, belowF, 0.01 * percent)),
+    }));
+  }
+}
+
+const sum = (a: Complex, b: Complex): Complex => ({ re: a.re.map((x, k) => x + b.re[k]), im: a.im.map((x, k) => x + b.im[k]) });
+
+/** What a relative shift of a resonance adds to P: mode shape and mass are kept, so R of R/(s² + 2 zeta w s + w²). */
+function change({ pole, residue }: Seen, f: Real, shift: number): Complex {
+  const out = { re: new Float64Array(f.length), im: new Float64Array(f.length) };
+  const scaled = ([re, im]: [number, number], by: number): [number, number] => [re * by, im * by];
+  addPole(out, f, scaled(residue, 1 / (1 + shift)), scaled(pole, 1 + shift));
+  addPole(out, f, scaled(residue, -1), pole);
+  return out;
+}
+
+/** A plant at shifts in per cent, read once at each. */
+export class Moved {
+  readonly readings = new Map<number, Reading>();
+  private readonly scatters = new Map<number, { bias: Float64Array; reach: Float64Array }>();
+  private last: { by: number; met: Met } | null = null;
+
+  constructor(
+    private readonly of: Shiftable,
+    private readonly at: (percent: number) => Stand,
+  ) {}
+
+  /** What margins and count are at a shift. */
+  reading(percent: number): Reading {
+    const known = this.readings.get(percent);
+    if (known) return known;
+    const { by, P, belowP } = this.at(percent);
+    const { grid, C, belowC } = this.metAt(by);
+    const { loop, lines } = this.of;
+    const { integrators, point, plant } = loop;
+    const n = grid.f.length;
+    const L = times(C, { re: P.re.subarray(0, n), im: P.im.subarray(0, n) });
+    const out = kernel.freshReading();
+    kernel.read(grid, L.re, L.im, true, out);
+    let clear = Infinity;
+    for (let k = 0; k < n; k++) {
+      const share = Math.hypot(1 + L.re[k], L.im[k]) / (Math.hypot(C.re[k], C.im[k]) * lines.std[k]);
+      if (!(share >= clear)) clear = share;
+    }
+    const led = belowC && belowP && times(belowC, belowP);
+    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg);
+    const made = { values: out.found, poles, clear };
+    this.readings.set(percent, made);
+    return made;
+  }
+
+  /** Bias and half interval of a reading's columns, by draws of the plant's error; infinite where one jumps. */
+  scatter(percent: number): { bias: Float64Array; reach: Float64Array } {
+    const known = this.scatters.get(percent);
+    if (known) return known;
+    const made = this.scattered(percent);
+    this.scatters.set(percent, made);
+    return made;
+  }
+
+  private scattered(percent: number): { bias: Float64Array; reach: Float64Array } {
+    const { by, P } = this.at(percent);
+    const { grid, C } = this.metAt(by);
+    const { values } = this.reading(percent);
+    const { draws, f } = this.of.lines;
+    const { count } = draws;
+    const [n, wide] = [grid.f.length, f.length];
+    const [re, im] = [new Float64Array(n), new Float64Array(n)];
+    const out = kernel.freshReading();
+    const found = new Float64Array(count * kernel.COLUMNS);
+    for (let d = 0; d < count; d++) {
+      for (let k = 0; k < n; k++) {
+        const x = P.re[k] + draws.re[d * wide + k];
+        const y = P.im[k] + draws.im[d * wide + k];
+        re[k] = C.re[k] * x - C.im[k] * y;
+        im[k] = C.re[k] * y + C.im[k] * x;
+      }
+      kernel.read(grid, re, im, true, out);
+      found.set(out.found, d * kernel.COLUMNS);
+    }
+    const made = { bias: new Float64Array(kernel.COLUMNS), reach: new Float64Array(kernel.COLUMNS) };
+    for (let c = 0; c < kernel.COLUMNS; c++) {
+      const off = Float64Array.from({ length: count }, (_, d) => found[d * kernel.COLUMNS + c] - values[c]);
+      const known = Number.isFinite(values[c]) && off.every(Number.isFinite);
+      const mean = known ? off.reduce((a, b) => a + b, 0) / count : 0;
+      const squares = known ? off.reduce((a, b) => a + (b - mean) ** 2, 0) / count : 0;
+      made.bias[c] = mean;
+      made.reach[c] = known ? this.of.loop.plant.source.constants.detuning.reach * Math.sqrt(squares) : Infinity;
+    }
+    return made;
+  }
+
+  /** Lines below half the rate with the controller there, once for a reading and its scatter. */
+  private metAt(by: number): Met {
+    if (this.last?.by === by) return this.last.met;
+    const { loop, lines, reader } = this.of;
+    const { controller } = loop;
+    const { rate_hz } = controller;
+    const stretched = lines.f.map((x) => x * by);
+    const f = stretched.subarray(0, placeIn(stretched, 0.499 * rate_hz));
+    const above = lines.aboveF.map((x) => x * by);
+    const more = lines.aboveF.filter((x) => above.length > 0 && x > above[above.length - 1]);
+    const aboveF = concat(above, more).filter((x) => x > f[f.length - 1] && x <= 0.45 * rate_hz);
+    const C = control.response(controller, f);
+    const belowC = lines.belowP && control.response(controller, lines.belowF.map((x) => x * by));
+    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, kernel.squares(control.response(controller, aboveF)), reader);
+    this.last = { by, met: { grid, C, belowC } };
+    return this.last.met;
+  }
+}
+
+/** Resonances of the plant whose peak matters to L. */
+export function seenResonances({ point, controller, plant }: Loop): Seen[] {
+  const { matters, near } = plant.source.constants.detuning;
+  return point.resonances.filter(({ hz, peak }) => {
+    if (hz >= (0.5 * controller.rate_hz) / (1 + near[near.length - 1])) return false;
+    const C = control.response(controller, Float64Array.from(near, (x) => hz * (1 + x)));
+    return Math.max(...kernel.squares(C)) ** 0.5 * peak > matters;
+  });
+}
+
+function linesOf(loop: Loop, plant: Plant): Lines {
+  const { point, controller } = loop;
+  const dense = followed(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
+  const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
+  return {
+    ...withLed(loop, own),
+    belowF: point.modelled ? point.below_f : new Float64Array(0),
+    belowP: point.modelled ? point.below[0] : null,
+    aboveF: aboveHz(point.f[point.f.length - 1], controller.rate_hz),
+  };
+}
+
+function fewerDraws(dense: Dense, count: number): Dense {
+  const draws = dense.draws as Draws;
+  const few = Math.min(count, draws.count);
+  const n = dense.f.length;
+  return { ...dense, draws: { count: few, of: draws.count, re: draws.re.subarray(0, few * n), im: draws.im.subarray(0, few * n) } };
+}
+
+/** Deviation of the plant at frequencies among its lines, straight between them. */
+function deviations({ point, dense }: Plant, at: Real): Real {
+  const draws = dense.draws as Draws;
+  const { power } = sumsOf(draws, dense.f.length);
+  const std = point.f.map((x) => Math.sqrt(power[placeIn(dense.f, x)] / draws.count));
+  return at.map((x) => {
+    const k = clip(placeIn(point.f, x, true) - 1, 0, point.f.length - 2);
+    return std[k] + ((std[k + 1] - std[k]) / (point.f[k + 1] - point.f[k])) * (x - point.f[k]);
+  });
+}
+
+type Known = Pick<Lines, "f" | "P" | "std" | "draws">;
+
+/** The lines with those before them where a model leads to the first one: as unsure as that. */
+function withLed(loop: Loop, own: Known): Known {
+  const led = judgedLines(loop)?.led ?? 0;
+  if (!led) return own;
+  const { led_f, led: ahead } = loop.point;
+  const n = own.f.length;
+  const { count } = own.draws;
+  const [pr, pi] = [own.P.re[0], own.P.im[0]];
+  const size = pr * pr + pi * pi;
+  const share: Complex = {
+    re: ahead.re.map((x, k) => (x * pr + ahead.im[k] * pi) / size),
+    im: ahead.re.map((x, k) => (ahead.im[k] * pr - x * pi) / size),
+  };
+  const draws: Draws = { count, re: new Float64Array(count * (n + led)), im: new Float64Array(count * (n + led)) };
+  for (let d = 0; d < count; d++) {
+    const [x, y, start] = [own.draws.re[d * n], own.draws.im[d * n], d * (n + led)];
+    for (let k = 0; k < led; k++) {
+      draws.re[start + k] = share.re[k] * x - share.im[k] * y;
+      draws.im[start + k] = share.re[k] * y + share.im[k] * x;
+    }
+    draws.re.set(own.draws.re.subarray(d * n, (d + 1) * n), start + led);
+    draws.im.set(own.draws.im.subarray(d * n, (d + 1) * n), start + led);
+  }
+  return {
+    f: concat(led_f, own.f),
+    P: { re: concat(ahead.re, own.P.re), im: concat(ahead.im, own.P.im) },
+    std: concat(share.re.map((x, k) => own.std[0] * Math.hypot(x, share.im[k])), own.std),
+    draws,
+  };
+}
