@@ -174,7 +174,7 @@ def crowd_in(loop: Loop, stretch: Stretch) -> Crowd:
 
 
 def rough_in(loop: Loop) -> tuple[Array, np.ndarray]:
-    """How far from its lines P may come in each gap (nf - 1,) that one pole does not explain, and where lines scatter."""
+    """How far from its lines P may come in each gap (nf - 1,) that no one pole explains, and where lines scatter."""
     seen, unstable = (loop.frequency_hz, without_narrow(loop), *_spread(loop)), may_be_oscillatory(loop)
     return roughness(*seen, unstable=unstable), np.array(scattered(*seen, unstable=unstable))
 

@@ -118,9 +118,7 @@ def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path)
 
 
 @pytest.mark.parametrize("name", shaped_cases.CROWDS)
-def test_resonances_close_together_are_followed_as_check_follows_them(
-    name: str, context: Any, tmp_path: Path
-) -> None:
+def test_resonances_close_together_are_followed_as_check_follows_them(name: str, context: Any, tmp_path: Path) -> None:
     """Gains at which they encircle -1, come near it, and stay clear of it."""
     P, R = shaped_cases.crowded(name), Requirements("x", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
     made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (1.0, 0.5, 0.1, 0.03)]
