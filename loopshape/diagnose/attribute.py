@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +22,15 @@ def healthy(evidence: Evidence) -> Fitted:
     return fitting.improve(evidence, start, 4, all_slopes=True)
 
 
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """A hypothesis at a start moved once by straight lines, and the cost that they promise."""
+
+    hypothesis: Hypothesis
+    phi: Array
+    cost: float
+
+
 def screened(
     evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, rounds: int = 2, brief: bool = False
 ) -> list[Fitted]:
@@ -29,65 +38,92 @@ def screened(
 
     What a start, scaled at best, leaves is a first guess; the best of them are fitted. `brief` tries one start each.
     """
-    guesses = sorted(started(evidence, hypotheses, base, brief), key=lambda f: f.cost)
+    guesses = sorted(started(evidence, hypotheses, base, brief), key=lambda g: g.cost)
     chosen = worth_fitting(guesses, base)
-    evidence.residuals([f.hypothesis.moves(f.phi) for f in chosen])  # in parallel, and remembered
-    true = [fitting.at(evidence, f.hypothesis, f.phi, f.slopes) for f in chosen]
-    return [fitting.improve(evidence, f, rounds, all_slopes=False) for f in true]
+    evidence.residuals([g.hypothesis.moves(g.phi) for g in chosen])  # in parallel, and remembered
+    found = [fitting.at(evidence, g.hypothesis, g.phi, _spread_slopes(base, g.phi.size)) for g in chosen]
+    found = [fitting.improve(evidence, f, 1, all_slopes=False) for f in found]
+    near = within_reach(found)
+    return [fitting.improve(evidence, f, rounds - 1, all_slopes=False) if f in near else f for f in found]
 
 
-def worth_fitting(guesses: Sequence[Fitted], base: Fitted) -> list[Fitted]:
+def within_reach(fitted: Sequence[Fitted]) -> list[Fitted]:
+    """Those, best first, that may still come near the best: the first few, and whatever costs little more."""
+    ordered = sorted(fitted, key=lambda f: f.cost)
+    return [f for k, f in enumerate(ordered) if k < _FEW or f.cost < ordered[0].cost + _HOPELESS]
+
+
+_FEW = 2
+_HOPELESS = 25.0  # of cost: at the highest temperature a probability of 5e-5, and less of what is plain
+
+
+def _spread_slopes(base: Fitted, p: int) -> Array:
+    """Slopes (n, p) with those of the base's spread at their end."""
+    n_spread = base.phi.size - base.hypothesis.n_free
+    return np.pad(base.slopes[:, base.phi.size - n_spread :], ((0, 0), (p - n_spread, 0)))
+
+
+def worth_fitting(guesses: Sequence[Guess], base: Fitted) -> list[Guess]:
     """The guesses, best first, that gain a quarter of what the best gains, and at least a few."""
     gains = [base.cost - g.cost for g in guesses]
     enough = sum(gain > 0.25 * gains[0] for gain in gains)
     return list(guesses[: min(max(enough, 8), 20)])
 
 
-def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, brief: bool = False) -> list[Fitted]:
+def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, brief: bool = False) -> list[Guess]:
     """Each hypothesis at its best start, the magnitude scaled and the spread answering, both by straight lines."""
-    n_spread = len(evidence.plant.spread)
     every = [(h, h.starts(base.phi)[: 1 if brief else None]) for h in hypotheses]
     residuals = iter(evidence.residuals([h.moves(phi) for h, starts in every for phi in starts]))
+    n_spread = base.phi.size - base.hypothesis.n_free
+    known = np.column_stack([base.slopes[:, base.phi.size - n_spread :], base.residual])
+    table = fitting.normal(evidence, known, base.residual).squares
     out = []
     for hypothesis, starts in every:
         tried = []
         for phi in starts:
             residual = np.nan_to_num(next(residuals), nan=1e9, posinf=1e9, neginf=-1e9)
-            slopes = np.zeros((residual.size, phi.size))
-            slopes[:, : base.hypothesis.n_free] = base.slopes[:, : base.hypothesis.n_free]
-            slopes[:, phi.size - n_spread :] = base.slopes[:, base.phi.size - n_spread :]
-            fitted = Fitted(hypothesis, phi, residual, evidence.mean_squares(residual), slopes)
-            tried += [_answered(evidence, fitted, n_spread), _scaled(evidence, fitted, base)]
-        out.append(min(tried, key=lambda f: f.cost))
+            products = fitting.products(evidence, known, residual)
+            squares = evidence.mean_squares(residual)
+            tried += _guesses(hypothesis, phi, base, table, products, squares)
+        out.append(min(tried, key=lambda g: g.cost))
     return out
 
 
-def _scaled(evidence: Evidence, fitted: Fitted, base: Fitted) -> Fitted:
-    """The newest magnitude scaled as if its effect went in proportion, and the spread moved, once."""
-    hypothesis = fitted.hypothesis
+def _guesses(
+    hypothesis: Hypothesis, phi: Array, base: Fitted, table: Array, products: Array, squares: Array
+) -> list[Guess]:
+    """The spread moved once; and the newest magnitude with it, scaled as if its effect went in proportion.
+
+    All by cell: `table` (cells, k, k) of the products of the spread's slopes and the base's residual, `products`
+    (cells, k) of them with the residual at this start, whose mean squares are `squares` (cells,).
+    """
+    n_spread = products.shape[1] - 1
+    spread = np.zeros(phi.size, dtype=bool)
+    spread[phi.size - n_spread :] = True
+    h = np.zeros((len(squares), phi.size, phi.size))
+    g = np.zeros((len(squares), phi.size))
+    h[:, phi.size - n_spread :, phi.size - n_spread :] = table[:, :-1, :-1]
+    g[:, phi.size - n_spread :] = products[:, :-1]
+    out = [_guess(hypothesis, phi, fitting.Normal(h, g), squares, fitting.weights(squares), spread)]
     place = sum(len(f.free) for f in hypothesis.forms[:-1])
-    start = fitted.phi[place]
-    if start == 0.0 or not np.all(np.isfinite(fitted.residual)):
-        return fitted
-    slopes = fitted.slopes.copy()
-    slopes[:, place] = (fitted.residual - base.residual) / start
-    free = np.zeros(fitted.phi.size, dtype=bool)
-    free[[place, *range(hypothesis.n_free, fitted.phi.size)]] = True
-    line = replace(fitted, slopes=slopes)
-    step = fitting.box_step(line, fitting.weights(evidence, np.minimum(fitted.mean_squares, base.mean_squares)), free)
-    moved = fitted.residual + slopes @ step
-    return replace(fitted, phi=fitted.phi + step, residual=moved, mean_squares=evidence.mean_squares(moved))
+    if (start := phi[place]) != 0.0:
+        across, own = products[:, -1], table[:, -1, -1]
+        h[:, place, place] = (squares - 2.0 * across + own) / start**2
+        h[:, place, phi.size - n_spread :] = (products[:, :-1] - table[:, -1, :-1]) / start
+        h[:, phi.size - n_spread :, place] = h[:, place, phi.size - n_spread :]
+        g[:, place] = (squares - across) / start
+        weight = fitting.weights(np.minimum(squares, base.mean_squares))
+        spread[place] = True
+        out.append(_guess(hypothesis, phi, fitting.Normal(h, g), squares, weight, spread))
+    return out
 
 
-def _answered(evidence: Evidence, fitted: Fitted, n_spread: int) -> Fitted:
-    """The spread moved once, its effect taken from the slopes."""
-    residual = np.nan_to_num(fitted.residual, nan=1e9, posinf=1e9, neginf=-1e9)
-    fitted = replace(fitted, residual=residual, mean_squares=evidence.mean_squares(residual))
-    free = np.zeros(fitted.phi.size, dtype=bool)
-    free[fitted.phi.size - n_spread :] = True
-    step = fitting.box_step(fitted, fitting.weights(evidence, fitted.mean_squares), free)
-    moved = residual + fitted.slopes @ step
-    return replace(fitted, phi=fitted.phi + step, residual=moved, mean_squares=evidence.mean_squares(moved))
+def _guess(
+    hypothesis: Hypothesis, phi: Array, equations: fitting.Normal, squares: Array, weight: Array, free: Array
+) -> Guess:
+    step = fitting.box_step(hypothesis, phi, equations, weight, free)
+    left = squares + 2.0 * equations.products @ step + equations.squares @ step @ step
+    return Guess(hypothesis, phi + step, fitting.cost(np.maximum(left, 0.0)))
 
 
 def again(evidence: Evidence, fitted: Fitted, rounds: int) -> Fitted:
@@ -114,20 +150,18 @@ class LeftOut:
 
 def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
     """Each recording predicted from the others: numbers moved to fit those, by the slopes."""
-    w = fitting.weights(evidence, fitted.mean_squares)
+    weight = fitting.weights(fitted.mean_squares)
+    equations = fitting.normal(evidence, fitted.slopes, fitted.residual)
     free = np.any(fitted.slopes != 0.0, axis=0)
     left = np.array(fitted.mean_squares)
     moved = []
     for name in evidence.recordings:
-        mask = np.ones(w.size)
-        own = [k for k, c in enumerate(evidence.cells) if c.recording == name]
-        for k in own:
-            mask[evidence.cells[k].part] = 0.0
-        step = fitting.box_step(fitted, w * mask, free) if mask.any() else np.zeros(free.size)
-        for k in own:
-            cell = evidence.cells[k]
-            predicted = fitted.residual[cell.part] + fitted.slopes[cell.part] @ step
-            left[k] = np.mean((predicted / cell.floor) ** 2)
+        own = np.array([c.recording == name for c in evidence.cells])
+        step = np.zeros(free.size)
+        if not own.all():
+            step = fitting.box_step(fitted.hypothesis, fitted.phi, equations, np.where(own, 0.0, weight), free)
+        change = 2.0 * equations.products @ step + equations.squares @ step @ step
+        left[own] = np.maximum(fitted.mean_squares + change, 0.0)[own]
         moved.append(fitted.phi + step)
     return LeftOut(fitting.cost(left), np.array(moved))
 
@@ -156,9 +190,8 @@ def _prior_variance(evidence: Evidence, fitted: Fitted, at: int) -> float:
     free = np.any(fitted.slopes != 0.0, axis=0)
     if not free[at]:
         return 0.0
-    w = fitting.weights(evidence, fitted.mean_squares)
-    slopes = fitted.slopes[:, free]
-    information = _WORTH * (slopes.T @ (slopes * w[:, None]))
+    squares = fitting.normal(evidence, fitted.slopes[:, free], fitted.residual).squares
+    information = _WORTH * np.tensordot(fitting.weights(fitted.mean_squares), squares, 1)
     spread = np.flatnonzero(free) >= fitted.hypothesis.n_free
     information[spread, spread] += 3.0
     return float(np.linalg.pinv(information)[np.sum(free[:at]), np.sum(free[:at])])

@@ -4,8 +4,8 @@ A hypothesis' energy is what it leaves when each recording is predicted from the
 forms are wrong, so differences of fit count less than noise alone would say), plus what it costs to bring in one
 or two effects, plus how unusual its magnitude is. `unknown` is a form-free explanation that would leave a share of
 the healthy model's gap. Temperature, costs and share were chosen by hand, guided by a grid over development arms and by
-the answers of the first sealed exam (`experiments/exam`); what an effect that extends another, or a second one, costs
-where recordings are few was chosen with EMPS in view (`experiments/emps`).
+the answers of the first sealed exam (`experiments/exam`). An effect that contains another is that one and a second
+beside it, so it costs what two effects cost.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from loopshape.diagnose.hypothesis import Hypothesis
 from loopshape.diagnose.shrink import SMALLEST
 
 SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
-ONE_EFFECT, TWO_EFFECTS = 1.0, 3.6
+ONE_EFFECT, TWO_EFFECTS = 1.0, 3.975  # the second what it cost development arms of eight recordings
 PER_NUMBER = 0.3  # beyond the first of each effect
-EXTENDS, SECOND = 7.0, 3.0  # over the number of recordings: what repeats in none of them is not believed
 UNKNOWN, UNKNOWN_LEAVES = 3.2, 0.2
 HEALTHY_EXCESS = 2.5  # healthy development arms left 1.2 at most; beyond it `none` is not believed
 _UNUSUAL, _SLACK = 6.0, 0.15
@@ -69,9 +68,9 @@ def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
     deviations = tuple(deviation_of_magnitude(evidence, fitted, left, k) for k in range(len(forms)))
-    cost = (0.0, ONE_EFFECT, TWO_EFFECTS + SECOND / evidence.independent)[len(forms)]
+    cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
-    cost += sum(EXTENDS / evidence.independent for f in forms if f.extends)
+    cost += sum(TWO_EFFECTS - ONE_EFFECT for f in forms if f.extends)
     odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
     return Candidate(fitted, left, deviations, left.cost - evidence.quiet, cost + odd)
 

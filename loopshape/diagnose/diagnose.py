@@ -62,10 +62,9 @@ def attribute_effect(
     plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say
 ) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
-    independent = len(names)
     plant, run, names = plant.readied(run, names)
-    evidence = Evidence.of(plant, run, names, PERIODIC_S, threads, independent=independent)
-    brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S, independent)
+    evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
+    brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S)
     say("healthy machine")
     rough = attribute.healthy(brief)
     healthy = attribute.again(evidence, rough, rounds=2)
@@ -74,7 +73,7 @@ def attribute_effect(
     coarse = attribute.screened(brief, candidates(plant), rough)
     best = attribute.best_forms(coarse)
     say("best effects")
-    fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(best[:REFINED], coarse)]
+    fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:REFINED]), coarse)]
     singles = decide.best_by_name([decide.candidate(evidence, f) for f in fine])
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
@@ -94,7 +93,10 @@ def _pairs(evidence: Evidence, brief: Evidence, base: Candidate) -> list[Candida
     others = decide.other_forms(base, effects, leading)
     if others:
         found += attribute.screened(brief, others, ground, rounds=1, brief=True)
-    refined = [attribute.again(evidence, f, rounds=2) for f in attribute.best_forms(found)[:PAIRS_REFINED]]
+    refined = [
+        attribute.again(evidence, f, rounds=2)
+        for f in attribute.within_reach(attribute.best_forms(found)[:PAIRS_REFINED])
+    ]
     return [decide.candidate(evidence, f) for f in refined]
 
 

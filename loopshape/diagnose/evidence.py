@@ -39,16 +39,12 @@ class Cell:
 
 @dataclass(eq=False)
 class Evidence:
-    """Recordings of one role, ready to be followed. `residuals` is the only thing that costs time; it counts itself.
-
-    `independent` is how many recordings there were before a plant cut them into pieces.
-    """
+    """Recordings of one role, ready to be followed. `residuals` is the only thing that costs time; it counts itself."""
 
     plant: Followable
     prepared: Sequence[Any]
     threads: int
     cells: tuple[Cell, ...] = ()
-    independent: int = 1
     evaluations: int = 0
     known: dict[tuple[tuple[str, float], ...], Array] = field(default_factory=dict)
 
@@ -61,13 +57,12 @@ class Evidence:
         periodic_s: float,
         threads: int | None = None,
         brief_s: float = float("inf"),
-        independent: int | None = None,
     ) -> Evidence:
         """Evidence of the recordings named: `periodic_s` of those that repeat themselves, `brief_s` of the others."""
         chosen = [run.recording(n) for n in names]
         longest = [min(brief_s, max(periodic_s, r.info.period_s or float("inf"))) for r in chosen]
         prepared = [plant.prepare(r, run, s if np.isfinite(s) else None) for r, s in zip(chosen, longest, strict=True)]
-        evidence = cls(plant, prepared, threads or os.cpu_count() or 1, independent=independent or len(names))
+        evidence = cls(plant, prepared, threads or os.cpu_count() or 1)
         evidence.cells = _cells(prepared, plant, [plant.residuals(p, {}) for p in prepared])
         return evidence
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from loopshape.core.units import Array
-from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.evidence import Cell, Evidence
 from loopshape.diagnose.hypothesis import Hypothesis
 
 
@@ -63,23 +63,42 @@ def with_slopes(evidence: Evidence, fitted: Fitted, which: range) -> Fitted:
     return replace(fitted, slopes=slopes)
 
 
-def weights(evidence: Evidence, mean_squares: Array) -> Array:
-    """Weight of each sample (n,): its cell counts once, relative to its noise floor and what it leaves."""
-    out = np.empty(evidence.cells[-1].stop)
-    for cell, ms in zip(evidence.cells, mean_squares, strict=True):
-        out[cell.part] = 1.0 / ((1.0 + ms) * cell.floor**2 * (cell.stop - cell.start))
-    return out
+def weights(mean_squares: Array) -> Array:
+    """Weight of each cell (cells,): it counts once, relative to its noise floor and what it leaves."""
+    return np.asarray(1.0 / (1.0 + mean_squares))
 
 
-def box_step(fitted: Fitted, weight: Array, free: Array) -> Array:
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations by cell, relative to its noise floor's square: squares (cells, p, p), products (cells, p)."""
+
+    squares: Array
+    products: Array
+
+
+def normal(evidence: Evidence, slopes: Array, residual: Array) -> Normal:
+    """The normal equations of slopes (n, p) and a residual (n,)."""
+    squares = [_share(c) * (slopes[c.part].T @ slopes[c.part]) for c in evidence.cells]
+    return Normal(np.array(squares), products(evidence, slopes, residual))
+
+
+def products(evidence: Evidence, slopes: Array, residual: Array) -> Array:
+    """Mean products (cells, p) of slopes (n, p) and a residual (n,), relative to the noise floor's square."""
+    return np.array([_share(c) * (slopes[c.part].T @ residual[c.part]) for c in evidence.cells])
+
+
+def _share(cell: Cell) -> float:
+    return 1.0 / ((cell.stop - cell.start) * cell.floor**2)
+
+
+def box_step(hypothesis: Hypothesis, phi: Array, equations: Normal, weight: Array, free: Array) -> Array:
     """The step of phi (p,) that lowers the weighted sum of squares most inside the box, numbers `free` only."""
-    slopes = fitted.slopes[:, free]
-    h = slopes.T @ (slopes * weight[:, None])
-    g = -slopes.T @ (fitted.residual * weight)
-    spread = np.flatnonzero(free) >= fitted.hypothesis.n_free
+    h = np.tensordot(weight, equations.squares, 1)[np.ix_(free, free)]
+    g = -(weight @ equations.products)[free]
+    spread = np.flatnonzero(free) >= hypothesis.n_free
     h[spread, spread] += _SPREAD
-    g[spread] -= _SPREAD * fitted.phi[free][spread]
-    return _solve(h, g, (fitted.hypothesis.low - fitted.phi)[free], (fitted.hypothesis.high - fitted.phi)[free], free)
+    g[spread] -= _SPREAD * phi[free][spread]
+    return _solve(h, g, (hypothesis.low - phi)[free], (hypothesis.high - phi)[free], free)
 
 
 def _solve(h: Array, g: Array, low: Array, high: Array, free: Array) -> Array:
@@ -102,7 +121,8 @@ def improve(evidence: Evidence, fitted: Fitted, rounds: int, *, all_slopes: bool
         free = np.any(fitted.slopes != 0.0, axis=0)
         if not free.any():
             return fitted
-        step = box_step(fitted, weights(evidence, fitted.mean_squares), free)
+        equations = normal(evidence, fitted.slopes, fitted.residual)
+        step = box_step(fitted.hypothesis, fitted.phi, equations, weights(fitted.mean_squares), free)
         better = None
         for share in (1.0, 0.4, 0.1):
             phi = np.clip(fitted.phi + share * step, fitted.hypothesis.low, fitted.hypothesis.high)
