@@ -307,8 +307,8 @@ def crossing_warnings(
     others = f" and {len(flat) - 1} more" * (len(flat) > 1)
     return (
         f"|L| crosses 0 dB at {bandwidth:.4g} Hz, but up to a quarter of that the error is reduced by"
-        f" {reduction:.2g} dB at most, in {worst}{others}: a bandwidth does not tell the error; require |S| by masks, or"
-        " error_rms",
+        f" {reduction:.2g} dB at most, in {worst}{others}: a bandwidth does not tell the error; require |S| by masks,"
+        " or error_rms",
     )
 
 
