@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.cascade import Cascade as Cascade
     from loopshape.loop.cascade import cascade as cascade
+    from loopshape.model.own.axis import axis as axis
     from loopshape.verbs.campaign import campaign as campaign
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
@@ -123,6 +124,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
+    "axis": "model.own.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
     "campaign": "verbs.campaign",

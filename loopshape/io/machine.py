@@ -1,4 +1,6 @@
-"""A user's machine: `model.toml`, and beside it the Python file with the right-hand side, a MuJoCo model, or an FMU.
+"""A user's machine: `model.toml`, and beside it a Python file with the right-hand side, a MuJoCo model, or an FMU.
+
+A servo axis needs no second file: its equations are known, `axis` says which.
 
 The Python file is run, and so is the FMU's library: they are loaded only when a user names the model (`--model`), never
 because a run does.
@@ -12,6 +14,7 @@ import runpy
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +22,7 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
 from loopshape.io.files import clear, inside, part_of, reading, short
 from loopshape.io.words import Words, read_words, said_in
+from loopshape.model.own.axis import axis
 
 FORMAT = "loopshape-model/1"
 _KEYS = (
@@ -37,6 +41,7 @@ _KEYS = (
 )
 _MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators", "kind")
 _FMU = ("format", "name", "fmu", "window_s", "without", "parameter", "input", "output", "port", "kind")
+_AXIS = ("format", "name", "axis", "window_s", "without", "effort", "position", "load_position", "numbers", "kind")
 _SPREAD = ("mass", "damping", "armature", "motor_constant")
 
 
@@ -51,6 +56,8 @@ def read_model(path: Path) -> Model | Mechanism | Unit:
         return _mechanism(path, words)
     if "fmu" in words.table:
         return _unit(path, words)
+    if "axis" in words.table:
+        return _axis(path, words)
     words.only(*_KEYS)
     words.need("file", "function", "states", "parameter", "input", "output")
     with said_in(path.name):
@@ -66,6 +73,45 @@ def read_model(path: Path) -> Model | Mechanism | Unit:
             without=words.list_of_texts("without"),
             kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
+
+
+def _axis(path: Path, words: Words) -> Model:
+    words.only(*_AXIS)
+    words.need("effort", "position", "numbers")
+    rotary = words.one_of("axis", ("rotary", "linear")) == "rotary"
+    with said_in(path.name):
+        made = axis(
+            {name: _with_tolerance(words.inner("numbers"), name) for name in words.inner("numbers").table},
+            _column(words.inner("effort"), "drive"),
+            _sensor(words.inner("position"), "encoder", "position"),
+            _sensor(words.inner("load_position"), "load_encoder", "load_position")
+            if "load_position" in words.table
+            else None,
+            rotary=rotary,
+            window_s=words.positive("window_s", 1.0),
+            name=words.text("name", path.stem),
+            without=words.list_of_texts("without"),
+        )
+        return replace(made, kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")))
+
+
+def _with_tolerance(numbers: Words, name: str) -> float | tuple[float, float]:
+    """A number as it stands, or the value and the tolerance of a table."""
+    if not isinstance(numbers.table[name], dict):
+        return numbers.number(name)
+    w = numbers.inner(name)
+    w.only("value", "tolerance")
+    return (w.number("value"), w.number("tolerance")) if "tolerance" in w.table else w.number("value")
+
+
+def _column(w: Words, name: str) -> Input:
+    w.only("column", "factor", "tolerance")
+    return Input(name, w.text("column"), _factor(w), w.number("tolerance", 0.0))
+
+
+def _sensor(w: Words, name: str, state: str) -> Output:
+    w.only("column", "factor")
+    return Output(name, state, w.text("column"), _factor(w))
 
 
 def _mechanism(path: Path, words: Words) -> Mechanism:

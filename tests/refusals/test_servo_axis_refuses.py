@@ -90,6 +90,13 @@ def test_a_recording_without_a_force():
         ServoAxis().of_run(replace(run, recordings=(bare,)))
 
 
+def test_a_rotary_recording_says_which_model_takes_it():
+    run = run_of(*MOVING)
+    turned = replace(run.recordings[0], columns={"torque_nm": MOVING[0], "angle_rad": MOVING[1]})
+    with pytest.raises(BadSignalError, match=r"columns torque_nm, angle_rad; .*model.toml with axis = \"rotary\""):
+        ServoAxis().of_run(replace(run, recordings=(turned,)))
+
+
 def test_an_axis_that_leaves_its_travel_says_when():
     axis = ServoAxis()
     loops = axis.loop_setups(axis.default_controllers(1000.0), "control")

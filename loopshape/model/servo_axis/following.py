@@ -69,6 +69,12 @@ def followed(recording: Recording, loop: LoopSetup | None = None, longest_s: flo
 
     What was injected at the plant's input (`loop` names its column) belongs to the force.
     """
+    if missing := [name for name in ("force_n", "position_m") if name not in recording.columns]:
+        raise BadSignalError(
+            f"recording {recording.info.file} has no column {missing[0]}, by which a servo axis is followed",
+            f"columns {', '.join(recording.columns)}",
+            'name the columns, of a rotary axis too, in a model: --model model.toml with axis = "rotary"',
+        )
     force, position = np.array(recording.column("force_n")), recording.column("position_m")
     if recording.info.injection == "plant_input" and loop is not None and loop.injected in recording.columns:
         force += recording.column(str(loop.injected))
