@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from loopshape.data.disturbance import Disturbance as Disturbance
     from loopshape.data.fixed import fixed as fixed
     from loopshape.data.frf import FRF as FRF
+    from loopshape.data.gain_scheduled import GainScheduled as GainScheduled
+    from loopshape.data.gain_scheduled import gain_scheduled as gain_scheduled
     from loopshape.data.gap_report import GapReport as GapReport
     from loopshape.data.interaction import Interaction as Interaction
     from loopshape.data.limits_over import AtPoints as AtPoints
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
     from loopshape.verbs.files import read_frf as read_frf
+    from loopshape.verbs.files import read_gain_scheduled as read_gain_scheduled
     from loopshape.verbs.files import read_requirements as read_requirements
     from loopshape.verbs.files import read_table as read_table
     from loopshape.verbs.files import report as report
@@ -105,6 +108,7 @@ _HOME = {
     "Disturbance": "data.disturbance",
     "FRF": "data.frf",
     "Fit": "data.model",
+    "GainScheduled": "data.gain_scheduled",
     "GapReport": "data.gap_report",
     "Input": "data.machine",
     "Interaction": "data.interaction",
@@ -144,6 +148,7 @@ _HOME = {
     "frfs": "verbs.chain",
     "from_control": "data.control_frd",
     "gain": "data.shorthand",
+    "gain_scheduled": "data.gain_scheduled",
     "gap": "verbs.chain",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
@@ -160,6 +165,7 @@ _HOME = {
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_frf": "verbs.files",
+    "read_gain_scheduled": "verbs.files",
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",

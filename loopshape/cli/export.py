@@ -47,20 +47,33 @@ def export_controller(
     quiet: Quiet = False,
 ) -> None:
     """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them."""
+    from loopshape.data.controller import Controller
     from loopshape.io.controller_export import export_controllers
-    from loopshape.io.controllers import read_controllers
+    from loopshape.io.controllers import read_loop_controllers
 
-    output, controllers = Output(as_json, quiet), read_controllers(controller)
-    paths = export_controllers(out, controllers, to)
+    output, found = Output(as_json, quiet), read_loop_controllers(controller)
+    written = dict(zip(found, export_controllers(out, found, to), strict=True))
+    controllers = [one for one in found if isinstance(one, Controller)]
+    paths = [written[one] for one in controllers]
+    for one in (one for one in found if not isinstance(one, Controller)):
+        output.say(f"{written[one]}: {one}")
     columns = ["file", "loop", "digest", "precision", "sections", "moved by rounding [%]"]
     rows = [
         [path.name, one.loop, one.digest, one.precision, len(one.blocks), 100.0 * one.moved_by_rounding()]
         for path, one in zip(paths, controllers, strict=True)
     ]
-    output.table(f"Controllers in {out}", columns, rows)
+    if rows:
+        output.table(f"Controllers in {out}", columns, rows)
     keys = ("file", "loop", "digest", "precision", "sections", "moved_by_rounding_percent")
     told = [dict(zip(keys, [str(path), *row[1:]], strict=True)) for path, row in zip(paths, rows, strict=True)]
-    output.json({"controllers": str(controller), "format": to, "exported": told})
+    output.json(
+        {
+            "controllers": str(controller),
+            "format": to,
+            "exported": told,
+            "schedules": [written[one] for one in found if one not in controllers],
+        }
+    )
 
 
 def export_excitation(

@@ -101,10 +101,10 @@ def record(
     again: bool = False,
 ) -> Run:
     """`verbs.machine.measure` with a terminal: what a target would do is shown first, Ctrl-C ends with code 130."""
-    from loopshape.io.controllers import read_controllers
+    from loopshape.io.controllers import read_loop_controllers
     from loopshape.verbs.machine import measure as measure_study
 
-    found = () if controllers is None else read_controllers(controllers)
+    found = () if controllers is None else read_loop_controllers(controllers)
     try:
         return measure_study(
             study, out, controllers=found, effects=effects, port=port, again=again, states=states,

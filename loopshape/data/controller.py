@@ -124,7 +124,7 @@ class Controller:
         Where one of a section's two poles is an integrator, a2 is what keeps it at z = 1 to the last digit.
         """
         k = self.tustin_constant
-        rows = self.number_format.rounded([_tustin(block.section(), k) for block in self.blocks])
+        rows = self.number_format.rounded([_biquad(block.section(), k) for block in self.blocks])
         beside = [block.integrators() == 1 and block.section()[1][2] != 0.0 for block in self.blocks]
         rows[beside, 4] = -1.0 - rows[beside, 3]
         return rows
@@ -240,13 +240,21 @@ def _check_section(where: str, block: Block, row: Array, form: Precision) -> Non
         )
 
 
-def _tustin(section: Section, k: float) -> tuple[float, float, float, float, float]:
+def tustin(section: Section, k: float) -> tuple[Polynomial, Polynomial]:
+    """A section's discrete numerator and denominator by s = k (z-1)/(z+1): coefficients of 1, 1/z, 1/z².
+
+    Linear in the section's polynomials, as long as their degree stays.
+    """
     num, den = section
-    b, a = (_tustin_polynomial(p, k) for p in (num, den))
-    if num[2] == den[2] == 0.0:  # first order: the common factor (z + 1) would stay as a hidden mode at -1
-        b, a = ((p[0] + k * p[1], p[0] - k * p[1], 0.0) for p in (num, den))
-    if num[1] == den[1] == num[2] == den[2] == 0.0:
-        b, a = (num[0], 0.0, 0.0), (den[0], 0.0, 0.0)
+    if num[2] != 0.0 or den[2] != 0.0:
+        return _tustin_polynomial(num, k), _tustin_polynomial(den, k)
+    if num[1] != 0.0 or den[1] != 0.0:  # first order: the common factor (z + 1) would stay as a hidden mode at -1
+        return (num[0] + k * num[1], num[0] - k * num[1], 0.0), (den[0] + k * den[1], den[0] - k * den[1], 0.0)
+    return (num[0], 0.0, 0.0), (den[0], 0.0, 0.0)
+
+
+def _biquad(section: Section, k: float) -> tuple[float, float, float, float, float]:
+    b, a = tustin(section, k)
     return b[0] / a[0], b[1] / a[0], b[2] / a[0], a[1] / a[0], a[2] / a[0]
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
+
+import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.controller import Controller
+from loopshape.data.gain_scheduled import GainScheduled
 
 KINDS = ("sweep", "multisine", "prbs", "noise", "staircase", "profile", "open_loop", "none")
 INJECTIONS = ("controller_input", "plant_input", "reference", "control")
@@ -29,7 +32,9 @@ class LoopSetup:
     """One loop of a rig: the columns of its signals, and the controller that closes it.
 
     Columns as in a run folder; `output` may be a sum of columns. Signs and places as drawn in
-    `loopshape.data.loop`. Columns that a rig does not log are None.
+    `loopshape.data.loop`. Columns that a rig does not log are None. A `schedule` stands in place of the controller.
+    `decoupling` are weights, by loop, of the controllers' outputs in what enters the plant here; empty for this loop's
+    own alone, with weight 1. It counts as part of the plant: z is logged in front of it.
     """
 
     name: str
@@ -38,6 +43,8 @@ class LoopSetup:
     control: str
     output: str
     controller: Controller | None
+    schedule: GainScheduled | None = None
+    decoupling: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for column in (self.reference, self.injected, self.control, *sum_terms(self.output)):
@@ -48,6 +55,16 @@ class LoopSetup:
     def output_unit(self) -> str:
         """Suffix of the output's unit; the terms of a sum must share it."""
         return shared_unit(self.output, f"the output of loop {self.name!r}")
+
+
+def decoupling_matrix(loops: Sequence[LoopSetup]) -> Array:
+    """What enters the plant of the controllers' outputs, (loops, loops); the identity where nothing is decoupled."""
+    names = [loop.name for loop in loops]
+    return np.array([[_weight(loop, name) for name in names] for loop in loops])
+
+
+def _weight(loop: LoopSetup, name: str) -> float:
+    return float(loop.decoupling.get(name, 0.0)) if loop.decoupling else float(loop.name == name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,6 +11,7 @@ from loopshape.data.controller import Block
 from loopshape.data.excitation import Excitation, Profile, Staircase
 from loopshape.data.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.data.experiment import LoopSetup, Told
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.target_settings import TargetSettings
 
 FORMAT = "loopshape-study/1"
@@ -104,9 +105,10 @@ def merged_effects(own: Mapping[str, float], more: Mapping[str, float]) -> dict[
 class Study:
     """A whole study. `controllers` by loop name; a loop that it leaves out keeps the plant's default.
 
-    `changes` moves parameters of the plant, as settings that whoever reads the recordings knows; `effects` are
-    magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz and
-    dead_zone; `solver` is the plant's word for how it integrates. `target` is for a rig behind a real-time target,
+    `schedules` stand in place of controllers, and `decoupling` are the weights of all controllers in what enters the
+    plant, both by loop. `changes` moves parameters of the plant, as settings that whoever reads the recordings knows;
+    `effects` are magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz
+    and dead_zone; `solver` is the plant's word for how it integrates. `target` is for a rig behind a real-time target,
     and `loops` where no plant describes them (`plant` is empty then).
     """
 
@@ -121,6 +123,8 @@ class Study:
     effects: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
+    schedules: Mapping[str, GainScheduled] = field(default_factory=dict)
+    decoupling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
     target: TargetSettings | None = None
     loops: tuple[LoopSetup, ...] = ()

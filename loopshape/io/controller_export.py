@@ -26,6 +26,7 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.cascade import error_feedback
 from loopshape.data.controller import Block, Controller
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.io.controller_c import c_text
 from loopshape.io.controller_foton import foton_text
 from loopshape.io.controller_matlab import matlab_text
@@ -33,12 +34,13 @@ from loopshape.io.controller_st import st_text, twincat_text
 from loopshape.io.controller_words import FORM, identifier
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
 from loopshape.io.firmware import parameters_text
+from loopshape.io.schedule_export import schedule_file
 
 FORMAT = "loopshape-biquads/1"
 
 
-def export_controllers(folder: Path, controllers: Sequence[Controller], to: str) -> tuple[Path, ...]:
-    """Write each controller to `folder` in a format of `WRITERS`; returns the files, in order.
+def export_controllers(folder: Path, controllers: Sequence[Controller | GainScheduled], to: str) -> tuple[Path, ...]:
+    """Write each controller or schedule to `folder` in a format of `WRITERS`; returns the files, in order.
 
     Nothing is written before all are made. Refuses an unknown format, no controller, two loops whose names become one
     (upper and lower case count as one, as on some disks), and sections that are unstable as they will run.
@@ -47,16 +49,13 @@ def export_controllers(folder: Path, controllers: Sequence[Controller], to: str)
         raise WrongUseError("a format for controllers is not known", repr(to), f"use {', '.join(WRITERS)}")
     if not controllers:
         raise WrongUseError("there is no controller to export", "an empty list")
-    ending, write = WRITERS[to]
-    names = [f"{identifier(one.loop)}{ending}" for one in controllers]
+    made = [schedule_file(one, to) if isinstance(one, GainScheduled) else _file(one, to) for one in controllers]
+    names = [name for name, _ in made]
     for k, name in enumerate(names):
         if name.casefold() in (other.casefold() for other in names[:k]):
             raise WrongUseError("two loops would become one file", name, "give them names that differ in letters")
-    for one in controllers:
-        one.check_sections()
-    made = [write(one) for one in controllers]
     make_folder(folder)
-    for name, content in zip(names, made, strict=True):
+    for name, content in made:
         if isinstance(content, str):
             write_text_whole(folder / name, content)
         elif isinstance(content, bytes):
@@ -64,6 +63,14 @@ def export_controllers(folder: Path, controllers: Sequence[Controller], to: str)
         else:
             write_json(folder / name, content)
     return tuple(folder / name for name in names)
+
+
+def _file(one: Controller, to: str) -> tuple[str, str | bytes | dict[str, Any]]:
+    """Name and content of a controller's file; refuses sections that are unstable as they will run."""
+    ending, write = WRITERS[to]
+    name = f"{identifier(one.loop)}{ending}"
+    one.check_sections()
+    return name, write(one)
 
 
 def biquads_table(controller: Controller) -> dict[str, Any]:

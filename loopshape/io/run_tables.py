@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from itertools import product
 from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.channel import sum_terms
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, Told, shared_unit
+from loopshape.data.gain_scheduled import LAG_S, Follows, GainScheduled, Variable
 from loopshape.data.recording import RecordingInfo
 from loopshape.io.files import plain_name
 from loopshape.io.tables import check_ending
@@ -17,7 +19,9 @@ from loopshape.io.words import Words, refuse_doubles, said_in
 
 #: keys of a controller's table, beside the name of its loop
 CONTROLLER_KEYS = ("discretisation", "prewarp_hz", "computation_delay_s", "added_hold", "precision", "controller")
-LOOP_KEYS = ("name", "reference", "injected", "control", "output", *CONTROLLER_KEYS)
+#: keys of a schedule's table in place of `controller`
+SCHEDULE_KEYS = ("over", "lag_s", "nodes")
+LOOP_KEYS = ("name", "reference", "injected", "control", "output", *CONTROLLER_KEYS, *SCHEDULE_KEYS, "decoupling")
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,60 @@ def controller_table(controller: Controller) -> dict[str, Any]:
     }
 
 
+def read_schedule(words: Words, rate_hz: float) -> GainScheduled:
+    """The schedule of a table with `over` and `nodes`: a controller in each node of a grid, in any order."""
+    words.need("over", "nodes")
+    variables = tuple(_variable(table) for table in words.tables("over"))
+    shared = {key: words.table[key] for key in CONTROLLER_KEYS[:-1] if key in words.table}
+    placed = {}
+    for node in words.tables("nodes"):
+        node.only("at", "controller")
+        one = Words({"name": words.text("name"), "controller": node.table.get("controller"), **shared}, node.where)
+        placed[tuple(node.list_of_numbers("at"))] = read_controller(one, rate_hz)
+    with said_in(words.where):
+        wanted = list(product(*(v.knots for v in variables)))
+        if set(placed) != set(wanted):
+            odd = sorted(set(placed) ^ set(wanted))[0]
+            raise WrongUseError(
+                "the nodes of a schedule are all that its knots make, and no other",
+                f"{'none' if odd in wanted else 'one'} at {', '.join(f'{x:g}' for x in odd)}",
+                "write one controller for each",
+            )
+        return GainScheduled(
+            words.text("name"), variables, tuple(placed[x] for x in wanted), words.number("lag_s", LAG_S)
+        )
+
+
+def _variable(words: Words) -> Variable:
+    words.only("name", "loop", "follows", "knots")
+    words.need("name", "loop", "knots")
+    with said_in(words.where):
+        follows = Follows(words.one_of("follows", tuple(Follows), Follows.REFERENCE))
+        return Variable(words.text("name"), tuple(words.list_of_numbers("knots")), words.text("loop"), follows)
+
+
+def schedule_table(schedule: GainScheduled) -> dict[str, Any]:
+    """The keys of a schedule, as `read_schedule` reads them."""
+    shared = controller_table(schedule.controllers[0])
+    del shared["controller"]
+    nodes = zip(schedule.nodes, schedule.controllers, strict=True)
+    return shared | {
+        "lag_s": schedule.lag_s,
+        "over": [
+            {"name": v.name, "loop": v.loop, "follows": v.follows.value, "knots": list(v.knots)}
+            for v in schedule.variables
+        ],
+        "nodes": [
+            {"at": list(at.values()), "controller": [block.to_table() for block in one.blocks]} for at, one in nodes
+        ],
+    }
+
+
+def read_decoupling(words: Words) -> dict[str, float]:
+    """Weights, by loop, of the key `decoupling`; empty where it is missing."""
+    return words.numbers("decoupling")
+
+
 def _read_recorded(words: Words, rate_hz: float) -> Controller | None:
     """The controller of a run's loop, None without one."""
     if "controller" in words.table:
@@ -151,7 +209,9 @@ def read_loop(words: Words, rate_hz: float) -> LoopSetup:
             injected=words.maybe_text("injected"),
             control=words.text("control"),
             output=words.text("output"),
-            controller=_read_recorded(words, rate_hz),
+            controller=None if "nodes" in words.table else _read_recorded(words, rate_hz),
+            schedule=read_schedule(words, rate_hz) if "nodes" in words.table else None,
+            decoupling=read_decoupling(words),
         )
         _ = loop.output_unit  # refuses a sum of different units
     return loop
@@ -176,13 +236,17 @@ def read_outputs(words: Words) -> tuple[str, ...]:
 
 def loop_table(loop: LoopSetup) -> dict[str, Any]:
     """The `[[loop]]` that `read_loop` reads."""
-    table = {
+    table: dict[str, Any] = {
         "name": loop.name,
         "reference": loop.reference,
         "injected": loop.injected,
         "control": loop.control,
         "output": loop.output,
     }
+    if loop.decoupling:
+        table["decoupling"] = dict(loop.decoupling)
+    if loop.schedule is not None:
+        return table | schedule_table(loop.schedule)
     if loop.controller is None:
         return table
     with said_in(f"loop {loop.name!r}"):

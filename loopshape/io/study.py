@@ -11,7 +11,8 @@
     [parameters]                               # of the plant, where they are not its own
     [effects]                                  # of the plant's catalogue, by magnitude: joint_friction = 0.12
     [pwm]                                      # frequency_hz, dead_zone
-    [[loop]]                                   # name and controller; other loops keep the plant's
+    [[loop]]                                   # name, and controller or schedule (over, nodes), and decoupling; other
+                                               # loops keep the plant's
     [[experiment]]
     name = "sweep"
     excites = "theta2"
@@ -42,9 +43,10 @@ from loopshape.data.controller import Block
 from loopshape.data.excitation import Excitation
 from loopshape.data.excitation_sets import together
 from loopshape.data.experiment import INJECTIONS, KINDS, ROLES
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
 from loopshape.io.files import plain_name
-from loopshape.io.run_tables import TOLD, read_blocks, read_loops
+from loopshape.io.run_tables import SCHEDULE_KEYS, TOLD, read_blocks, read_decoupling, read_loops, read_schedule
 from loopshape.io.study_signals import read_excitation, read_excitations, read_setpoints
 from loopshape.io.study_target import read_target
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
@@ -92,6 +94,8 @@ def read_study(path: Path) -> Study:
         effects=words.numbers("effects"),
         pwm=_pwm(words),
         controllers={} if described else _controllers(words),
+        schedules={} if described else _schedules(words, rate_hz),
+        decoupling={t.text("name"): read_decoupling(t) for t in words.tables("loop") if "decoupling" in t.table},
         extra={"units": {template.name: units for template, units in read}},
         target=target,
         loops=read_loops(words, rate_hz) if described else (),
@@ -115,10 +119,24 @@ def _pwm(words: Words) -> dict[str, float]:
 def _controllers(words: Words) -> dict[str, tuple[Block, ...]]:
     tables = words.tables("loop")
     for table in tables:
-        table.only("name", "controller")
-        table.need("name", "controller")
+        table.only("name", "controller", *SCHEDULE_KEYS, "decoupling")
+        table.need("name")
+        _refuse_both(table)
     refuse_doubles((table.text("name") for table in tables), words.where, "loops")
-    return {table.text("name"): read_blocks(table) for table in tables}
+    return {table.text("name"): read_blocks(table) for table in tables if "controller" in table.table}
+
+
+def _refuse_both(table: Words) -> None:
+    """A loop has a controller or a schedule; with a decoupling alone it keeps the plant's controller."""
+    given = [key for key in ("controller", "nodes") if key in table.table]
+    if not given and "decoupling" not in table.table:
+        table.need("controller")
+    if len(given) == 2:
+        raise WrongUseError(f"{table.where}: a loop has a controller or a schedule", "both", "write one of them")
+
+
+def _schedules(words: Words, rate_hz: float) -> dict[str, GainScheduled]:
+    return {t.text("name"): read_schedule(t, rate_hz) for t in words.tables("loop") if "nodes" in t.table}
 
 
 def _experiments(words: Words, seed: int) -> list[tuple[ExperimentTemplate, dict[str, Any]]]:

@@ -12,6 +12,7 @@ from loopshape.core.units import db, deg, from_db
 from loopshape.data.controller import Controller
 from loopshape.data.disturbance import Disturbance
 from loopshape.data.frf import FRF, Hold
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Limit, Margins, Requirements
@@ -36,11 +37,16 @@ CONTRADICTED = 0.75
 LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
 #: lines above the band used count as seen where their relative standard deviation is below this
 KNOWN_BEYOND = 0.3
+#: what a check of a schedule does not show
+FROZEN = (
+    "the margins are those of frozen operating points: they hold where the point moves slowly beside the loop, which is"
+    " not checked"
+)
 
 
 def loops_of(
     frfs: Sequence[FRF],
-    controller: Controller,
+    scheduled: Controller | GainScheduled,
     requirements: Requirements,
     fits: Sequence[Fit] = (),
     *,
@@ -52,10 +58,11 @@ def loops_of(
     and slope of the lowest lines; unstable poles from the requirements, else from the count of the loop that was
     recorded under its own controller, else there are none where the recording was made in open loop, else from a fit
     that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted,
-    of poles where they are `counted` here and not elsewhere.
+    of poles where they are `counted` here and not elsewhere. A schedule gives each its frozen controller.
     """
     found, notes = [], []
     for measured in frfs:
+        controller = scheduled if isinstance(scheduled, Controller) else scheduled.at(measured.operating_point)
         band = requirements.band_hz
         frf, left_out = _without_zeros(measured, band)
         frf, fewer = _merged(frf)
@@ -224,7 +231,7 @@ def _low_frequency_order(frf: FRF) -> tuple[float, float]:
 
 def check(
     frfs: Sequence[FRF],
-    controller: Controller,
+    controller: Controller | GainScheduled,
     requirements: Requirements,
     fits: Sequence[Fit] = (),
     *,
@@ -249,7 +256,7 @@ def check(
 
 def check_loops(
     frfs: Sequence[FRF],
-    controller: Controller,
+    controller: Controller | GainScheduled,
     requirements: Requirements,
     fits: Sequence[Fit] = (),
     *,
@@ -266,10 +273,12 @@ def check_loops(
     shaken = of_points(named, disturbances)
     found = verdict_on(named, requirements, detuned=detuned, disturbances=shaken)
     notes += error_warnings(named, shaken, requirements)
+    if isinstance(controller, GainScheduled):
+        notes += (FROZEN,)
     return with_warnings(found, loops, requirements, notes), tuple(loops)
 
 
-def refuse_too_high(requirements: Requirements, controller: Controller) -> None:
+def refuse_too_high(requirements: Requirements, controller: Controller | GainScheduled) -> None:
     """Refuse a high-frequency limit on |CS| that begins where the controller cannot be read any more."""
     from_hz = requirements.control_high_frequency_from_hz
     if from_hz is not None and from_hz >= 0.45 * controller.rate_hz:

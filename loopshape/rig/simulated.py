@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -80,11 +80,33 @@ def listed(study: Study, plant: Rig) -> list[Planned]:
             )
         if "." in template.name:
             raise WrongUseError("the name of an experiment holds no dot", repr(template.name), "use - or _")
-        loops = plant.loop_setups(controllers, template.injection)
+        loops = _wired(plant.loop_setups(controllers, template.injection), study)
         for k, point in enumerate(points):
             name = f"{template.name}-{k + 1:02d}" if len(points) > 1 else template.name
             out.append(Planned(name, template, dict(point), loops, study.seed * 100_003 + len(out)))
     return out
+
+
+def _wired(loops: Sequence[LoopSetup], study: Study) -> tuple[LoopSetup, ...]:
+    """The loops with the study's schedules in place of controllers, and with its decoupling."""
+    known = [loop.name for loop in loops]
+    for what, given in (("decoupling", study.decoupling), ("schedules", study.schedules)):
+        if unknown := [name for name in given if name not in known]:
+            raise WrongUseError(f"{what} of a loop that is not there", ", ".join(unknown), f"it has {', '.join(known)}")
+    for loop, weights in study.decoupling.items():
+        if unknown := [name for name in weights if name not in known]:
+            raise WrongUseError(
+                f"decoupling of loop {loop!r} names no loop", ", ".join(unknown), f"it has {', '.join(known)}"
+            )
+    return tuple(_one_wired(loop, study) for loop in loops)
+
+
+def _one_wired(loop: LoopSetup, study: Study) -> LoopSetup:
+    schedule, decoupling = study.schedules.get(loop.name), dict(study.decoupling.get(loop.name, {}))
+    if schedule is None and not decoupling:
+        return loop
+    controller = loop.controller if schedule is None else None
+    return replace(loop, controller=controller, schedule=schedule, decoupling=decoupling)
 
 
 def _check_solver(study: Study, plant: Rig) -> None:

@@ -15,6 +15,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements, SeveralRequirements
 from loopshape.data.run import Run
@@ -202,7 +203,7 @@ def _tune_several(
 
 def check(
     P: Plants,
-    C: Controller | Tuning | Sequence[Controller | Tuning],
+    C: Controller | GainScheduled | Tuning | Sequence[Controller | Tuning],
     R: Requirements | Sequence[Requirements] | None = None,
     *,
     fits: Sequence[Fit] = (),
@@ -216,6 +217,8 @@ def check(
     The verdict's `outcome` is passed, failed, or undecided by these data; without `R` nothing is required. An unstable
     plant is told by `R.unstable_poles`, or counted from the loop that was recorded; where nothing tells, the verdict is
     undecided. Raises WrongUseError for a controller at another rate than the FRF.
+
+    A schedule (`ls.gain_scheduled`) is checked at each FRF's operating point by the controller that runs there.
 
     With a sequence of controllers, one a loop, `P` is a square matrix FRF (`ls.frf_matrices`) and all loops are closed
     at once: each is checked with the others closed (`R`, one a loop), then all `together`: stability by det(I + L), and
@@ -241,8 +244,8 @@ def check(
     from loopshape.loop.verdict import check as check_loop
 
     plants = _plants(P)
-    if isinstance(C, Controller | Tuning):
-        controller = _controller(C)
+    if isinstance(C, Controller | GainScheduled | Tuning):
+        controller = C if isinstance(C, GainScheduled) else _controller(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
         asked_one = R or Requirements(controller.loop)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.requirements import Requirements
 from loopshape.data.run import Run
 from loopshape.design.tune import Tuning
@@ -62,6 +63,22 @@ def read_controllers(file: str | Path) -> tuple[Controller, ...]:
     return read_file(Path(file))
 
 
+def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
+    """The schedules in a controller file (TOML), one a loop. Raises UnreadableInputError for another file.
+
+    Examples
+    --------
+    >>> import loopshape as ls, tempfile
+    >>> soft, stiff = (ls.controller(ls.gain(k), rate_hz=1000.0, loop="theta") for k in (10.0, 4.0))
+    >>> C = ls.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
+    >>> ls.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
+    {'p_bar': 1.4}
+    """
+    from loopshape.io.controllers import read_gain_scheduled as read_file
+
+    return read_file(Path(file))
+
+
 def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
     """The requirements in a file (TOML), one a loop. Raises UnreadableInputError for another file."""
     from loopshape.io.requirements import read_requirements as read_file
@@ -85,11 +102,11 @@ def profiles(file: str | Path | None = None) -> dict[str, Profile]:
     return read_profiles(OWN if file is None else Path(file))
 
 
-def write(what: Run | Controller | Tuning | FRF, path: str | Path) -> Path:
+def write(what: Run | Controller | GainScheduled | Tuning | FRF, path: str | Path) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
 
-    A run becomes a folder, a controller (or what `tune` found) a controller file, a FRF a file of the kind that the
-    ending names (.csv, .mat, .uff). Raises WrongUseError for another ending and for other things.
+    A run becomes a folder, a controller (a schedule, what `tune` found) a controller file, a FRF a file of the kind
+    that the ending names (.csv, .mat, .uff). Raises WrongUseError for another ending and for other things.
     """
     target = Path(path)
     _write(what, target)
@@ -98,7 +115,7 @@ def write(what: Run | Controller | Tuning | FRF, path: str | Path) -> Path:
 
 @singledispatch
 def _write(what: Any, path: Path) -> None:
-    known = "a Run, a Controller, a Tuning or a FRF"
+    known = "a Run, a Controller, a GainScheduled, a Tuning or a FRF"
     raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
 
 
@@ -117,6 +134,13 @@ def _(what: Controller, path: Path) -> None:
 
 
 @_write.register
+def _(what: GainScheduled, path: Path) -> None:
+    from loopshape.io.controllers import write_controllers
+
+    write_controllers(path, (what,))
+
+
+@_write.register
 def _(what: Tuning, path: Path) -> None:
     _write(what.controller, path)
 
@@ -128,15 +152,19 @@ def _(what: FRF, path: Path) -> None:
     write_frf_file(path, what)
 
 
-def export(controllers: Controller | Tuning | Sequence[Controller], folder: str | Path, to: str) -> tuple[Path, ...]:
+def export(
+    controllers: Controller | GainScheduled | Tuning | Sequence[Controller | GainScheduled], folder: str | Path, to: str
+) -> tuple[Path, ...]:
     """Write controllers as the target runs them, in sections: "json", "matlab", or "c" (a C99 header); gives the files.
 
+    A schedule is written as "json" or "c".
     Raises WrongUseError for another format and for sections that are unstable as they will run.
     """
     from loopshape.io.controller_export import export_controllers
 
     one = controllers.controller if isinstance(controllers, Tuning) else controllers
-    return export_controllers(Path(folder), (one,) if isinstance(one, Controller) else tuple(one), to)
+    single = isinstance(one, Controller | GainScheduled)
+    return export_controllers(Path(folder), (one,) if single else tuple(one), to)
 
 
 def report(

@@ -10,6 +10,7 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
+from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.run import Run
 from loopshape.data.study import Study, merged_effects
 from loopshape.io.provenance import KEY, file_sha256, versions
@@ -33,7 +34,7 @@ def measure(
     study: str | Path,
     out: str | Path,
     *,
-    controllers: Iterable[Controller] = (),
+    controllers: Iterable[Controller | GainScheduled] = (),
     effects: Sequence[str] = (),
     port: str | None = None,
     arm: bool = False,
@@ -48,8 +49,9 @@ def measure(
     where `confirm` answers True to what it is about to do. A target vents whatever ends this early. Every finished
     recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
 
-    `controllers` replace those of the study by loop; `effects`, words NAME or NAME=MAGNITUDE, are added to a
-    simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told of progress.
+    `controllers`, schedules among them, replace those of the study by loop; `effects`, words NAME or NAME=MAGNITUDE,
+    are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
+    of progress.
 
     Raises WrongUseError for a study that the rig cannot do and for a target that was not armed, RigError for a lost
     line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
@@ -101,7 +103,7 @@ class Target:
         with open_link(self.port, self.baud) as link:
             return Session(link).status().state.name.lower()
 
-    def show(self, study: str | Path, *, controllers: Iterable[Controller] = ()) -> Motion:
+    def show(self, study: str | Path, *, controllers: Iterable[Controller | GainScheduled] = ()) -> Motion:
         """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
         return motion_of(*_asked(Path(study), controllers, ()), self.port)
 
@@ -147,20 +149,30 @@ def emulator(
         yield port
 
 
-def _asked(file: Path, controllers: Iterable[Controller], effects: Sequence[str]) -> tuple[Study, Rig]:
+def _asked(file: Path, controllers: Iterable[Controller | GainScheduled], effects: Sequence[str]) -> tuple[Study, Rig]:
     """A study with what replaces its own, and its plant."""
     study = read_study(file)
     if study.rig not in ("simulated", "target"):
         raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
     plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
     study = replace(study, effects=merged_effects(study.effects, asked(plant, effects)))
-    blocks = blocks_of(controllers, study.rate_hz)
-    return replace(study, controllers={**study.controllers, **blocks}), plant
+    return with_controllers(study, controllers), plant
 
 
 def ended_early(run: Run) -> list[str]:
     """What of a run ended early, a sentence each."""
     return [f"{r.info.name}: {r.info.ended_early}" for r in run.recordings if r.info.ended_early]
+
+
+def with_controllers(study: Study, controllers: Iterable[Controller | GainScheduled]) -> Study:
+    """The study with these controllers and schedules in place of its own, by loop."""
+    given = tuple(controllers)
+    blocks = blocks_of((one for one in given if isinstance(one, Controller)), study.rate_hz)
+    scheduled = {one.loop: one for one in given if isinstance(one, GainScheduled)}
+    for one in scheduled.values():
+        blocks_of(one.controllers[:1], study.rate_hz)
+    kept = {loop: one for loop, one in study.schedules.items() if loop not in blocks}
+    return replace(study, controllers={**study.controllers, **blocks}, schedules={**kept, **scheduled})
 
 
 def blocks_of(controllers: Iterable[Controller], rate_hz: float) -> dict[str, tuple[Block, ...]]:

@@ -95,8 +95,8 @@ def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     def go() -> None:
         state = np.zeros((2, sections.shape[1], 2))
         ended, _ = kernel.run(
-            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, r, injected, kernel.CONTROLLER_INPUT,
-            True, 1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
+            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, kernel.plain_wiring(), r, injected,
+            kernel.CONTROLLER_INPUT, True, 1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
         )  # fmt: skip
         assert ended == kernel.COMPLETE, "the arm left its range"
 

@@ -10,10 +10,11 @@ delays valves, remembers, or bends the coupling.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels import biquads, noise, pwm
+from loopshape.core.kernels import biquads, noise, pwm, scheduled
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
 from loopshape.model.arm import effect_parameters as e
@@ -29,7 +30,31 @@ CONTROLLER_INPUT, PLANT_INPUT, CONTROL = 0, 1, 2
 #: columns of the log, pressures in Pa: measured angle and pressures, z and u; true states after them if asked
 LOGGED = ("theta2", "p_a", "p_b", "z_theta2", "z_p", "u_a", "u_b", "angle", "velocity", "true_a", "true_b", "p_c")
 MEASURED = 7
+#: what a schedule may follow: references, then outputs, of both loops in stored units
+SIGNALS = 4
 LOWEST_PA, WIDEST = 5e2, 1.2  # a followed state stays inside: a wrong hypothesis shall err, not break
+
+
+class Wiring(NamedTuple):
+    """Schedules of both controllers (without sections: none), and the matrix between the controllers and the plant."""
+
+    theta: scheduled.Scheduled
+    p: scheduled.Scheduled
+    decoupling: Array
+
+
+def plain_wiring() -> Wiring:
+    """Controllers that stay as they are, each straight on its own input."""
+    return Wiring(scheduled.none(SIGNALS), scheduled.none(SIGNALS), np.eye(2))
+
+
+@in_line
+def controlled(sections: Array, state: Array, schedule: scheduled.Scheduled, signals: Array, error: float) -> float:
+    """What a loop's controller answers, by its schedule where it has one."""
+    if schedule.sections.shape[0] == 0:
+        return biquads.step(sections, state, error)
+    scheduled.follow(schedule, signals)
+    return scheduled.step(schedule, error)
 
 
 @in_line
@@ -237,6 +262,7 @@ def run(
     biquads_theta: Array,
     biquads_p: Array,
     controller_state: Array,
+    wiring: Wiring,
     references: Array,
     injected: Array,
     injection: int,
@@ -251,13 +277,14 @@ def run(
 ) -> tuple[int, int]:
     """Simulate as many ticks as `references` (n, 2: rad, Pa) has; fills `out` (n, 7 or 12) by `LOGGED`.
 
-    `x` (7,), the memory `m` (32,) and `controller_state` (2, sections, 2) move in place. Gives why it ended and
-    how many ticks are logged. Sensor spans: the angle is centred, the pressure starts at 0; beyond them the
-    converters clip.
+    `x` (7,), the memory `m` (32,), `controller_state` (2, sections, 2) and the schedules of `wiring` move in place.
+    Gives why it ended and how many ticks are logged. Sensor spans: the angle is centred, the pressure starts at 0;
+    beyond them the converters clip.
     """
     period_s = period_ticks * tick_s
     held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
     held[model.COULOMB] = c[e.COULOMB]
+    signals = np.zeros(SIGNALS)
     n_edges = 0
     u_a = u_b = 0.0
     spare, has_spare = 0.0, False
@@ -272,14 +299,18 @@ def run(
             if injection == CONTROLLER_INPUT:
                 e_theta += injected[tick, 0]
                 e_p += injected[tick, 1]
-            z_theta = biquads.step(biquads_theta, controller_state[0], e_theta)
-            z_p = biquads.step(biquads_p, controller_state[1], e_p)
+            signals[0], signals[1] = references[tick, 0], 1e-5 * references[tick, 1]
+            signals[2], signals[3] = theta, 1e-5 * (p_a + p_b)
+            z_theta = controlled(biquads_theta, controller_state[0], wiring.theta, signals, e_theta)
+            z_p = controlled(biquads_p, controller_state[1], wiring.p, signals, e_p)
         else:
             z_theta, z_p = injected[tick, 0], injected[tick, 1]
         v_theta, v_p = z_theta, z_p
         if closed and injection == PLANT_INPUT:
             v_theta += injected[tick, 0]
             v_p += injected[tick, 1]
+        d = wiring.decoupling
+        v_theta, v_p = d[0, 0] * v_theta + d[0, 1] * v_p, d[1, 0] * v_theta + d[1, 1] * v_p
 
         log(out, tick, theta, p_a, p_b, z_theta, z_p, v_theta + v_p, v_p - v_theta, x)
         phase = tick % period_ticks

@@ -116,9 +116,10 @@ class Arm:
         vector = self.parameters.vector({f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters))
         controllers = [sections(loop, e) for loop in e.loops]
         state = np.zeros((len(controllers), max(b.shape[0] for b in controllers), 2))
+        wiring = self._wiring(e)
         injected = np.ascontiguousarray(e.injected)
         injected.setflags(write=False)  # one kind of array, one compiled kernel
-        loops = (*controllers, state, np.ascontiguousarray(e.references * np.array(self.to_si)), injected)
+        loops = (*controllers, state, *wiring, np.ascontiguousarray(e.references * np.array(self.to_si)), injected)
         ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
         pwm = (1.0 / e.rate_hz, ticks, self._value(vector, "pwm_dead_zone"))
         out = np.empty((e.samples, len(self.logged) if states else self.measured))
@@ -132,6 +133,14 @@ class Arm:
     ) -> tuple[int, int]:
         """Run the kernel into `out`; gives why it ended and how many rows are filled."""
         raise NotImplementedError
+
+    def _wiring(self, e: Experiment) -> tuple[Any, ...]:
+        """What the kernel is told of schedules and decoupling beside the controllers; refuses what it does not know."""
+        if any(loop.schedule is not None or loop.decoupling for loop in e.loops):
+            raise WrongUseError(
+                f"{self.title} runs neither schedules nor a decoupling matrix", e.name, "use plain controllers"
+            )
+        return ()
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         """Columns of the true states."""
@@ -171,7 +180,8 @@ def period_ticks(rate_hz: float, pwm_hz: float) -> int:
 
 
 def sections(loop: LoopSetup, e: Experiment) -> Array:
-    """Biquads (n, 5) of a loop's controller; refuses one at another rate than the experiment's."""
-    if loop.controller is None or loop.controller.rate_hz != e.rate_hz:
+    """Biquads (n, 5) of a loop's controller, idle ones where it has a schedule; refuses one at another rate."""
+    runs = loop.schedule or loop.controller
+    if runs is None or runs.rate_hz != e.rate_hz:
         raise WrongUseError(f"loop {loop.name} needs a controller at the rig's rate {e.rate_hz:g} Hz")
-    return loop.controller.biquads()
+    return np.zeros((1, 5)) if loop.controller is None else loop.controller.biquads()
