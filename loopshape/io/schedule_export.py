@@ -6,6 +6,7 @@ fourth, as `loopshape.core.kernels.scheduled` has it, operation for operation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from loopshape import __version__
@@ -165,7 +166,10 @@ def _tables(one: GainScheduled, name: str) -> str:
 
 
 #: format -> ending of the file, and its content
-WRITERS = {"json": (".json", schedule_json), "c": (".h", schedule_c)}
+WRITERS: dict[str, tuple[str, Callable[[GainScheduled], str | dict[str, Any]]]] = {
+    "json": (".json", schedule_json),
+    "c": (".h", schedule_c),
+}
 
 
 def schedule_file(one: GainScheduled, to: str) -> tuple[str, str | dict[str, Any]]:

@@ -163,8 +163,7 @@ def export(
     from loopshape.io.controller_export import export_controllers
 
     one = controllers.controller if isinstance(controllers, Tuning) else controllers
-    single = isinstance(one, Controller | GainScheduled)
-    return export_controllers(Path(folder), (one,) if single else tuple(one), to)
+    return export_controllers(Path(folder), (one,) if isinstance(one, Controller | GainScheduled) else tuple(one), to)
 
 
 def report(
