@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
+    from loopshape.data.axis import axis as axis
     from loopshape.data.control_frd import from_control as from_control
     from loopshape.data.control_frd import to_control as to_control
     from loopshape.data.controller import Controller as Controller
@@ -61,7 +62,6 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.cascade import Cascade as Cascade
     from loopshape.loop.cascade import cascade as cascade
-    from loopshape.model.own.axis import axis as axis
     from loopshape.verbs.campaign import campaign as campaign
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
@@ -128,7 +128,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
-    "axis": "model.own.axis",
+    "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
     "campaign": "verbs.campaign",

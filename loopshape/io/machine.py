@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.axis import axis
 from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
 from loopshape.io.files import clear, inside, part_of, reading, short
 from loopshape.io.words import Words, read_words, said_in
-from loopshape.model.own.axis import axis
 
 FORMAT = "loopshape-model/1"
 _KEYS = (
