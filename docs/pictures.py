@@ -5,6 +5,7 @@ A test computes these numbers anew and compares: where it is red the pictures ar
 
 import json
 import os
+import re
 import runpy
 from pathlib import Path
 
@@ -55,6 +56,7 @@ def draw() -> None:
     figure.savefig(readme / "bench.png", dpi=150)
     _tones().savefig(readme / "tones.png", dpi=150)
     _feedforward().savefig(readme / "feedforward.png", dpi=150)
+    _diagrams(FIGURES / "diagrams")
     for script in (
         DOCS / "shape_pictures.py",
         DOCS.parent / "experiments" / "report" / "run.py",
@@ -98,6 +100,24 @@ def _feedforward() -> Figure:
             "with feedforward": ls.tracking_error(P, C, r, F),
         },
     )
+
+
+def structures() -> dict[str, object]:
+    """What the examples of the page of structures leave behind, by name."""
+    made: dict[str, object] = {}
+    page = (DOCS / "structures.md").read_text()
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.S)), made)
+    return made
+
+
+def _diagrams(folder: Path) -> None:
+    """The diagrams of the page of structures, by their names there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, one in structures().items():
+        if isinstance(one, ls.Diagram) and name not in ("D", "with_it"):
+            figure = ls.plot.diagram(one).get_figure()
+            assert isinstance(figure, Figure)
+            figure.savefig(folder / f"{name}.png", dpi=130)
 
 
 if __name__ == "__main__":

@@ -17,10 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
+    from loopshape.data.algebra.diagram import transfer as transfer
     from loopshape.data.axis import axis as axis
+    from loopshape.data.common_diagrams import cascade as cascade
+    from loopshape.data.common_diagrams import disturbance_observer as disturbance_observer
+    from loopshape.data.common_diagrams import dual_stage as dual_stage
+    from loopshape.data.common_diagrams import prefilter as prefilter
+    from loopshape.data.common_diagrams import two_sensors as two_sensors
     from loopshape.data.control_frd import from_control as from_control
     from loopshape.data.control_frd import to_control as to_control
     from loopshape.data.controller import Controller as Controller
+    from loopshape.data.diagram import Diagram as Diagram
+    from loopshape.data.diagram import Part as Part
     from loopshape.data.disturbance import Disturbance as Disturbance
     from loopshape.data.fixed import fixed as fixed
     from loopshape.data.frf import FRF as FRF
@@ -60,8 +68,9 @@ if TYPE_CHECKING:
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
     from loopshape.design.tune import Tuning as Tuning
-    from loopshape.loop.cascade import Cascade as Cascade
-    from loopshape.loop.cascade import cascade as cascade
+    from loopshape.loop.diagram_run import simulate as simulate
+    from loopshape.loop.equivalent import Equivalent as Equivalent
+    from loopshape.loop.equivalent import equivalent as equivalent
     from loopshape.verbs.campaign import campaign as campaign
     from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
@@ -102,10 +111,11 @@ __version__ = "0.1.0"
 _HOME = {
     "AtPoints": "data.limits_over",
     "Bound": "design.bound",
-    "Cascade": "loop.cascade",
     "Comparison": "data.prediction",
     "Controller": "data.controller",
+    "Diagram": "data.diagram",
     "Disturbance": "data.disturbance",
+    "Equivalent": "loop.equivalent",
     "FRF": "data.frf",
     "Fit": "data.model",
     "GainScheduled": "data.gain_scheduled",
@@ -119,6 +129,7 @@ _HOME = {
     "ModelParameter": "data.machine",
     "Outcome": "data.verdict",
     "Output": "data.machine",
+    "Part": "data.diagram",
     "Port": "data.machine",
     "Prediction": "data.prediction",
     "Recording": "data.recording",
@@ -132,13 +143,16 @@ _HOME = {
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
     "campaign": "verbs.campaign",
-    "cascade": "loop.cascade",
+    "cascade": "data.common_diagrams",
     "check": "verbs.chain",
     "compare": "verbs.chain",
     "complex_lead": "data.shorthand",
     "connect": "verbs.machine",
     "controller": "data.shorthand",
+    "disturbance_observer": "data.common_diagrams",
+    "dual_stage": "data.common_diagrams",
     "emulator": "verbs.machine",
+    "equivalent": "loop.equivalent",
     "export": "verbs.files",
     "feedforward": "design.feedforward",
     "fit": "verbs.chain",
@@ -157,10 +171,11 @@ _HOME = {
     "measure": "verbs.machine",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
-    "plan": "verbs.plan",
     "pid": "data.shorthand",
+    "plan": "verbs.plan",
     "plot": "view",
     "predict": "verbs.chain",
+    "prefilter": "data.common_diagrams",
     "profiles": "verbs.files",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
@@ -172,11 +187,14 @@ _HOME = {
     "resonator": "data.shorthand",
     "schedule": "verbs.chain",
     "shape": "verbs.chain",
+    "simulate": "loop.diagram_run",
     "stop": "verbs.stop",
     "to_control": "data.control_frd",
     "tones": "verbs.tones",
     "tracking_error": "verbs.tracking",
+    "transfer": "data.algebra.diagram",
     "tune": "verbs.chain",
+    "two_sensors": "data.common_diagrams",
     "write": "verbs.files",
     "write_plan": "verbs.plan",
 }

@@ -37,7 +37,7 @@ def fixed(system: Any, *, rate_hz: float | None = None, prewarp_hz: float | None
     k = None if rate is None else _tustin_constant(rate, prewarp_hz)
     if isinstance(system, np.ndarray) and system.ndim == 2 and system.shape[1] == 6:
         return tuple(_of_row(row, k) for row in np.asarray(system, dtype=float))
-    zeros, poles, gain = _roots(system)
+    zeros, poles, gain = roots_of(system)
     if zeros.size > poles.size:
         raise WrongUseError(
             "a system with more zeros than poles cannot run (it is improper)",
@@ -66,7 +66,7 @@ def _tustin_constant(rate_hz: float, prewarp_hz: float | None) -> float:
     return Controller("", (Block("gain", {"gain": 1.0}),), rate_hz, prewarp_hz=prewarp_hz).tustin_constant
 
 
-def _roots(system: Any) -> tuple[ComplexArray, ComplexArray, float]:
+def roots_of(system: Any) -> tuple[ComplexArray, ComplexArray, float]:
     """Zeros, poles and gain of whatever was given."""
     if isinstance(system, tuple) and len(system) == 4:
         return _of_states(*system)

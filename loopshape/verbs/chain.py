@@ -1,6 +1,7 @@
 """What a script does: read or make a run, estimate its FRFs, fit, tune, check. Each verb takes nouns and gives one.
 
-A plant is a FRF, or several where one controller serves several operating points; python-control's systems with data
+A plant is a FRF, several where one controller serves several operating points, or a diagram, whose tuned block meets
+the plant that `ls.equivalent` finds; python-control's systems with data
 (`control.frd`) are taken where their error is stated first: `ls.FRF.from_control`.
 """
 
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 from loopshape.core.errors import WrongUseError
 from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.model import Fit
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
     from loopshape.loop.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
 
-Plants = FRF | Sequence[FRF]
+Plants = FRF | Sequence[FRF] | Diagram
 
 
 def frfs(run: Run | str | Path, loop: str | None = None, **settings: Any) -> tuple[FRF, ...]:
@@ -167,8 +169,8 @@ def tune(
     """
     from loopshape.design.tune import tune as tune_loop
 
-    plants = _plants(P)
     if not isinstance(R, Requirements):
+        plants = _plants(P)
         if structure is not None or fits or grow:
             raise WrongUseError(
                 "structure, fits and growth are of a single loop", f"requirements of {len(R)} loops",
@@ -177,6 +179,7 @@ def tune(
         return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
     if isinstance(start, Sequence):
         raise WrongUseError("one loop starts from one controller", f"{len(start)} of them", "give its own")
+    plants, R = _met(P, R)
     asked = R if structure is None else replace(R, structure=tuple(structure))
     asked = replace(asked, structure=bounded(asked.structure, plants))
     began = None if start is None else _controller(start)
@@ -243,18 +246,17 @@ def check(
     from loopshape.loop.several import check_several
     from loopshape.loop.verdict import check as check_loop
 
-    plants = _plants(P)
     if isinstance(C, Controller | GainScheduled | Tuning):
         controller = C if isinstance(C, GainScheduled) else _controller(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        asked_one = R or Requirements(controller.loop)
+        plants, asked_one = _met(P, R or Requirements(controller.loop))
         shaken = disturbances_of(disturbance, plants[0].loop)
         return check_loop(plants, controller, asked_one, tuple(fits), disturbances=shaken)
     if disturbance is not None:
         raise WrongUseError("the rms of an error is predicted for one loop", f"{len(C)} controllers", "check one alone")
     asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
-    return check_several(plants, [_controller(one) for one in C], asked, together, loops=loops, held=recorded_under)
+    return check_several(_plants(P), [_controller(one) for one in C], asked, together, loops=loops, held=recorded_under)
 
 
 def disturbances_of(
@@ -355,7 +357,8 @@ def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[
     """
     from loopshape.design.bound import bound as bound_loop
 
-    return bound_loop(_plants(P), _controller(C), R, tuple(fits))
+    plants, asked = _met(P, R)
+    return bound_loop(plants, _controller(C), asked, tuple(fits))
 
 
 def schedule(
@@ -379,7 +382,7 @@ def schedule(
     """
     from loopshape.design.schedule import schedule as schedule_loop
 
-    plants = _plants(P)
+    plants, R = _met(P, R)
     asked = replace(R, structure=bounded(R.structure, plants))
     return schedule_loop(plants, asked, _controller(C), tuple(fits), seed=seed, starts=starts)
 
@@ -453,8 +456,20 @@ def _followable(run: Run, model: Model | str | Path | None) -> Followable:
     return diagnosable(run.plant)
 
 
+def _met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
+    """The plants, and the requirements with what a diagram tells of their unstable poles."""
+    if not isinstance(P, Diagram):
+        return _plants(P), R
+    from loopshape.loop.equivalent import equivalent
+
+    found = equivalent(P)
+    return found.plants, found.asked(R)
+
+
 def _plants(P: Plants) -> tuple[FRF, ...]:
-    """FRFs of one loop; several without a name are numbered."""
+    """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
+    if isinstance(P, Diagram):
+        return _met(P, Requirements(P.tuned))[0]
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
         raise WrongUseError(

@@ -5,10 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.requirements import Requirements
 from loopshape.data.verdict import Verdict
+from loopshape.loop.equivalent import equivalent
 from loopshape.loop.verdict import loops_of
+from loopshape.view import diagram as diagrams
 from loopshape.view import frequency
 from loopshape.view import gap_report as gaps
 from loopshape.view import interaction as meetings
@@ -30,13 +33,21 @@ if TYPE_CHECKING:
     from loopshape.data.prediction import Prediction
     from loopshape.design.tune import Tuning
 
-    Plants = FRF | Sequence[FRF]
+    Plants = FRF | Sequence[FRF] | Diagram
 
 
 def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Loop]:
-    plants = (P,) if isinstance(P, FRF) else tuple(P)
     controller = C if isinstance(C, Controller) else C.controller
-    return loops_of(plants, controller, R or Requirements(controller.loop))[0]
+    asked = R or Requirements(controller.loop)
+    if isinstance(P, Diagram):
+        found = equivalent(P)
+        return loops_of(found.plants, controller, found.asked(asked))[0]
+    return loops_of((P,) if isinstance(P, FRF) else tuple(P), controller, asked)[0]
+
+
+def diagram(D: Diagram, *, ax: Axes | None = None) -> Axes:
+    """The block diagram, plants blue and the tuned block orange; without `ax` in a figure of its size."""
+    return diagrams.diagram(D, ax=ax)
 
 
 def frf(P: FRF) -> Figure:
