@@ -98,6 +98,8 @@ def cascade(G: Plants, inner: Controller, requirements: Requirements | None = No
                 "pick them in the order (inner, outer)",
             )
     names = _every(G)[0].outputs
+    if not all(name.isidentifier() and name not in ("e1", "e2", "r", "r1", "u") for name in names):
+        names = ("y1", "y2")
     within = Part(inner.loop or "inner", "e1", "u", inner, requirements=requirements)
     parts = (Part(loop, "e2", "r1"), within, Part("G", "u", names, _every(G)))
     return Diagram(parts, {"e2": f"r - {names[1]}", "e1": f"r1 - {names[0]}"}, loop, "cascade")

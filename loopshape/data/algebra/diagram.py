@@ -10,8 +10,8 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import ComplexArray
 from loopshape.data.algebra.propagation import Term, check_operands, invert, result
-from loopshape.data.diagram import Diagram
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.feedforward import Feedforward
 from loopshape.data.frf import FRF
 
