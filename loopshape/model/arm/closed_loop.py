@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.kernels import biquads, noise, pwm, scheduled
-from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.compiled import compiled, compiled_in_line
 from loopshape.core.units import Array
 from loopshape.model.arm import effect_parameters as e
 from loopshape.model.arm import memory, model, valves
@@ -48,7 +48,7 @@ def plain_wiring() -> Wiring:
     return Wiring(scheduled.none(SIGNALS), scheduled.none(SIGNALS), np.eye(2))
 
 
-@in_line
+@compiled_in_line
 def controlled(sections: Array, state: Array, schedule: scheduled.Scheduled, signals: Array, error: float) -> float:
     """What a loop's controller answers, by its schedule where it has one."""
     if schedule.sections.shape[0] == 0:
