@@ -75,6 +75,12 @@ class Page:
         acts = [moves[0], {"type": "pointerDown", "button": 0}, *moves[1:], {"type": "pointerUp", "button": 0}]
         self._act({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": acts})
 
+    def follow(self, places: list[tuple[float, float]], pause_ms: int) -> None:
+        """Drags along places of the window, a move each so many milliseconds."""
+        moves = [{"type": "pointerMove", "x": round(x), "y": round(y), "duration": pause_ms} for x, y in places]
+        acts = [moves[0], {"type": "pointerDown", "button": 0}, *moves[1:], {"type": "pointerUp", "button": 0}]
+        self._act({"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": acts})
+
     def click(self, label: str) -> None:
         """Clicks the button of a label."""
         self.evaluate(f"document.querySelector('[aria-label=\"{label}\"]').click()")

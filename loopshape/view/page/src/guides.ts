@@ -80,7 +80,7 @@ export function phaseGuides(plot: Plot, wished: Wished): void {
   const margin = required(wished, "phase_margin_deg");
   if (margin === null) return;
   plot.level(margin - 180, { ...edge(plot), dash: [2, 3] });
-  plot.say(`phase margin ${margin} deg`, plot.px(plot.x.low) + 6, plot.py(margin - 180) - 5, plot.colours.limit);
+  plot.say(`phase margin ${margin} deg`, plot.px(plot.x.high) - 6, plot.py(margin - 180) - 5, plot.colours.limit, "right");
 }
 
 /** Whole turns in degrees by which -180 is repeated within a range of phases. */
