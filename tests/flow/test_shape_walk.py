@@ -65,7 +65,7 @@ def test_from_a_gain_of_1_to_a_signed_controller_in_under_three_minutes(page: An
     begun, person = time.monotonic(), Person(page)
     person.read()
     person.fill("gain of block 1, gain", "12")
-    page.locator("#verdict", has_text="unstable").wait_for()
+    page.locator("#verdict", has_text="the crossover lies lower").wait_for()
     person.read()
     person.add(*"lead")
     person.fill("zero [Hz] of block 2, lead or lag", "1")
