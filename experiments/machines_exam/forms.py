@@ -103,7 +103,7 @@ def left(ready: OwnMachine, run: Run, form: EffectForm, seed: int) -> tuple[str,
 
 def beside(evidence: Evidence, single: Fitted, held_out: list[str]) -> tuple[str, str]:
     """The best second effect beside a form, and the floors that both leave of recordings held out."""
-    base = decide.candidate(evidence, single)
+    base = decide.candidate(evidence, single, single)
     pairs = attribute.screened(evidence, decide.pairs_on(base, evidence.plant.effects), single, rounds=1, brief=True)
     best = min((attribute.again(evidence, f, rounds=2) for f in attribute.best_forms(pairs)[:2]), key=lambda f: f.cost)
     return best.hypothesis.forms[-1].effect, f"{floors(evidence.plant, held_out, best):.2f}"

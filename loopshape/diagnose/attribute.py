@@ -166,22 +166,30 @@ def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
     return LeftOut(fitting.cost(left), np.array(moved))
 
 
-def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, place: int) -> float:
+def share_left(fitted: Fitted, healthy: Fitted) -> float:
+    """Share of the healthy model's gap that a hypothesis leaves: rms beyond the noise floor; 1 where there is no gap."""
+    left, gap = (max(float(f.mean_squares.mean()) - 1.0, 0.0) for f in (fitted, healthy))
+    return float(np.sqrt(left / gap)) if gap > left else 1.0
+
+
+def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, healthy: Fitted, place: int) -> float:
     """Standard deviation of a form's magnitude: recordings, tolerance, and forms that are never quite right.
 
     Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
-    prior; for the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %.
+    prior. For the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %, and
+    OF_WHAT_IS_LEFT times the share of the gap that the form leaves: what arms of one form of the catalogue showed when
+    the others were fitted (`experiments/effects`, forms.csv).
     """
     at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
     scale = fitted.hypothesis.forms[place].scale
     values = scale * left.phi[:, at]
     n = len(values)
     jackknife = (n - 1) / n * float(np.sum((values - values.mean()) ** 2))
-    form = FORM_ERROR * scale * float(fitted.phi[at])
+    form = np.hypot(FORM_ERROR, OF_WHAT_IS_LEFT * share_left(fitted, healthy)) * scale * float(fitted.phi[at])
     return float(np.sqrt(jackknife + scale**2 * _prior_variance(evidence, fitted, at) + form**2))
 
 
-FORM_ERROR = 0.04
+FORM_ERROR, OF_WHAT_IS_LEFT = 0.04, 3.0
 _WORTH = 20.0  # independent observations that a cell is taken for
 
 

@@ -63,11 +63,11 @@ def unusual(form: EffectForm, magnitude: float) -> float:
     return float(_UNUSUAL * max(off - _SLACK, 0.0) ** 2)
 
 
-def candidate(evidence: Evidence, fitted: Fitted) -> Candidate:
-    """A fitted hypothesis with its energy."""
+def candidate(evidence: Evidence, fitted: Fitted, healthy: Fitted) -> Candidate:
+    """A fitted hypothesis with its energy; `healthy` is the fit without an effect."""
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
-    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, k) for k in range(len(forms)))
+    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, healthy, k) for k in range(len(forms)))
     cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
     cost += sum(TWO_EFFECTS - ONE_EFFECT for f in forms if f.extends)

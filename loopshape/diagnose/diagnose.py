@@ -68,23 +68,23 @@ def attribute_effect(
     say("healthy machine")
     rough = attribute.healthy(brief)
     healthy = attribute.again(evidence, rough, rounds=2)
-    none = decide.candidate(evidence, healthy)
+    none = decide.candidate(evidence, healthy, healthy)
     say("single effects")
     coarse = attribute.screened(brief, candidates(plant), rough)
     best = attribute.best_forms(coarse)
     say("best effects")
     fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:REFINED]), coarse)]
-    singles = decide.best_by_name([decide.candidate(evidence, f) for f in fine])
+    singles = decide.best_by_name([decide.candidate(evidence, f, healthy) for f in fine])
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
         say(f"pairs with {base.name}")
-        everything += _pairs(evidence, brief, base)
+        everything += _pairs(evidence, brief, base, healthy)
     scored = decide.best_by_name([none, *everything])
     energies = decide.energies(evidence, none, scored)
     return Attribution(evidence, none, scored, energies, decide.probabilities(energies))
 
 
-def _pairs(evidence: Evidence, brief: Evidence, base: Candidate) -> list[Candidate]:
+def _pairs(evidence: Evidence, brief: Evidence, base: Candidate, healthy: attribute.Fitted) -> list[Candidate]:
     """The best pairs with a base; of the leading second effect all forms."""
     effects = evidence.plant.effects
     ground = attribute.again(brief, base.fitted, rounds=1)
@@ -97,7 +97,7 @@ def _pairs(evidence: Evidence, brief: Evidence, base: Candidate) -> list[Candida
         attribute.again(evidence, f, rounds=2)
         for f in attribute.within_reach(attribute.best_forms(found)[:PAIRS_REFINED])
     ]
-    return [decide.candidate(evidence, f) for f in refined]
+    return [decide.candidate(evidence, f, healthy) for f in refined]
 
 
 def _both_forms(best: Sequence[attribute.Fitted], coarse: Sequence[attribute.Fitted]) -> list[attribute.Fitted]:

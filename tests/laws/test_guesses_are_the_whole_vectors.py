@@ -74,6 +74,6 @@ def test_an_effect_that_contains_another_costs_what_two_effects_cost(evidence):
     for f in (form, replace(form, extends="weight")):
         (guess,) = attribute.started(evidence, [Hypothesis(evidence.plant, (f,))], fits[0])
         fits.append(fitting.at(evidence, guess.hypothesis, guess.phi, -np.column_stack([OWN, SPREAD])))
-    none, alone, containing = (decide.candidate(evidence, f).price for f in fits)
+    none, alone, containing = (decide.candidate(evidence, f, fits[0]).price for f in fits)
     assert (none, alone) == (0.0, decide.ONE_EFFECT)
     assert containing == pytest.approx(decide.TWO_EFFECTS)
