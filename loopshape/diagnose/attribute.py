@@ -167,7 +167,7 @@ def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
 
 
 def share_left(fitted: Fitted, healthy: Fitted) -> float:
-    """Share of the healthy model's gap that a hypothesis leaves: rms beyond the noise floor; 1 where there is no gap."""
+    """Share of the healthy model's gap, rms beyond the noise floor, that a hypothesis leaves; 1 without a gap."""
     left, gap = (max(float(f.mean_squares.mean()) - 1.0, 0.0) for f in (fitted, healthy))
     return float(np.sqrt(left / gap)) if gap > left else 1.0
 
