@@ -189,7 +189,7 @@ def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, he
     return float(np.sqrt(jackknife + scale**2 * _prior_variance(evidence, fitted, at) + form**2))
 
 
-FORM_ERROR, OF_WHAT_IS_LEFT = 0.04, 2.2
+FORM_ERROR, OF_WHAT_IS_LEFT = 0.04, 1.6
 _WORTH = 20.0  # independent observations that a cell is taken for
 
 
