@@ -77,3 +77,19 @@ def test_an_effect_that_contains_another_costs_what_two_effects_cost(evidence):
     none, alone, containing = (decide.candidate(evidence, f, fits[0]).price for f in fits)
     assert (none, alone) == (0.0, decide.ONE_EFFECT)
     assert containing == pytest.approx(decide.TWO_EFFECTS)
+
+
+def test_a_size_is_as_sure_as_its_form_fits(evidence):
+    none = attribute.healthy(evidence)
+    (guess,) = attribute.started(evidence, [Hypothesis(evidence.plant, evidence.plant.effects)], none)
+    found = fitting.at(evidence, guess.hypothesis, guess.phi, -np.column_stack([OWN, SPREAD]))
+    left = attribute.left_out(evidence, found)
+    found = replace(found, mean_squares=np.full(3, 5.0))  # two noise floors are left
+
+    def deviation(gap_floors):
+        gap = replace(none, mean_squares=np.full(3, 1.0 + gap_floors**2))
+        return attribute.deviation_of_magnitude(evidence, found, left, gap, 0)
+
+    wider = np.sqrt(deviation(20.0) ** 2 - deviation(1e9) ** 2)  # of 20 a tenth is left, of 1e9 nothing
+    assert wider == pytest.approx(attribute.OF_WHAT_IS_LEFT * 0.1 * found.magnitudes[0], rel=1e-6)
+    assert attribute.share_left(none, none) == 1.0
