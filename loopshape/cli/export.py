@@ -10,6 +10,8 @@ import typer
 from loopshape.cli.measure import StudyFile
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
+TO_CONTROLLER = "json, matlab, simulink, c, st, twincat, foton, sos, px4, ardupilot, betaflight, odrive or sercos."
+
 
 def export(
     run: RunFolder,
@@ -41,7 +43,7 @@ def export(
 
 def export_controller(
     controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
-    to: Annotated[str, typer.Option(help="json, matlab, c, st, twincat, foton, sos, px4, ardupilot or betaflight.")],
+    to: Annotated[str, typer.Option(help=TO_CONTROLLER)],
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -101,22 +103,23 @@ def export_excitation(
 
 def firmware(
     parameters: Annotated[Path, typer.Argument(help="Parameters, as a ground station or `dump` writes them.")],
-    of: Annotated[str, typer.Option(help="px4, ardupilot or betaflight.")],
+    of: Annotated[str, typer.Option(help="px4, ardupilot, betaflight, odrive or sercos.")],
     rate_hz: Annotated[float, typer.Option(help="Rate of the loop.")],
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
-    axis: Annotated[str, typer.Option(help="roll, pitch or yaw.")] = "roll",
+    axis: Annotated[str, typer.Option(help="roll, pitch or yaw; of drives position, velocity or current.")] = "roll",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a controller file of a flight firmware's rate loop; export-controller writes its parameters back."""
+    """Make a controller file of a firmware's rate loop or a drive's; export-controller writes its parameters back."""
     from loopshape.io.controllers import write_controllers
-    from loopshape.io.firmware import controller_of, left_out, read_parameters
+    from loopshape.io.drives import controller_of_parameters
+    from loopshape.io.firmware import left_out, read_parameters
 
     output, given = Output(as_json, quiet), read_parameters(parameters)
-    made, missing = controller_of(given, of, axis, rate_hz), left_out(given, of, axis)
+    made, missing = controller_of_parameters(given, of, axis, rate_hz), left_out(given, of, axis)
     write_controllers(out, [made], {"firmware": of, "parameters": parameters.name, "left_out": list(missing)})
     rows = [[block.kind, ", ".join(f"{k} {v:.6g}" for k, v in block.parameters.items())] for block in made.blocks]
-    output.table(f"Rate loop {axis} of {of} in {out}", ["block", "parameters"], rows)
+    output.table(f"Loop {axis} of {of} in {out}", ["block", "parameters"], rows)
     output.warn(missing)
     told = {"controller": str(out), "firmware": of, "axis": axis, "warnings": list(missing)}
     output.json(told | {"blocks": made.blocks})

@@ -56,6 +56,7 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
                          "stellgröße", "actuator", "plantinput", "mv", "co", "comando", "commande"), 4.0),
         **dict.fromkeys(("voltage", "volt", "volts", "current", "iq", "torque", "force", "drive", "motor", "strom",
                          "spannung", "moment", "thrust", "z", "valve", "amp", "i", "trq"), 2.0),
+        **dict.fromkeys(("sum", "pidsum"), 3.0),
     },
     Role.OUTPUT: {
         **dict.fromkeys(("y", "actual", "act", "ist", "istwert", "meas", "measured", "measurement", "feedback", "fb",
@@ -73,7 +74,7 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
 
 _LETTERS = "uyre"  # that stand before a word in names as yref, ymeas, ucmd
 _DRIVING = {"V", "mV", "A", "mA", "N", "kN", "Nm", "N m"}
-_ORDERS = {"cmd", "command", "commanded", "input"}
+_ORDERS = {"cmd", "command", "commanded", "input", "reference", "ref"}
 _CONTAINERS = {"values", "value", "data", "signals", "time"}
 
 
@@ -131,7 +132,8 @@ def _weights(name: str) -> dict[Role, float]:
     words = words_of(name)
     found = {role: sum(_weight(weights, word) for word in words) for role, weights in _WEIGHTS.items()}
     drives = found[Role.CONTROL] > 0.0 or unit_of_word(split_unit(name)[1] or "?") in _DRIVING
-    if drives and set(words) & _ORDERS:  # a commanded voltage is the control, a commanded position the reference
+    moves = found[Role.OUTPUT] > 0.0
+    if drives and not moves and set(words) & _ORDERS:  # a commanded voltage is the control, a position the reference
         found[Role.CONTROL] += found[Role.REFERENCE]
         found[Role.REFERENCE] = 0.0
     return {role: weight for role, weight in found.items() if weight > 0.0}

@@ -7,6 +7,8 @@
     controller_<loop>.TcPOU   the same for TwinCAT 3
     controller_<loop>.txt     a filter file of the LIGO control system (foton)
     controller_<loop>.npz     `sos` (sections, 6) for scipy.signal.sosfilt
+    controller_<loop>_simulink.m   MATLAB: a script that builds a Simulink subsystem
+    controller_<loop>.odrive, .sercos          parameters of a drive's loop (`loopshape.io.drives`)
     controller_<loop>.params, .param, .cli     parameters of px4, ardupilot, betaflight (`loopshape.io.firmware`)
 
 Every file carries the controller's digest, rate, precision, prewarping and delay.
@@ -29,9 +31,10 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.io.controller_c import c_text
 from loopshape.io.controller_foton import foton_text
-from loopshape.io.controller_matlab import matlab_text
+from loopshape.io.controller_matlab import matlab_text, simulink_text
 from loopshape.io.controller_st import st_text, twincat_text
 from loopshape.io.controller_words import FORM, identifier
+from loopshape.io.drives import drive_text
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
 from loopshape.io.firmware import parameters_text
 from loopshape.io.schedule_export import schedule_file
@@ -129,11 +132,14 @@ def sos_bytes(controller: Controller) -> bytes:
 WRITERS: dict[str, tuple[str, Callable[[Controller], str | bytes | dict[str, Any]]]] = {
     "json": (".json", biquads_table),
     "matlab": (".m", matlab_text),
+    "simulink": ("_simulink.m", simulink_text),
     "c": (".h", c_text),
     "st": (".st", st_text),
     "twincat": (".TcPOU", twincat_text),
     "foton": (".txt", foton_text),
     "sos": (".npz", sos_bytes),
+    "odrive": (".odrive", partial(drive_text, of="odrive")),
+    "sercos": (".sercos", partial(drive_text, of="sercos")),
     "px4": (".params", partial(parameters_text, firmware="px4")),
     "ardupilot": (".param", partial(parameters_text, firmware="ardupilot")),
     "betaflight": (".cli", partial(parameters_text, firmware="betaflight")),

@@ -18,6 +18,7 @@ import numpy as np
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
 from loopshape.core.units import UNITS, Array, to_stored
+from loopshape.io.blackbox import rate_fields
 from loopshape.io.column_words import Role, column_name, is_time, split_unit, unit_of_word
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.dataflash import rate_message
@@ -35,6 +36,9 @@ _MOST_COLUMNS = 64
 #: logs of flight controllers: where an axis's rate loop stands, its unit, and what to log where it is missing
 _FLIGHT = {
     ".ulg": (rate_loop, "rad/s", "vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE)"),
+    **dict.fromkeys(
+        (".bbl", ".bfl"), (rate_fields, "deg/s", "gyro, setpoint and PID terms (blackbox_disable_... = OFF)")
+    ),
     ".bin": (rate_message, "deg/s", "RATE (LOG_BITMASK with attitude, fast)"),
 }
 _RATE_WORDS = re.compile(
@@ -45,7 +49,7 @@ _RATE_WORDS = re.compile(
 _PERIOD_WORDS = re.compile(
     r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sample[ _]?interval|increment|delta[ _]x"
     r"|hresolution|abtastzeit|cycle ?time|zykluszeit)\b([^0-9\n]{0,12})([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)"
-    r"(?![0-9])\s*(us|µs|ms|s)?(?!\s*[a-zµ°/%])",
+    r"(?![0-9])[\s,;]*(us|µs|ms|s)?(?!\s*[a-zµ°/%])",
     re.IGNORECASE,
 )
 _IN_BRACKETS = re.compile(r"[\[(](us|µs|ms|s)[\])]")
@@ -97,7 +101,9 @@ def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     source = open_source(file, CsvShape() if layout is None else layout.shape)
     parts = _flight_parts(source) if file.suffix.lower() in _FLIGHT else {}
     columns, scalars = (_rate_loop(source, parts), {}) if parts else _columns(source, layout)
+    columns, others = _of_one_length(columns)
     found = _time(columns, layout, scalars)
+    columns, left = _brought(columns, others, found.column)
     if rate_hz is not None:
         found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
     signals = [c for c in columns if c.name != found.column and not c.name.startswith(TIME_OF)]
@@ -106,7 +112,42 @@ def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     known = {Role(part): name for part, name in parts.items()}
     table = np.stack([c.values for c in moving], axis=1) if moving else np.empty((0, 0))
     roles = find_roles([c.name for c in moving], table, known) if moving else Roles()
-    return _drafted(file, layout, found, moving, still, roles)
+    drafted = _drafted(file, layout, found, moving, still, roles)
+    return drafted if not left else _with_guess(drafted, f"left out, since they have other rows: {', '.join(left)}.")
+
+
+def _with_guess(draft: Draft, guess: str) -> Draft:
+    words = draft.table["draft"]
+    return replace(
+        draft,
+        guesses=(*draft.guesses, guess),
+        table={**draft.table, "draft": {**words, "guesses": [*words["guesses"], guess]}},
+    )
+
+
+def _of_one_length(columns: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[Column, ...]]:
+    """Columns of the most frequent length, and the others."""
+    lengths = Counter(c.values.size for c in columns)
+    rows = max(lengths, key=lambda size: (lengths[size], size))
+    return tuple(c for c in columns if c.values.size == rows), tuple(c for c in columns if c.values.size != rows)
+
+
+def _brought(
+    columns: tuple[Column, ...], others: Sequence[Column], stamps: str | None
+) -> tuple[tuple[Column, ...], tuple[str, ...]]:
+    """Columns of other rates brought to these stamps by their own, and the names of those that have none."""
+    times = {c.name: c for c in (*columns, *others)}
+    main = times[stamps].values if stamps is not None and stamps.startswith(TIME_OF) else None
+    made, left = [], []
+    for c in others:
+        own = next((TIME_OF + part for part in (c.name, c.name.partition(".")[0]) if TIME_OF + part in times), None)
+        if c.name.startswith(TIME_OF):
+            continue
+        if main is None or own is None or times[own].values.size != c.values.size:
+            left.append(c.name)
+        else:
+            made.append(replace(c, values=np.interp(main, times[own].values, c.values), own_time=own))
+    return (*columns, *made), tuple(left)
 
 
 def write_draft(path: Path, draft: Draft, file: Path) -> None:
@@ -128,7 +169,7 @@ def _listed(key: str, sentences: Sequence[str]) -> str:
 
 
 def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, ...], dict[str, float]]:
-    """All signals of the most frequent length, and the numbers that stand alone."""
+    """All signals, and the numbers that stand alone."""
     found, scalars, units = [], {}, source.units()
     for k, name in enumerate(source.names[:_MOST_COLUMNS]):
         if layout is not None and layout.shape.header:
@@ -146,14 +187,12 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
             scalars[name] = float(values.ravel()[0])
         elif values.dtype.kind in "biuf":
             found += _signals(source, layout, name, k, np.asarray(values, dtype=float), units.get(name, ""))
-    lengths = Counter(c.values.size for c in found)
-    if not lengths or max(lengths) < 2:
+    if max((c.values.size for c in found), default=0) < 2:
         raise UnreadableInputError(
             f"{source.path.name} holds no signals", f"{len(source.names)} names, none of two numbers or more",
             "name a file with a row of numbers a sample",
         )  # fmt: skip
-    rows = max(lengths, key=lambda size: (lengths[size], size))
-    return tuple(_trimmed(c) for c in found if c.values.size == rows), scalars
+    return tuple(_trimmed(c) for c in found), scalars
 
 
 def _flight_parts(source: Source) -> dict[str, str]:
@@ -171,11 +210,11 @@ def _flight_parts(source: Source) -> dict[str, str]:
 def _rate_loop(source: Source, parts: Mapping[str, str]) -> tuple[Column, ...]:
     """A flight log's rate loop at the stamps of its gyro, each topic's own stamps beside it."""
     _, rate_unit, _ = _FLIGHT[source.path.suffix.lower()]
-    main = _stamps_of(parts["output"])
+    main = _stamps_of(parts["output"], source.names)
     t = np.asarray(source.load(main))
     columns = [Column(main, Place(main), "s", t)]
     for part, name in parts.items():
-        own, values = _stamps_of(name), np.asarray(source.load(name), dtype=float)
+        own, values = _stamps_of(name, source.names), np.asarray(source.load(name), dtype=float)
         unit = "1" if part == "control" else rate_unit
         if own == main:
             columns.append(Column(name, Place(name), unit, values))
@@ -184,8 +223,10 @@ def _rate_loop(source: Source, parts: Mapping[str, str]) -> tuple[Column, ...]:
     return tuple(columns)
 
 
-def _stamps_of(signal: str) -> str:
-    return TIME_OF + signal.partition(".")[0]
+def _stamps_of(signal: str, names: Sequence[str]) -> str:
+    """The stamps of a signal's topic, or the file's only ones."""
+    own = TIME_OF + signal.partition(".")[0]
+    return own if own in names else next(name for name in names if name.startswith(TIME_OF))
 
 
 def _trimmed(column: Column) -> Column:

@@ -87,13 +87,13 @@ _IN_ROW = {"PT1": (1, 1.0), "PT2": (2, 1.553773974), "PT3": (3, 1.961459177)}
 
 
 def read_parameters(path: Path) -> dict[str, float | str]:
-    """Parameters by name of a ground station's file (QGroundControl, Mission Planner) or of `dump` of Betaflight."""
+    """Parameters by name of a ground station's file (QGroundControl, Mission Planner), `dump` of Betaflight, JSON."""
     found: dict[str, float | str] = {}
     with reading(path, "parameters"):
         text = path.read_text(encoding="utf-8")
     for line in text.splitlines():
-        words = [word for word in re.split(r"[\s,=]+", line.split("#")[0].strip()) if word and word != "set"]
-        at = next((k for k, word in enumerate(words) if re.fullmatch(r"[A-Za-z_]\w*", word)), len(words))
+        words = [word for word in re.split(r"[\s,=:\"{}]+", line.split("#")[0].strip()) if word and word != "set"]
+        at = next((k for k, word in enumerate(words) if re.fullmatch(r"[A-Za-z_][\w.-]*", word)), len(words))
         if at + 1 < len(words):
             found[words[at]] = _value(words[at + 1])
     if not found:
@@ -174,6 +174,8 @@ def _first_order(
 
 def left_out(parameters: Mapping[str, float | str], firmware: str, axis: str) -> tuple[str, ...]:
     """A sentence for each filter that is switched on and stands in no block, such as notches that follow the motors."""
+    if firmware not in FIRMWARE:
+        return ()
     kind = _kind(firmware, axis)
     names = [kind.named(name, axis) for name in kind.changing]
     on = [name for name in names if parameters.get(name, 0.0) not in (0.0, "OFF")]
@@ -209,6 +211,16 @@ def _alpha(f_hz: float, rate_hz: float) -> Block:
     """The first-order filter of firmware, whose zero lies at z = 0, as a lag with s = 2 rate (z-1)/(z+1)."""
     a = _share(f_hz, rate_hz)
     return Block("lead_lag", {"f1_hz": rate_hz / np.pi, "f2_hz": rate_hz / np.pi * a / (2.0 - a)})
+
+
+def proportional_integral(p: float, i: float, rate_hz: float) -> list[Block]:
+    """P + I T/(z-1) as blocks, the sum being that of before this sample; I is per s."""
+    if i >= 2.0 * p * rate_hz:
+        raise WrongUseError(
+            "an integral this fast oscillates between samples", f"I {i:.4g}, P {p:.4g} at {rate_hz:g} Hz",
+            "state the rate that the loop runs at",
+        )  # fmt: skip
+    return _law(p, i, 0.0, [], rate_hz, forward=True)
 
 
 def _law(p: float, i: float, d: float, cutoffs: list[float], rate_hz: float, *, forward: bool) -> list[Block]:
@@ -264,8 +276,10 @@ def _paired(zeros: list[complex], poles: list[complex]) -> list[Block]:
             f"zeros at {', '.join(f'{z / TWO_PI:.3g}' for z in zeros)} Hz",
             "less I or D moves its zeros to the left half plane",
         )  # fmt: skip
-    made = [Block("pi", {"f_hz": float(hz(-real.pop(0)))})] if integrators and real else []
-    if integrators and not real:
+    made = []
+    if integrators and real:
+        made.append(Block("pi", {"f_hz": float(hz(-real.pop(0)))}))
+    elif integrators:
         made.append(_pair_over_an_integrator(pairs.pop(0), lags.pop(0)))
     for z in pairs:
         p, q = lags.pop(0), lags.pop(0)

@@ -12,6 +12,7 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal
 from loopshape.core.units import Array
+from loopshape.io.blackbox import rates_in_deg, read_blackbox
 from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.io.dataflash import read_dataflash
 from loopshape.io.files import reading, short
@@ -38,8 +39,20 @@ _MDF = (".mf4", ".mdf")
 #: readers of formats whose arrays are read all at once
 _WHOLE: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
     ".ulg": read_ulog, ".tdms": read_tdms, ".json": read_json_arrays, ".wav": read_wav, ".bin": read_dataflash,
+    **dict.fromkeys((".bbl", ".bfl"), read_blackbox),
     ".mcap": read_mcap, ".bag": read_bag, ".db3": read_bag,
 }  # fmt: skip
+#: units that a format's own fields state, by name
+_STATED: dict[str, Callable[[Path, Mapping[str, np.ndarray]], Mapping[str, str]]] = {
+    ".tdms": lambda path, arrays: tdms_units(path),
+    **dict.fromkeys((".bbl", ".bfl"), lambda path, arrays: rates_in_deg(arrays)),
+}
+
+
+def _no_units(path: Path, arrays: Mapping[str, np.ndarray]) -> Mapping[str, str]:
+    return {}
+
+
 #: bytes of a file of text from which on it is read a stretch at a time; packed ones count four times
 LONG_TEXT = 200_000_000
 
@@ -168,8 +181,8 @@ def open_source(
         return Source(path, mdf_names(path), lambda name: mdf_array(path, name), stated=lambda: mdf_units(path))
     if (whole := _WHOLE.get(path.suffix.lower())) is not None:
         arrays = whole(path)
-        stated = (lambda: tdms_units(path)) if path.suffix.lower() == ".tdms" else dict
-        return Source(path, tuple(arrays), arrays.__getitem__, stated=stated)
+        stated = _STATED.get(path.suffix.lower(), _no_units)
+        return Source(path, tuple(arrays), arrays.__getitem__, stated=lambda: stated(path, arrays))
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
         f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_WHOLE))}",

@@ -2,6 +2,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 
 import h5py
 import numpy as np
@@ -95,6 +96,18 @@ def test_scipy_runs_the_sections_as_they_are(tmp_path):
     with np.load(exported(C, "sos", tmp_path)) as file:
         np.testing.assert_allclose(sosfilt(file["sos"], E), step(C, E), rtol=1e-9, atol=1e-12)
         assert (float(file["rate_hz"]), str(file["digest"])) == (1000.0, C.digest)
+
+
+def test_simulink_s_blocks_in_series_are_the_controller(tmp_path):
+    text = exported(C, "simulink", tmp_path).read_text()
+    rows = re.findall(r"\[path '/(\w+)'\], 'Numerator', '\[(.*?)\]', 'Denominator', '\[(.*?)\]'", text)
+    sections = [[float(x) for x in f"{b} {a}".split()] for _, b, a in rows]
+    gain = float(re.search(r"'Gain', '(.*?)'", text)[1])
+    np.testing.assert_allclose(gain * sosfilt(sections, E), step(C, E), rtol=1e-9, atol=1e-12)
+    wires = re.findall(r"add_line\(path, '(\w+)/1', '(\w+)/1'\)", text)
+    names = ["In1", "gain", *(name for name, _, _ in rows), "Out1"]
+    assert wires == list(pairwise(names))
+    assert "'SampleTime', '1/1000.0'" in text
 
 
 F = np.array([1.0, 2.0, 4.0])

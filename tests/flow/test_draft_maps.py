@@ -255,6 +255,24 @@ def test_an_increment_beside_the_names_is_the_period_and_a_counter_is_no_signal(
     assert [rule["unit"] for rule in draft.table["columns"].values()] == ["V", "V", "mm"]
 
 
+def test_a_period_whose_unit_has_a_cell_of_its_own(tmp_path):
+    n, z, y = loop_signals()
+    file = written(tmp_path / "a.csv", ["inj", "u", "y"], [n, z, y], above="Sampling Time,2000,us\n")
+    assert draft_map(file).rate_hz == pytest.approx(RATE)
+
+
+def test_channels_of_another_rate_are_brought_by_their_own_stamps_and_none_is_lost_in_silence(tmp_path):
+    n, z, y = loop_signals()
+    t = np.arange(N) / RATE
+    every = {"time of u": t, "u": z, "time of inj": t, "inj": n, "time of pos": t[::2], "pos": y[::2], "extra": y[:77]}
+    np.savez(tmp_path / "a.npz", **every)
+    draft, run = accepted(tmp_path / "a.npz", tmp_path)
+    assert draft.table["columns"]["pos_1"]["time"] == "time of pos"
+    assert any("other rows: extra" in guess for guess in draft.guesses)
+    assert any("brought" in note or "rate" in note for note in run.extra["notes"])
+    np.testing.assert_allclose(run.recordings[0].column("pos_1")[::2], y[::2], atol=1e-9)
+
+
 def test_a_step_of_another_quantity_is_no_rate(tmp_path):
     n, z, y = loop_signals()
     file = written(tmp_path / "a.csv", ["inj", "u", "y"], [n, z, y], above="Encoder increment: 0.001 mm\n")
@@ -300,6 +318,11 @@ def test_a_column_of_text_among_numbers_is_left_out(tmp_path):
 
 def test_names_by_the_standard_s_words_and_drives_units(tmp_path):
     n, z, y = loop_signals()
-    for names in (("Führungsgröße", "Stellgröße", "Regelgröße"), ("VL.CMD (rpm)", "IL.CMD (Arms)", "VL.FB (rpm)")):
+    for names in (
+        ("Führungsgröße", "Stellgröße", "Regelgröße"),
+        ("VL.CMD (rpm)", "IL.CMD (Arms)", "VL.FB (rpm)"),
+        ("Position Reference", "Torque Reference [%]", "Position Feedback"),
+        ("setpoint[0]", "axisSum[0]", "gyroADC[0]"),
+    ):
         draft = draft_map(written(tmp_path / "a.csv", ["t_s", *names], [np.arange(N) / RATE, n, z, y]))
         assert [draft.roles[name] for name in names] == ["reference", "control", "output"]

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from loopshape.cli.export import export_controller, firmware
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.controller import step
+from loopshape.io.drives import controller_of_parameters, drive_parameters, drive_text
 from loopshape.io.firmware import controller_of, left_out, parameters_of, read_parameters
 
 RATE_HZ = 1000.0
@@ -213,3 +214,77 @@ def test_what_is_no_rate_controller_is_refused(tmp_path):
     (tmp_path / "a.param").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(LoopshapeError):
         read_parameters(tmp_path / "a.param")
+
+
+def test_an_integral_without_d_is_a_pi():
+    """The yaw axis as PX4 and ArduPilot ship it: no D."""
+    given = {"MC_YAWRATE_P": 0.2, "MC_YAWRATE_I": 0.1, "MC_YAWRATE_D": 0.0}
+    C = controller_of(given, "px4", "yaw", RATE_HZ)
+    assert [block.kind for block in C.blocks] == ["gain", "pi"]
+    np.testing.assert_allclose(step(C, E), odrive(E, 0.2, 0.1), atol=1e-12)
+
+
+ODRIVE = {"pos_gain": 20.0, "vel_gain": 0.16, "vel_integrator_gain": 0.32}
+MOTOR = {"current_control_bandwidth": 1000.0, "phase_inductance": 2e-5, "phase_resistance": 0.01}
+
+
+def odrive(e, p, i):
+    """controller.cpp and motor.cpp: P on the error of this sample, the integral of before it, then integrated."""
+    integral, out = 0.0, []
+    for value in e:
+        out.append(p * value + integral)
+        integral += i * T * value
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("loop", "law"),
+    [
+        ("position", lambda e: 20.0 * e),
+        ("velocity", lambda e: odrive(e / (2.0 * np.pi), 0.16, 0.32)),
+        ("current", lambda e: odrive(e, 1000.0 * 2e-5, 1000.0 * 0.01)),
+    ],
+)
+def test_loops_of_odrive_answer_as_its_own_equations(loop, law):
+    C = controller_of_parameters(ODRIVE | MOTOR, "odrive", loop, RATE_HZ)
+    want = law(E)
+    np.testing.assert_allclose(step(C, E), want, rtol=0.0, atol=1e-9 * np.abs(want).max())
+
+
+@pytest.mark.parametrize(
+    ("of", "loop", "given"),
+    [
+        ("odrive", "position", {"pos_gain": 20.0}),
+        ("odrive", "velocity", {"vel_gain": 0.16, "vel_integrator_gain": 0.32}),
+        ("sercos", "velocity", {"S-0-0100": 0.4, "S-0-0101": 8.0}),
+        ("sercos", "position", {"S-0-0104": 16.0}),
+        ("sercos", "current", {"S-0-0106": 30.0, "S-0-0107": 0.0}),
+    ],
+)
+def test_parameters_of_drives_come_back_as_they_went_in(of, loop, given, tmp_path):
+    C = controller_of_parameters(given, of, loop, RATE_HZ)
+    assert drive_parameters(C, of) == pytest.approx(given, rel=1e-9)
+    (tmp_path / "a.txt").write_text(drive_text(C, of))
+    again = controller_of_parameters(read_parameters(tmp_path / "a.txt"), of, loop, RATE_HZ)
+    np.testing.assert_allclose(step(again, E), step(C, E), rtol=1e-9, atol=1e-12)
+
+
+def test_a_sercos_velocity_loop_is_its_gain_and_reset_time():
+    C = controller_of_parameters({"S-0-0100": 0.4, "S-0-0101": 8.0}, "sercos", "velocity", RATE_HZ)
+    f = np.array([1.0, 10.0, 20.0])
+    np.testing.assert_allclose(C.response(f), 0.4 * (1.0 + 1.0 / (0.008 * 2j * np.pi * f)), rtol=2e-3)
+
+
+def test_a_backup_of_two_axes_is_asked_for_one(tmp_path):
+    one = '{"axis0.controller.config.vel_gain": 0.16, \n"axis0.controller.config.vel_integrator_gain": 0.32}'
+    (tmp_path / "a.json").write_text(one)
+    given = read_parameters(tmp_path / "a.json")
+    assert drive_parameters(controller_of_parameters(given, "odrive", "velocity", RATE_HZ), "odrive")["vel_gain"] > 0.0
+    with pytest.raises(WrongUseError, match="of one axis"):
+        controller_of_parameters(given | {"axis1.controller.config.vel_gain": 0.2}, "odrive", "velocity", RATE_HZ)
+    with pytest.raises(WrongUseError, match="follow from the motor"):
+        drive_parameters(controller_of_parameters(MOTOR, "odrive", "current", RATE_HZ), "odrive")
+    with pytest.raises(WrongUseError, match="rate that the loop runs at"):
+        controller_of_parameters({**MOTOR, "phase_resistance": 0.04}, "odrive", "current", RATE_HZ)
+    with pytest.raises(WrongUseError, match="position, velocity, current"):
+        controller_of_parameters(given, "odrive", "roll", RATE_HZ)
