@@ -152,7 +152,8 @@ export class Screen {
 
   private redraw(): void {
     if (!this.traces.length) return;
-    for (const plot of this.plots) plot.colours = coloursOf(plot.canvas);
+    const colours = coloursOf(this.element); // asking for a style lays the page out anew: once for all plots
+    for (const plot of this.plots) plot.colours = colours;
     this.drawBode();
     if (this.stepping) this.drawStep();
     this.drawMap(this.nichols);

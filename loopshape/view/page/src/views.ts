@@ -131,19 +131,29 @@ function constantT(level: number): Complex {
   return out;
 }
 
+const contours = new Map<string, Curve>();
+
+/** A contour of |S| or |T| on the Nichols plot, made once for each level in dB. */
+function contour(of: "S" | "T", level: number): Curve {
+  const name = `${of} ${level}`;
+  const known = contours.get(name) ?? nicholsCurve(of === "S" ? constantS(level) : constantT(level));
+  contours.set(name, known);
+  return known;
+}
+
 /** Chart of a Nichols plot: contours of |S| and |T|, the region that is excluded, and the required margins. */
 export function nicholsChart(plot: Plot, wished: Wished): void {
   const { grid, quiet, limit, ink } = plot.colours;
   const [closest, peakT] = [closestDb(wished), required(wished, "complementary_peak_db")];
   for (const level of [-12, -6, -3, 1, 3, 6, 12]) {
-    plot.curve(nicholsCurve(constantT(level)), { colour: quiet, width: 0.8, dash: [3, 3], alpha: 0.55 });
+    plot.curve(contour("T", level), { colour: quiet, width: 0.8, dash: [3, 3], alpha: 0.55 });
   }
   for (const level of [-12, -6, -3, 0, 3, 6, 12].filter((one) => closest === null || one < closest)) contourS(plot, level);
   if (closest !== null) {
-    plot.fill(nicholsCurve(constantS(closest)), limit, 0.14);
-    plot.curve(nicholsCurve(constantS(closest)), { colour: limit, width: 1.6 });
+    plot.fill(contour("S", closest), limit, 0.14);
+    plot.curve(contour("S", closest), { colour: limit, width: 1.6 });
   }
-  if (peakT !== null && peakT > 0) plot.curve(nicholsCurve(constantT(peakT)), { colour: limit, width: 1.4, dash: [5, 4] });
+  if (peakT !== null && peakT > 0) plot.curve(contour("T", peakT), { colour: limit, width: 1.4, dash: [5, 4] });
   plot.level(0, { colour: grid, width: 1.2 });
   marginCross(plot, wished);
   plot.cross(-180, 0, ink);
@@ -151,7 +161,7 @@ export function nicholsChart(plot: Plot, wished: Wished): void {
 
 /** |S| constant, named where it is closed and large at its left end, else on its right branch. */
 function contourS(plot: Plot, level: number): void {
-  const { x, y } = nicholsCurve(constantS(level));
+  const { x, y } = contour("S", level);
   plot.curve({ x, y }, { colour: plot.colours.quiet, width: 0.8, alpha: 0.55 });
   const k = level > 0 ? Array.from(x).indexOf(Math.min(...Array.from(x).filter(Number.isFinite))) : Math.round(0.93 * x.length);
   const isClear = level <= 0 || plot.px(-180) - plot.px(x[k]) > 40;
