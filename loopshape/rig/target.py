@@ -13,8 +13,9 @@ from itertools import count
 import numpy as np
 
 from loopshape.core.errors import RigError, WrongUseError
+from loopshape.core.units import Array
 from loopshape.data.channel import sum_terms
-from loopshape.data.experiment import Experiment, LoopSetup
+from loopshape.data.experiment import Experiment, LoopSetup, decoupling_matrix
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.target_settings import TargetSettings
 from loopshape.rig import messages
@@ -41,7 +42,7 @@ def configuration(
     columns = identity.sensors + identity.commands
     return Configuration(
         outputs=np.array([[float(s in sum_terms(loop.output)) for s in identity.sensors] for loop in loops]),
-        mixing=np.array([[settings.commands[u].get(loop.name, 0.0) for loop in loops] for u in identity.commands]),
+        mixing=_mixing(identity, loops, settings),
         sections=tuple(loop.controller.biquads() for loop in loops if loop.controller is not None),
         limits=np.array([[getattr(settings.limits[c], key) for key in ("low", "high", "rate")] for c in columns]),
         hold=settings.on_limit == "hold",
@@ -50,6 +51,12 @@ def configuration(
         pwm_hz=float(pwm.get("frequency_hz", 0.0)) if identity.pwm_hz else 0.0,
         dead_zone=float(pwm.get("dead_zone", 0.0)) if identity.pwm_hz else 0.0,
     )
+
+
+def _mixing(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings) -> Array:
+    """From the controllers' outputs to the commands: the decoupling first, then the study's sums."""
+    sums = [[settings.commands[u].get(loop.name, 0.0) for loop in loops] for u in identity.commands]
+    return np.asarray(np.array(sums) @ decoupling_matrix(loops))
 
 
 def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings, rate_hz: float) -> None:

@@ -35,6 +35,7 @@ def measure(
     out: str | Path,
     *,
     controllers: Iterable[Controller | GainScheduled] = (),
+    decoupling: Mapping[str, Mapping[str, float]] | None = None,
     effects: Sequence[str] = (),
     port: str | None = None,
     arm: bool = False,
@@ -49,7 +50,8 @@ def measure(
     where `confirm` answers True to what it is about to do. A target vents whatever ends this early. Every finished
     recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
 
-    `controllers`, schedules among them, replace those of the study by loop; `effects`, words NAME or NAME=MAGNITUDE,
+    `controllers`, schedules among them, replace those of the study by loop; `decoupling` are the weights of all
+    controllers in what enters the plant, by loop (`ls.decouple(...).weights`); `effects`, words NAME or NAME=MAGNITUDE,
     are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
     of progress.
 
@@ -58,6 +60,8 @@ def measure(
     """
     file, folder, told = Path(study), Path(out), watch or Unwatched()
     wanted, plant = _asked(file, controllers, effects)
+    if decoupling is not None:
+        wanted = replace(wanted, decoupling=decoupling)
     extra: dict[str, object] = {
         "study_sha256": file_sha256(file),
         KEY: {**versions(), "study": file.name, "seed": wanted.seed},

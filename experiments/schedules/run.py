@@ -1,0 +1,151 @@
+"""Schedules the arm's angle controller over angle and pressure, checks it on a dense grid, and moves through it."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+import loopshape as ls
+from loopshape.core.units import deg
+from loopshape.io.files import write_bytes_whole
+from loopshape.io.requirements import read_requirements
+from loopshape.io.study import read_study
+from loopshape.model.arm.arm1 import Arm1
+from loopshape.rig.simulated import header, measure
+from loopshape.view.gain_scheduled import gain_scheduled_page
+from loopshape.view.style import png
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+SETTINGS = tomllib.loads((HERE / "settings.toml").read_text(encoding="utf-8"))
+Place = tuple[float, float]
+
+
+def main() -> None:
+    """Measure the dense grid, tune the nodes, check each frozen point, move."""
+    plants = measured()
+    (asked,) = read_requirements(HERE / "requirements.toml")
+    wanted = closer(asked)
+    nodes = {place: tuned(place, plants, wanted) for place in product(SETTINGS["theta2_deg"], SETTINGS["p_ab_bar"])}
+    points = [{"theta2_deg": t, "p_ab_bar": p} for t, p in nodes]
+    follows = {"theta2_deg": "theta2", "p_ab_bar": "p_ab"}
+    scheduled = ls.gain_scheduled(list(nodes.values()), points, follows, lag_s=SETTINGS["lag_s"])
+    robust = ls.tune([plants[x] for x in nodes], wanted, starts=SETTINGS["starts"]).controller
+    ls.write(scheduled, HERE / "controller.toml")
+    verdicts = {
+        name: ls.check(list(plants.values()), C, asked) for name, C in (("scheduled", scheduled), ("robust", robust))
+    }
+    write("points.csv", point_rows(plants, nodes, verdicts))
+    write("summary.csv", summary_rows(plants, nodes, verdicts, {"scheduled": scheduled, "robust": robust}))
+    places = {plant.recording: dict(plant.operating_point) for plant in plants.values()}
+    figure = gain_scheduled_page(scheduled, verdicts["scheduled"], places)
+    write_bytes_whole(ROOT / "figures" / "schedules" / "schedule.png", png(figure))
+
+
+def measured() -> dict[Place, ls.FRF]:
+    """The angle's FRF at each place of the dense grid, one recording each."""
+    thetas = sorted(SETTINGS["theta2_deg"] + SETTINGS["theta2_between_deg"])
+    bars = sorted(SETTINGS["p_ab_bar"] + SETTINGS["p_ab_between_bar"])
+    points = tuple({"theta2_deg": t, "p_ab_bar": p} for t, p in product(thetas, bars))
+    study = replace(read_study(HERE / "identify.toml"), operating_points=points)
+    arm = Arm1()
+    recordings = tuple(measure(study, arm, threads=1))
+    run = replace(header(study, arm), recordings=recordings)
+    frfs = ls.frfs(run, "theta2")
+    return {(f.operating_point["theta2_deg"], f.operating_point["p_ab_bar"]): f for f in frfs}
+
+
+def closer(asked: ls.Requirements) -> ls.Requirements:
+    """Limits with room for what lies between the nodes."""
+    room_db, room_deg = SETTINGS["room_db"], SETTINGS["room_deg"]
+    return asked.moved({"sensitivity_peak_db": -room_db, "phase_margin_deg": room_deg, "gain_margin_db": room_db})
+
+
+def tuned(place: Place, plants: dict[Place, ls.FRF], asked: ls.Requirements) -> ls.Controller:
+    """The node's controller, tuned on its own plant and those half a knot around it; -theta2 has that of theta2."""
+    at = (abs(place[0]), place[1])
+    near = [x for x in plants if abs(x[0] - at[0]) < 8.0 and abs(x[1] - at[1]) < 0.11]
+    if place not in CACHE:
+        found = ls.tune([plants[x] for x in near], asked, starts=SETTINGS["starts"])
+        CACHE[at] = CACHE[(-at[0], at[1])] = found.controller
+        low = min(m.bandwidth_hz for m in found.verdict.margins.values())
+        print(at, f"{low:.3g} Hz on {len(near)} plants, {found.verdict.outcome}", flush=True)
+    return CACHE[place]
+
+
+CACHE: dict[Place, ls.Controller] = {}
+
+
+def point_rows(
+    plants: dict[Place, ls.FRF], nodes: Iterable[Place], verdicts: dict[str, ls.Verdict]
+) -> Iterable[Sequence[object]]:
+    """Each frozen operating point under both controllers."""
+    yield ("theta2_deg", "p_ab_bar", "node", "controller", "bandwidth_hz", "phase_margin_deg", "sensitivity_peak_db",
+           "gain_margin_db", "stable")  # fmt: skip
+    known = set(nodes)
+    for (place, plant), (name, verdict) in product(plants.items(), verdicts.items()):
+        m = verdict.margins[plant.recording]
+        yield (*place, place in known, name, m.bandwidth_hz, m.phase_margin_deg, m.sensitivity_peak_db,
+               m.gain_margin_db, m.stable)  # fmt: skip
+
+
+def summary_rows(
+    plants: dict[Place, ls.FRF],
+    nodes: Iterable[Place],
+    verdicts: dict[str, ls.Verdict],
+    controllers: dict[str, ls.Controller | ls.GainScheduled],
+) -> Iterable[Sequence[object]]:
+    """Lowest bandwidth and worst margins over the grid, and what the move showed."""
+    yield ("controller", "outcome", "lowest_hz", "lowest_at_nodes_hz", "worst_peak_db", "worst_phase_deg",
+           "moving_rms_deg", "moving_largest_deg", "resting_rms_deg", "largest_z_v", "ended_early")  # fmt: skip
+    known = {plants[x].recording for x in nodes}
+    for name, verdict in verdicts.items():
+        every = verdict.margins
+        yield (
+            name, verdict.outcome, min(m.bandwidth_hz for m in every.values()),
+            min(m.bandwidth_hz for k, m in every.items() if k in known),
+            max(m.sensitivity_peak_db for m in every.values()), min(m.phase_margin_deg for m in every.values()),
+            *moved(controllers[name]),
+        )  # fmt: skip
+
+
+def moved(controller: ls.Controller | ls.GainScheduled) -> tuple[object, ...]:
+    """Error while moving and in the last three seconds at rest, degrees; largest z in V; why it ended early."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        (pressure,) = [c for c in ls.read_controllers(ROOT / "examples/arm/controller.toml") if c.loop == "p_ab"]
+        run = ls.measure(HERE / "move.toml", folder / "run", controllers=[controller, pressure])
+        r = run.recordings[0]
+        error = deg(r.column("r_theta2_rad") - r.column("theta2_rad"))
+        rest = error[-3000:]
+        rms = [float(np.sqrt(np.mean(x**2))) for x in (error[2000:], rest - rest.mean())]
+        return (
+            rms[0],
+            float(np.abs(error).max()),
+            rms[1],
+            float(np.abs(r.column("z_theta2_v")).max()),
+            r.info.ended_early,
+        )
+    finally:
+        shutil.rmtree(folder)
+
+
+def write(name: str, rows: Iterable[Sequence[object]]) -> None:
+    """A table beside this file, numbers to four digits."""
+    with (HERE / name).open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file, lineterminator="\n")
+        for row in rows:
+            out.writerow([f"{x:.4g}" if isinstance(x, float) else x for x in row])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
