@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shutil
 import sys
 import tempfile
@@ -26,6 +25,9 @@ from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+sys.path.insert(0, str(HERE))
+from tables import write  # noqa: E402
+
 SETTINGS = tomllib.loads((HERE / "settings.toml").read_text(encoding="utf-8"))
 Place = tuple[float, float]
 
@@ -44,8 +46,8 @@ def main() -> None:
     verdicts = {
         name: ls.check(list(plants.values()), C, asked) for name, C in (("scheduled", scheduled), ("robust", robust))
     }
-    write("points.csv", point_rows(plants, nodes, verdicts))
-    write("summary.csv", summary_rows(plants, nodes, verdicts, {"scheduled": scheduled, "robust": robust}))
+    write(HERE / "points.csv", point_rows(plants, nodes, verdicts))
+    write(HERE / "summary.csv", summary_rows(plants, nodes, verdicts, {"scheduled": scheduled, "robust": robust}))
     places = {plant.recording: dict(plant.operating_point) for plant in plants.values()}
     figure = gain_scheduled_page(scheduled, verdicts["scheduled"], places)
     write_bytes_whole(ROOT / "figures" / "schedules" / "schedule.png", png(figure))
@@ -137,14 +139,6 @@ def moved(controller: ls.Controller | ls.GainScheduled) -> tuple[object, ...]:
         )
     finally:
         shutil.rmtree(folder)
-
-
-def write(name: str, rows: Iterable[Sequence[object]]) -> None:
-    """A table beside this file, numbers to four digits."""
-    with (HERE / name).open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file, lineterminator="\n")
-        for row in rows:
-            out.writerow([f"{x:.4g}" if isinstance(x, float) else x for x in row])
 
 
 if __name__ == "__main__":

@@ -60,6 +60,12 @@ def _mixing(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSett
 
 
 def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings, rate_hz: float) -> None:
+    if scheduled := [loop.name for loop in loops if loop.schedule is not None]:
+        raise WrongUseError(
+            "the protocol carries no schedule to a target",
+            ", ".join(scheduled),
+            "build the exported one in (loopshape export-controller --to c), or give a frozen controller",
+        )
     if identity.rate_hz != rate_hz:
         raise WrongUseError(
             "the target runs at another rate than the study", f"{identity.rate_hz:g} and {rate_hz:g} Hz", "set rate_hz"
