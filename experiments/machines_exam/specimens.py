@@ -66,6 +66,7 @@ def nominal(plant: str, rng: np.random.Generator, longer: float = 0.0, more: flo
     return Truth(inertia, 0.02 * rotor, 0.09 * damping, weight, gain=gain, scale=SIZE[plant])
 
 
+Simulate = Callable[..., tuple[np.ndarray, np.ndarray]]
 Draw = Callable[[np.random.Generator, Truth, float, float], tuple[Mapping[str, float], float]]
 
 
@@ -128,7 +129,9 @@ def references(rng: np.random.Generator, size: float) -> list[tuple[str, np.ndar
     ]  # fmt: skip
 
 
-def specimen(name: str, plant: str, effect: str, seed: int, *, slips: bool = True) -> Specimen:
+def specimen(
+    name: str, plant: str, effect: str, seed: int, *, slips: bool = True, simulate: Simulate = recorded
+) -> Specimen:
     """A machine with one effect, or `none`, and its seven recordings; `slips` has other friction and drag."""
     rng = np.random.default_rng(seed)
     body, magnitude = {}, 0.0
@@ -140,12 +143,12 @@ def specimen(name: str, plant: str, effect: str, seed: int, *, slips: bool = Tru
     noise, step = STEPS[plant]
     draws = [noise * rng.standard_normal(r.size) for _, r, _ in signals]
     if effect not in ("none", "payload", "length_error"):
-        usual = [recorded(r, n, m, GAINS[plant], e, step)[0] for (_, r, n), e in zip(signals, draws, strict=True)]
+        usual = [simulate(r, n, m, GAINS[plant], e, step)[0] for (_, r, n), e in zip(signals, draws, strict=True)]
         moves, magnitude = drawn(effect, rng, m, float(np.quantile(np.abs(np.concatenate(usual)), 0.999)))
         m = m._replace(**moves)
     made = []
     for k, ((kind, r, n), e) in enumerate(zip(signals, draws, strict=True)):
-        u, y = recorded(r, n, m, GAINS[plant], e, step)
+        u, y = simulate(r, n, m, GAINS[plant], e, step)
         info = RecordingInfo(
             f"r{k}.parquet", kind, "reference", role="validation" if k > 4 else "estimation",
             operating_point={"start": float(r[0])},

@@ -150,8 +150,8 @@ def judged(
     return _capped(out, leader, singles, rare[leader]) if leader in rare else out
 
 
-#: how often the right kind in a wrong form leaves more than UNKNOWN_LEAVES of a plain gap, and how often a second effect
-#: beside it leaves noise alone: 19 of 32 and 1 of 8 in `experiments/machines_exam/forms.csv`, by Laplace's rule
+#: how often the right kind in a wrong form leaves more than UNKNOWN_LEAVES of a plain gap, and how often a second
+#: effect beside it leaves noise alone: 19 of 32 and 1 of 8 in `experiments/machines_exam/forms.csv`, by Laplace's rule
 WRONG_FORM_LEAVES, WRONG_FORM_PAIRS = 20.0 / 34.0, 2.0 / 10.0
 
 

@@ -62,7 +62,9 @@ def test_unknown_by_many_recordings_is_no_surer_than_a_wrong_form_allows():
 
 @pytest.mark.parametrize("count", [2, 20, 200])
 def test_a_machine_where_no_effect_explains_anything_is_healthy_however_many_effects_there_are(count):
-    effects = tuple(EffectForm(f"kind{k}@rail", "form", "rail", "N", (), {}, {}, 1.0, (0.0, 1.0), "") for k in range(count))
+    effects = tuple(
+        EffectForm(f"kind{k}@rail", "form", "rail", "N", (), {}, {}, 1.0, (0.0, 1.0), "") for k in range(count)
+    )
     plant = SimpleNamespace(effects=effects, calibrated=False)
     prices = {"none": -healthy_prior(plant)} | dict.fromkeys([f.effect for f in effects], ONE_EFFECT)
     assert probabilities(prices)["none"] >= 0.5 - 1e-9

@@ -30,6 +30,7 @@ _ROUNDING = 1e-12
 _STEP = 1e-4  # of a state's range, for slopes
 _ROUNDS = 4
 _SHARES = (1.0, 0.2)  # of a step of the initial states
+CONVERGED = 6  # rounds for initial states of what is judged, not fitted
 _MOST = 1e5  # floors: a simulation that is further off has run away
 
 
@@ -182,9 +183,11 @@ def off(f: Followed, y: Array) -> Array:
     return np.clip(np.nan_to_num(lacking, nan=_MOST, posinf=_MOST, neginf=-_MOST), -_MOST, _MOST).reshape(len(y), -1)
 
 
-def shot(c: Composed, f: Followed, m: Mapping[str, float]) -> tuple[Array, Array, Array, np.ndarray]:
+def shot(
+    c: Composed, f: Followed, m: Mapping[str, float], x0: Array | None = None
+) -> tuple[Array, Array, Array, np.ndarray]:
     """Lacking (windows, values), slopes (windows, values, states) over the floor, x0, and which states are free."""
-    x0 = extended(c, f, f.start)
+    x0 = extended(c, f, f.start) if x0 is None else x0
     free = c.free_states(m)
     ranges = c.extended_ranges(f.ranges)
     moved = np.tile(x0, (1 + free.size, 1))
@@ -211,17 +214,22 @@ def _step(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
     return change
 
 
-def explained(c: Composed, f: Followed, m: Mapping[str, float]) -> Array:
+def explained(c: Composed, f: Followed, m: Mapping[str, float], rounds: int = 1) -> Array:
     """Simulated outputs (windows, blocks, ny) from the initial states that fit best under moved parameters.
 
-    A window whose step does not pay takes a shorter one, or none: where dry friction holds, slopes tell little.
+    A window whose step does not pay takes a shorter one, or none: where dry friction holds, slopes tell little. One
+    round serves a fit; what is judged takes CONVERGED, since a window in which the nominal model has run away may need
+    them all.
     """
-    lacking, slopes, x0, free = shot(c, f, m)
-    change = np.zeros_like(x0)
-    change[:, free] = _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
-    moved = np.concatenate([x0 + share * change for share in _SHARES])
-    tried = np.stack([lacking, *off(f, simulated(c, f, m, moved)).reshape(len(_SHARES), *lacking.shape)])
-    best = np.argmin(np.sum(tried**2, axis=2), axis=0)
-    lacking = tried[best, np.arange(len(x0))]
+    x0: Array | None = None
+    for _ in range(rounds):
+        lacking, slopes, x0, free = shot(c, f, m, x0)
+        change = np.zeros_like(x0)
+        change[:, free] = _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
+        moved = np.stack([x0, *(x0 + share * change for share in _SHARES)])
+        tried = off(f, simulated(c, f, m, np.concatenate(moved[1:]))).reshape(len(_SHARES), *lacking.shape)
+        tried = np.stack([lacking, *tried])
+        best, each = np.argmin(np.sum(tried**2, axis=2), axis=0), np.arange(len(x0))
+        lacking, x0 = tried[best, each], moved[best, each]
     lacking = lacking - np.einsum("wvi,wi->wv", slopes, _solved(slopes, lacking))
     return f.measured - lacking.reshape(f.measured.shape) * f.floor

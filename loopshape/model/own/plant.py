@@ -118,7 +118,10 @@ class OwnMachine:
 
     def residuals(self, prepared: Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated by output (n,), means over blocks, windows in a row."""
-        off = prepared.measured - following.explained(self.composed, prepared, moves)
+        return self._off(prepared, following.explained(self.composed, prepared, moves))
+
+    def _off(self, prepared: Followed, simulated: Array) -> dict[str, Array]:
+        off = prepared.measured - simulated
         return {o.name: off[:, :, k].ravel() for k, o in enumerate(self.model.outputs)}
 
     def residual_rate_hz(self, prepared: Followed, channel: str) -> float:
@@ -127,8 +130,8 @@ class OwnMachine:
 
     def traces(self, prepared: Followed, moves: Mapping[str, float]) -> tuple[float, Array, Array]:
         """Time step in s, the first output measured and simulated, windows in a row."""
-        simulated = following.explained(self.composed, prepared, moves)[:, :, 0].ravel()
-        return prepared.block * prepared.tick_s, prepared.measured[:, :, 0].ravel(), simulated
+        simulated = following.explained(self.composed, prepared, moves, following.CONVERGED)
+        return prepared.block * prepared.tick_s, prepared.measured[:, :, 0].ravel(), simulated[:, :, 0].ravel()
 
     def floors(self, prepared: Followed) -> dict[str, float]:
         """Rms that noise, rounding and an ordinary model leave, by output."""
@@ -137,7 +140,8 @@ class OwnMachine:
     def paths(self, prepared: Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated over the floor, measured inputs in, by output."""
         floors = self.floors(prepared)
-        return {f"inputs -> {k}": off / floors[k] for k, off in self.residuals(prepared, moves).items()}
+        simulated = following.explained(self.composed, prepared, moves, following.CONVERGED)
+        return {f"inputs -> {k}": off / floors[k] for k, off in self._off(prepared, simulated).items()}
 
     def default_controllers(self, rate_hz: float) -> tuple[Controller, ...]:
         """None: a user's model is followed, and not controlled."""
