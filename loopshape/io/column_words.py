@@ -97,8 +97,15 @@ def split_unit(name: str) -> tuple[str, str]:
             return name[: -len(tail) - 1], tail.replace("_", "/", 1)
     found = _TAIL.search(name)
     if found and len(found[1]) > 0 and (unit := unit_of_word(found[1])) and unit != "1" and found.start() > 0:
-        return name[: found.start()], found[1]
+        stem = name[: found.start()]
+        return stem, "Nm" if found[1] == "nm" and _drives(stem) else found[1]
     return name, ""
+
+
+def _drives(stem: str) -> bool:
+    """Whether the words of a name say that something is driven: behind them nm is N m, not nanometres."""
+    weights = _WEIGHTS[Role.CONTROL]
+    return any(word in weights for word in re.split(r"[^a-zäöüß]+", stem.lower()))
 
 
 def words_of(name: str) -> tuple[str, ...]:

@@ -101,6 +101,9 @@ def read_run_words(folder: Path) -> Words:
     hold, last = hold_of(folder), _WRITTEN.get(path)
     if hold is not None and last is not None and last[0] is hold:
         return Words(tomllib.loads(toml_text(last[1])), path.name)  # as it reads back, and a copy
+    if not has_run(folder):
+        way = "write one (docs/files.md, Run), or let loopshape import make the folder"
+        raise UnreadableInputError("a run's folder has a run.toml", f"{folder.resolve().name} without one", way)
     words = read_words(path, FORMAT)
     words.need("rate_hz")
     return words

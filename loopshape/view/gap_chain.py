@@ -1,4 +1,7 @@
-"""The loop as a chain of blocks, as dark as their share of the blame: where a gap lies."""
+"""The loop as a chain of blocks, as dark as their share of the blame: where a gap lies.
+
+Places of a user's own machine are no chain (nobody states how they are connected): boxes in a row, most probable first.
+"""
 
 from __future__ import annotations
 
@@ -52,15 +55,18 @@ def chain(where: Where, *, ax: Axes | None = None) -> Axes:
     """The loop's blocks with the probability that the gap lies there; blamed ones framed, none and unknown apart."""
     ax = axes_or_new(ax, (FULL_WIDTH_IN, 1.5))
     probability = shares(where.blocks)
-    row = in_order(list(probability))
+    looped = all(n in (*ORDER, *FEEDS, *OUTSIDE) for n in probability)
+    inner = [n for n in probability if n not in OUTSIDE]
+    row = in_order(inner) if looped else sorted(inner, key=lambda n: -probability[n])
     blamed = set(where.block.split("+"))
     places = {name: (float(k), 0.0) for k, name in enumerate(row)}
-    places |= {n: (places[FEEDS[n]][0], _UPPER) for n in probability if n in FEEDS and FEEDS[n] in places}
+    places |= {n: (places[FEEDS[n]][0], _UPPER) for n in probability if looped and n in FEEDS and FEEDS[n] in places}
     outside = [n for n in OUTSIDE if n in probability]
     places |= {n: (len(row) - len(outside) + float(k), _UPPER) for k, n in enumerate(outside)}
     for name, corner in places.items():
         _box(ax, name, corner, probability[name], name in blamed, len(row))
-    _arrows(ax, len(row), [places[n] for n in places if n in FEEDS and n not in row])
+    if looped:
+        _arrows(ax, len(row), [places[n] for n in places if n in FEEDS and n not in row])
     if where.block != "none":
         ax.text(0.5 * (len(row) - 1 + _WIDTH), _RETURN - 0.1, _signs(where), ha="center", va="top", fontsize=8.0)
     ax.set_xlim(-0.03, len(row) - 1 + _WIDTH + 0.03)

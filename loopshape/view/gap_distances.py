@@ -109,7 +109,8 @@ def _distance_axes(ax: Axes, names: Sequence[str], rows: Sequence[Submodel]) -> 
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.minorticks_off()
     ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.set_yticks(range(len(names)), [" → ".join(symbol(end) for end in name.split(" -> ")) for name in names])
+    ends = [name.removeprefix("inputs -> ").split(" -> ") for name in names]  # all inputs act on every output
+    ax.set_yticks(range(len(names)), [" → ".join(symbol(end) for end in pair) for pair in ends])
     ax.get_yticklabels()[0].set_fontweight("bold")
     ax.tick_params(axis="y", length=0.0)
     ax.axhline(0.5, color="0.6", linewidth=0.6)

@@ -21,6 +21,7 @@ LEAST, MOST = 4, 5  # hypotheses that are shown
 PLAIN = 0.001  # a hypothesis below is shown only to fill the least
 _LINE = 96  # characters of the title's lines
 _WINDOW_S = (3.0, 10.0)
+_LONG = 40  # characters of a name that leaves room for two columns of the key
 
 
 @styled()
@@ -40,9 +41,10 @@ def gap_figure(report: GapReport) -> Figure:
     _headed(chain(report.where, ax=parts[0].subplots()), "a", "Where", "probability that the gap lies in each block")
     left, right = parts[1].subplots(1, 2, gridspec_kw={"width_ratios": [0.92, 1.08]})
     _headed(hypotheses(report, ax=left), "b", "Which", "leading hypotheses, size and 95 % interval")
-    _headed(distances(report, ax=right), "c", "How far", _distance(report))
+    _headed(distances(report, ax=right), "c", "How far", _distance(report), x=-0.1)
     handles, texts = right.get_legend_handles_labels()
-    parts[1].legend(handles, texts, loc="outside lower center", ncols=-(-len(texts) // legend_rows))
+    columns = -(-len(texts) // legend_rows) if max(map(len, texts)) < _LONG else 2
+    parts[1].legend(handles, texts, loc="outside lower center", ncols=columns)
     if shown:
         above, below = parts[2].subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.7, 1.0]})
         trace = plainest(report)
@@ -64,14 +66,14 @@ def _distance(report: GapReport) -> str:
     """The held-out gap relative to the noise floor."""
     if report.gap is None:
         return "fitted recordings, none held out"
-    after = f" to {report.gap.after:.1f}" if any(s.after is not None for s in compared(report)) else ""
-    return f"held-out gap {report.gap.before:.1f}{after} × noise floor"
+    after = f" to {report.gap.after:.3g}" if any(s.after is not None for s in compared(report)) else ""
+    return f"held-out gap {report.gap.before:.3g}{after} × noise floor"
 
 
-def _headed(ax: Axes, letter: str, word: str, rest: str) -> None:
+def _headed(ax: Axes, letter: str, word: str, rest: str, x: float = 0.0) -> None:
     """Letter and word in bold, the rest behind them in grey."""
     ax.set_title(
-        rf"$\bf{{{letter}\ \ \ {word.replace(' ', chr(92) + ' ')}}}$   {rest}", loc="left", fontsize=8.5, pad=5.0
+        rf"$\bf{{{letter}\ \ \ {word.replace(' ', chr(92) + ' ')}}}$   {rest}", loc="left", x=x, fontsize=8.5, pad=5.0
     )
 
 
@@ -93,7 +95,7 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
         ax.barh(k + 0.74, 1.0, 0.2, color="0.94", zorder=1.0)
         name, weight = named(r.effect), "bold" if k == 0 else "normal"
         ax.text(0.0, k + 0.17, name, va="center", fontsize=min(8.0, 300.0 / len(name)), fontweight=weight)
-        ax.text(1.0, k + 0.17, percent(r.probability), va="center", ha="right", fontsize=8.0)
+        ax.text(1.02, k + 0.74, percent(r.probability), va="center", fontsize=8.0, fontweight=weight)
         ax.text(0.0, k + 0.46, sizes(r), va="center", fontsize=7.0, color=QUIET)
     ax.set_xlim(0.0, 1.0)
     ax.set_ylim(max(len(rows), 4), 0.0)

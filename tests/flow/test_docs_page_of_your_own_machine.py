@@ -17,9 +17,8 @@ from loopshape.model.own.mechanism import machine
 
 PAGE = (Path(__file__).parents[2] / "docs/machine.md").read_text()
 XML = re.search(r"```xml\n(.*?)```", PAGE, re.S).group(1)
-XML_WORDS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)[1]
+RUN_WORDS, WORDS, XML_WORDS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)[:3]
 CODE = re.search(r"```python\n(.*?)```", PAGE, re.S).group(1)
-WORDS = re.search(r"```toml\n(.*?)```", PAGE, re.S).group(1)
 COMMAND = re.search(r"```console\nloopshape (.*?)\n```", PAGE, re.S).group(1)
 
 
@@ -45,6 +44,22 @@ def test_the_example_runs_and_names_the_friction(folder):
     assert sum(r["probability"] for r in found["ranking"]) == pytest.approx(1.0)
     assert found["gap"]["shrink"] > 0.9
     assert (folder / "gap.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_as_the_page_shows_it_is_a_run(folder):
+    run = folder / "runs/winch"
+    run.mkdir(parents=True)
+    with pytest.raises(LoopshapeError, match="received winch without one; write one"):
+        ls.read(run)
+    (run / "run.toml").write_text(RUN_WORDS)
+    made = own_machine.run_of()
+    for name, r in zip(("quick", "slow", "large"), made.recordings, strict=False):
+        table = np.column_stack([np.arange(len(r)) / 500.0, *(r.column(c) for c in ("torque_nm", "lever_rad"))])
+        np.savetxt(run / f"{name}.csv", table, delimiter=",", header="time_s,torque_nm,lever_rad", comments="")
+    found = ls.read(run)
+    assert found.rate_hz == 500.0
+    assert [r.info.role for r in found.recordings] == ["estimation", "estimation", "validation"]
+    assert found.recordings[1].column("lever_rad") == pytest.approx(made.recordings[1].column("lever_rad"), abs=1e-12)
 
 
 @pytest.fixture

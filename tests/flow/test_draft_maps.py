@@ -326,3 +326,14 @@ def test_names_by_the_standard_s_words_and_drives_units(tmp_path):
     ):
         draft = draft_map(written(tmp_path / "a.csv", ["t_s", *names], [np.arange(N) / RATE, n, z, y]))
         assert [draft.roles[name] for name in names] == ["reference", "control", "output"]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "stored"),
+    [("torque_nm", "Nm", "torque_nm"), ("u_motor_nm", "Nm", "u_motor_nm"), ("gap_nm", "nm", "gap_m")],
+)
+def test_nm_behind_what_drives_is_newton_metres_and_else_nanometres(name, unit, stored, tmp_path):
+    n, z, y = loop_signals()
+    path = written(tmp_path / "a.csv", ["t", "n_rad", name, "y_rad"], [np.arange(N) / RATE, n, z, y])
+    columns = draft_map(path).table["columns"]
+    assert columns[stored] == {"from": name, "unit": unit}

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 from loopshape.data.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
 from loopshape.view.gap_chain import chain, in_order, shares
@@ -103,7 +105,28 @@ def without_validation() -> GapReport:
     return replace(single(), gap=None, submodels=rows(1.1, 3.0, ("estimation",)))
 
 
-ALL = {"single": single, "pair": pair, "none": none, "unknown": unknown, "no validation": without_validation}
+def of_ones_own() -> GapReport:
+    """A machine of a user's own: long names, two sensors, places that are no chain."""
+    both = "actuator_gain_error@drive+coulomb_friction@ring"
+    parts = {"actuator_gain_error@drive": (0.0075, (0.003, 0.012), "1"),
+             "coulomb_friction@ring": (4.02, (3.61, 4.44), "N m")}  # fmt: skip
+    ranking = [
+        Ranked("coulomb_friction@ring", 0.62, 3.96, (3.55, 4.38), "N m", "bristles"),
+        Ranked(both, 0.3, form="a + b", parts=parts), Ranked("unknown", 0.07),
+        Ranked("joint_flexibility@rail", 0.01, 2384.0, (2100.0, 2600.0), "N m/rad per travel"),
+    ]  # fmt: skip
+    blocks = {"ring": 0.62, "drive+ring": 0.3, "unknown": 0.07, "rail": 0.01, "none": 0.0, "encoder": 0.0, "hook": 0.0}
+    where = replace(single().where, block="ring", blocks=blocks, channel="inclinometer", operating_points=[{}])
+    own = [replace(s, path=f"inputs -> {name}") for s in rows(1.1, 3.0) for name in ("encoder", "inclinometer")]
+    gap = Shrink("rms", 192.9, 12.2, 0.94, (0.9, 0.97), ("val0.parquet",))
+    return replace(
+        single(), verdict="coulomb_friction@ring", ranking=ranking, ambiguity=["coulomb_friction@ring", both], gap=gap,
+        where=where, submodels=own,
+    )  # fmt: skip
+
+
+ALL = {"own": of_ones_own, "single": single, "pair": pair, "none": none, "unknown": unknown}
+ALL |= {"no validation": without_validation}
 
 
 def xs(ax: Axes, gid: str) -> list[float]:
@@ -138,7 +161,7 @@ def test_every_verdict_gives_a_whole_figure_under_its_sentence(make) -> None:
 @pytest.mark.parametrize("make", ALL.values(), ids=list(ALL))
 def test_no_text_is_cut_or_lies_on_another_of_its_panel(make) -> None:
     figure = gap_figure(make())
-    figure.canvas.draw()
+    FigureCanvasAgg(figure).draw()
     width, height = figure.bbox.size
     for ax in figure.axes:
         shown = [t.get_window_extent() for t in ax.texts if t.get_text()]
@@ -148,6 +171,26 @@ def test_no_text_is_cut_or_lies_on_another_of_its_panel(make) -> None:
             assert one.x1 <= width
             assert one.y1 <= height
             assert not any(one.shrunk(0.9, 0.75).overlaps(other.shrunk(0.9, 0.75)) for other in shown[k + 1 :])
+
+
+@pytest.mark.parametrize("make", ALL.values(), ids=list(ALL))
+def test_no_title_is_cut_or_lies_on_another(make) -> None:
+    figure = gap_figure(make())
+    FigureCanvasAgg(figure).draw()
+    titles = [t.get_window_extent() for t in figure.findobj(Text) if "\\bf" in t.get_text()]
+    assert len(titles) == 4
+    for k, one in enumerate(titles):
+        assert one.x0 >= 0.0
+        assert one.x1 <= figure.bbox.width
+        assert not any(one.overlaps(other) for other in titles[k + 1 :])
+
+
+def test_places_that_nobody_says_how_to_connect_stand_apart_most_probable_first() -> None:
+    ax = chain(of_ones_own().where)
+    row = [name for name, box in boxes(ax).items() if box.get_y() == 0.0]
+    assert row[:2] == ["ring", "drive"]
+    assert not [line for line in ax.lines if line.get_gid() == "feedback"]
+    assert [line for line in chain(single().where).lines if line.get_gid() == "feedback"]
 
 
 def test_blocks_stand_in_the_signals_order_and_what_feeds_stands_above() -> None:

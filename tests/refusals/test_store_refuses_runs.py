@@ -124,7 +124,7 @@ def test_a_link_that_leaves_the_folder_is_refused(tmp_path):
 def test_a_run_is_a_folder_with_run_toml(tmp_path):
     with pytest.raises(UnreadableInputError, match="a run is a folder"):
         read_run(tmp_path / "nothing")
-    with pytest.raises(UnreadableInputError, match=r"does not exist.*run\.toml"):
+    with pytest.raises(UnreadableInputError, match=r"has a run\.toml; received .* without one; write one"):
         read_run(tmp_path)
 
 

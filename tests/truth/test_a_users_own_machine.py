@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import own_machine
@@ -10,7 +11,9 @@ from scipy.integrate import solve_ivp
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.recording import Recording
+from loopshape.data.machine import Input, Model, ModelParameter, Output
+from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
 from loopshape.diagnose.next_recording import repeat, separation
 from loopshape.model.own.catalogue import PortScale, Scales, forms
 from loopshape.model.own.composed import Composed
@@ -246,3 +249,31 @@ def test_bristles_that_slide_in_less_than_a_step_are_the_simulation_of_another_e
         states.append(done.y[:, -1])
     theirs = f.blocks(np.array(states)[None, :, :1])
     np.testing.assert_allclose(mine, theirs, atol=5e-5)  # reversals within a tick: 4 rad/s^2 * (2 ms)^2 each
+
+
+def over_the_top(t, x, u, p):
+    """A pendulum."""
+    return x[1], u[0] - p.damping * x[1] - 9.81 * np.sin(x[0])
+
+
+def test_a_window_in_which_an_unstable_start_runs_away_is_judged_by_the_start_that_fits():
+    # let go just beside its upper rest a pendulum leaves it five hundred times as far in a window; the slope of a few
+    # noisy samples is no start, and one step from there is none either
+    model = Model(
+        "pendulum", over_the_top, ("angle", "speed"), (ModelParameter("damping", 0.1, tolerance=0.1),),
+        (Input("motor", "torque_nm"),), (Output("encoder", "angle", "angle_rad"),), (), window_s=2.0,
+    )  # fmt: skip
+    rng, t = np.random.default_rng(3), np.arange(0.0, 22.0, 0.005)
+    u = np.zeros(t.size)
+    y = np.concatenate([
+        solve_ivp(lambda _, x: over_the_top(0.0, x, (0.0,), SimpleNamespace(damping=0.1)), (0.0, 2.2), (a, v),
+                  t_eval=np.arange(440) * 0.005, rtol=1e-9, atol=1e-11).y[0]
+        for a, v in zip(3.14 + rng.uniform(-0.05, 0.05, 10), rng.uniform(-0.3, 0.3, 10), strict=True)
+    ])  # fmt: skip
+    measured = y + 2e-3 * rng.standard_normal(y.size)
+    plant = OwnMachine(model)
+    for k in range(10):  # each fall is a recording of one window
+        part = {"torque_nm": u[440 * k : 440 * (k + 1)], "angle_rad": measured[440 * k : 440 * (k + 1)]}
+        run = Run(200.0, (), (Recording(RecordingInfo("r.parquet", "profile", "control"), 200.0, part),))
+        (path,) = plant.paths(plant.prepare(run.recordings[0], run, None), {}).values()
+        assert np.sqrt(np.mean(path**2)) < 1.5
