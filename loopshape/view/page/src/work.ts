@@ -41,7 +41,7 @@ export interface Worked extends Asked {
 }
 
 /** Detuning that takes no longer, in ms, is finished while something is dragged; what takes longer waits for a pause. */
-const QUICK = 80;
+const QUICK = 30;
 
 /** What runs in a worker: the newest task is done, those that it overtook are not; a margin at a time between messages. */
 export function workHere(scope: DedicatedWorkerGlobalScope): void {
