@@ -158,10 +158,15 @@ def closed_in(task: Task, stage: Stage) -> Stage:
 def grown(task: Task, stage: Stage, least_gain: float, rng: np.random.Generator, starts: int) -> Stage | None:
     """The stage with the block that pays most; None where none gains `least_gain` of the bandwidth."""
     best = min((_with(task, stage, one, rng, starts) for one in library(task.loops)), key=lambda one: one.rank)
-    if best.rank[:3] > stage.rank[:3]:
-        return None
-    gained = best.best.objective - stage.best.objective
-    return best if best.rank[:3] < stage.rank[:3] or gained > np.log1p(least_gain) else None
+    return best if pays(best, stage, least_gain) else None
+
+
+def pays(larger: Stage, stage: Stage, least_gain: float) -> bool:
+    """Whether a stage is better by outcome, or gains `least_gain` of the bandwidth with each block that it adds."""
+    if larger.rank[:3] != stage.rank[:3]:
+        return larger.rank[:3] < stage.rank[:3]
+    blocks = len(larger.asked.structure) - len(stage.asked.structure)
+    return larger.best.objective - stage.best.objective > blocks * np.log1p(least_gain)
 
 
 def library(loops: Sequence[Loop]) -> tuple[BlockTemplate, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
 from loopshape.data.requirements import LIMIT_OF, Requirements
 from loopshape.design.structure import Variable, refuse, variables_of
+from loopshape.loop.between import between_lines
 from loopshape.loop.controller_bandwidth import controller_grid_hz
 from loopshape.loop.low_end import low_hz, low_models
 
@@ -264,6 +266,8 @@ OUTSIDE = 0.05
 NONE_DB = 300.0
 #: where L is led below its first line, as shares of its frequency
 DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
+#: places between lines are looked at where P moves by more than this share of itself, so many a gap at most
+STEEP, BETWEEN = 0.5, 6
 #: lines of a race: ln P may lie off a straight line between them by this, they lie no farther apart than this in ln f,
 #: and they are worth their while where they are no more than this share of all
 STRAIGHT, GAP, WORTH = 0.02, 0.08, 0.6
@@ -278,7 +282,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     refuse(loops, requirements)
     lines = [_lines(loop) for loop in loops]
     below = [_below(loop) for loop in loops]
-    f = np.concatenate([own for own, _, _ in lines])
+    f = np.concatenate([one.f for one in lines])
     unique, line = np.unique(f, return_inverse=True)
     unit = replace(loops[0].controller, loop=requirements.loop, blocks=(Block("gain", {"gain": 1.0}),), rate_hz=rate_hz)
     below_hz = np.concatenate([own for own, _ in below])
@@ -292,10 +296,10 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         precision=precision,
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
         f=f,
-        P=np.concatenate([P for _, P, _ in lines]),
-        reach=np.concatenate([reach for _, _, reach in lines]),
-        first=np.concatenate([[0], np.cumsum([own.size for own, _, _ in lines])]),
-        led=np.array([own.size - loop.frequency_hz.size for (own, _, _), loop in zip(lines, loops, strict=True)]),
+        P=np.concatenate([one.P for one in lines]),
+        reach=np.concatenate([one.reach for one in lines]),
+        first=np.concatenate([[0], np.cumsum([one.f.size for one in lines])]),
+        led=np.array([one.led for one in lines]),
         unique_f=unique,
         unique_s=unit.s_at(unique),
         line=line,
@@ -347,21 +351,32 @@ def _below(loop: Loop) -> tuple[Array, ComplexArray]:
     return (f, models[0].response(f)) if models else (np.zeros(0), np.zeros(0, dtype=complex))
 
 
-def _lines(loop: Loop) -> tuple[Array, ComplexArray, Array]:
-    """Frequencies, P and its reach on a loop's lines.
+class _Lines(NamedTuple):
+    """Frequencies, P and the radius of its 95 % circle (n,), of which the first `led` are a model's."""
+
+    f: Array
+    P: ComplexArray
+    reach: Array
+    led: int
+
+
+def _lines(loop: Loop) -> _Lines:
+    """A loop's lines, with places between them at narrow resonances and where P turns fast, as the check reads them.
 
     Without integrators P may start on the negative real axis at 0 Hz, and L pass -1 below the first line, where the
     check reads margins too: then a model leads the lines down to there.
     """
-    f, P, reach = loop.frequency_hz, loop.plant.siso, _reach(loop)
+    dense, P = between_lines(loop), between_lines(loop).response
+    dense = dense.between(np.abs(np.diff(P)), np.minimum(np.abs(P[1:]), np.abs(P[:-1])), STEEP, BETWEEN)
+    f, P, reach = dense.frequency_hz, dense.response, np.interp(dense.frequency_hz, loop.frequency_hz, _reach(loop))
     models = () if loop.integrators else low_models(loop)[:1]
     down = f[0] * DOWN
     for model in models:
         led = model.response(down)
         if led[0].real < 0.0:
-            relative = reach[0] / abs(P[0])
-            return np.append(down, f), np.append(led, P), np.append(relative * np.abs(led), reach)
-    return f, P, reach
+            ahead = reach[0] / abs(P[0]) * np.abs(led)
+            return _Lines(np.append(down, f), np.append(led, P), np.append(ahead, reach), down.size)
+    return _Lines(f, P, reach, 0)
 
 
 def _reach(loop: Loop) -> Array:

@@ -16,7 +16,8 @@ from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements
 from loopshape.data.verdict import Verdict
 from loopshape.design.contained import raced, settled
-from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, step_of
+from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, pays, step_of
+from loopshape.design.lifted import lifted
 from loopshape.design.problem import Problem, bounds_reached
 from loopshape.design.relax import Shortfall, shortfall
 from loopshape.design.search import Found, begin
@@ -112,6 +113,8 @@ def tune(
 
     With `grow` up to so many blocks are added to the structure one after the other, each the one that pays most
     (`loopshape.design.growth`), until one gains less than `least_gain` of the bandwidth; `growth` holds each step.
+    Up to three biquads at once are tried too, under a floor on |L| that reaches beyond its dips
+    (`loopshape.design.lifted`); what ends better is taken.
 
     Local searches: a better optimum elsewhere is possible.
     """
@@ -133,12 +136,8 @@ def tune(
         best, why = shortfall(p, best, run.ends, judge_of)
     if start is not None:
         best = _no_worse(p, best, candidates[0].x, judge)
-    stages = [closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))]
-    for k in range(grow):
-        larger = grown(task, stages[-1], least_gain, np.random.default_rng([seed, 2, k]), starts)
-        if larger is None:
-            break
-        stages.append(larger)
+    first = closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))
+    stages = _stages(task, first, grow, least_gain, seed, starts)
     last = stages[-1]
     if grow and explain and not last.verdict.passed:
         p, judge_of = task.problem(last.copies, last.asked)
@@ -146,6 +145,27 @@ def tune(
         last = replace(last, best=best, verdict=task.check(p, best))
     steps = sum(stage.steps for stage in stages)
     return _tuning(last, why, len(candidates), steps, moved, tuple(step_of(stage) for stage in stages) if grow else ())
+
+
+def _stages(task: Task, first: Stage, grow: int, least_gain: float, seed: int, starts: int) -> list[Stage]:
+    """The first stage and what grows of it: block by block, or from several at once where that ends better."""
+    best = _one_by_one(task, [first], grow, least_gain, seed, starts)
+    at_once = lifted(task, first, grow, np.random.default_rng([seed, 3])) if grow > 1 else None
+    if at_once is None:
+        return best
+    left = grow - (len(at_once.asked.structure) - len(first.asked.structure))
+    other = _one_by_one(task, [first, at_once], left, least_gain, seed, starts)
+    return other if other[-1].rank < best[-1].rank and pays(other[-1], first, least_gain) else best
+
+
+def _one_by_one(task: Task, stages: list[Stage], grow: int, least_gain: float, seed: int, starts: int) -> list[Stage]:
+    """Stages and those that grow of the last, a block each."""
+    for k in range(grow):
+        larger = grown(task, stages[-1], least_gain, np.random.default_rng([seed, 2, k]), starts)
+        if larger is None:
+            break
+        stages = [*stages, larger]
+    return stages
 
 
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:

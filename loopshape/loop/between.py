@@ -74,7 +74,7 @@ def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
 
 
 def _followed(loop: Loop) -> tuple[Dense, ComplexArray]:
-    dense = _known(loop)
+    dense = between_lines(loop)
     own = _controller_places(loop.controller, dense.frequency_hz)
     if own.size:
         dense = dense.at(np.union1d(dense.frequency_hz, own))
@@ -86,7 +86,7 @@ def _followed(loop: Loop) -> tuple[Dense, ComplexArray]:
     return more, C if more is dense else loop.controller.response(more.frequency_hz)
 
 
-def _known(loop: Loop) -> Dense:
+def between_lines(loop: Loop) -> Dense:
     """The plant where its smoothing tells it; on its lines as they are, with draws of their errors, without that."""
     f, P, scatter = loop.frequency_hz, loop.plant.siso, loop.scatter
     if scatter is not None:

@@ -265,7 +265,8 @@ class _Search:
         missed = np.isfinite(before) & np.isfinite(after) & (after < 0.0)
         if not missed.any():
             return 0.5
-        return float(np.min(np.maximum(before, 0.0)[missed] / (np.maximum(before, 0.0) - after)[missed]))
+        left = np.maximum(before[missed], 0.0)
+        return float(np.min(left / (left - after[missed])))
 
     def _what(self, way: float, percent: float) -> str:
         """What breaks first beyond a shift, at the nearest one that was looked at."""
