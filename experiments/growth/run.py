@@ -107,7 +107,7 @@ def peers_of(name: str, case: Case, grown: Tuning) -> Iterator[list[str]]:
 
     loops, _ = loops_of(frfs, replace(grown.controller, blocks=grown.controller.blocks[:1]), asked, fits)
     kinds = {template.kind: template for template in library(loops)}
-    structure = (*asked.structure, *(kinds[step.added] for step in grown.growth[1:]))
+    structure = (*asked.structure, *(kinds[one.kind] for one in grown.controller.blocks[len(asked.structure) :]))
     asked = replace(asked, structure=structure)
     unit = replace(grown.controller, blocks=loops[0].controller.blocks)
     p, _ = Task(tuple(frfs), tuple(fits), asked, tuple(loops), (), unit, "double").problem(copies_for(asked, 1), asked)
