@@ -31,7 +31,6 @@ ROOT = HERE.parent.parent
 sys.path[:0] = [str(HERE.parent / "how_far"), str(HERE.parent / "detuning")]
 from arm_frfs import EXAMPLES, measured  # noqa: E402
 from bench_frf import motor_bench  # noqa: E402
-from hinf import best as best_hinf  # noqa: E402
 
 COLUMNS = (
     "case", "added", "bandwidth_hz", "control_peak_db", "detuning_percent", "order", "outcome", "seconds_in_all",
@@ -94,15 +93,10 @@ def grow(name: str, case: Case) -> tuple[list[list[str]], Tuning]:
 
 
 def peers_of(name: str, case: Case, grown: Tuning) -> Iterator[list[str]]:
-    """hinfsyn on the fit, and the grown structure searched by scipy's differential evolution, alone and finished by
-    this tuner's search."""
+    """The grown structure searched by scipy's differential evolution, alone and finished by this tuner's search."""
     frfs, fits, asked = case
     if len(frfs) > 1 or asked.detuning_percent is not None:
         return
-    begun = time.process_time()
-    found = best_hinf(frfs[0], fits[0], asked)
-    read, outcome = ("", "failed") if found is None else (f"{found[1]:.4g}", found[0].outcome.value)
-    yield [name, "hinfsyn on the fit", read, outcome, f"{time.process_time() - begun:.0f}"]
     from loopshape.design.growth import library
 
     loops, _ = loops_of(frfs, replace(grown.controller, blocks=grown.controller.blocks[:1]), asked, fits)
