@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
     from loopshape.data.algebra.diagram import transfer as transfer
+    from loopshape.data.algebra.multirate import multirate as multirate
     from loopshape.data.axis import axis as axis
     from loopshape.data.common_diagrams import cascade as cascade
     from loopshape.data.common_diagrams import disturbance_observer as disturbance_observer
@@ -171,6 +172,7 @@ _HOME = {
     "learning": "design.learning",
     "low_pass": "data.shorthand",
     "measure": "verbs.machine",
+    "multirate": "data.algebra.multirate",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "pid": "data.shorthand",

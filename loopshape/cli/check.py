@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Details, Output, ProfileName, Quiet, RunFolder
+from loopshape.cli.output import AsJson, Details, DiagramFile, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 from loopshape.cli.verdicts import (
     report_comparisons,
@@ -60,6 +60,7 @@ def check(
     disturbance: Annotated[
         Path | None, typer.Option(help="A run of the closed loop that nothing excites: the rms of the error from it.")
     ] = None,
+    diagram: DiagramFile = None,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
     details: Details = False,
     as_json: AsJson = False,
@@ -72,6 +73,9 @@ def check(
 
     With --matrix, or a table [several] in the requirements, several loops of one plant are checked together: each with
     all others closed, then all at once: stability by det(I + L), and what [several] asks.
+
+    With --diagram (a cascade, two actuators, an observer) the plant is what the diagram's tuned block meets; loops that
+    are closed within it are checked first and have to be stable.
     """
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
     output = Output(as_json, quiet)
@@ -79,6 +83,7 @@ def check(
     passed, _ = check_run(
         run, controller, require, output, reports=reports, figures=figures, details=details, profile=profile,
         matrix=matrix or closed is not None, closed=closed, disturbance=disturbance,
+        diagram=diagram,
     )  # fmt: skip
     if not passed:
         raise typer.Exit(1)
@@ -97,6 +102,7 @@ def check_run(
     matrix: bool = False,
     closed: Sequence[str] | None = None,
     disturbance: Path | None = None,
+    diagram: Path | None = None,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
     from loopshape.io.check_files import against, check_all
@@ -105,7 +111,9 @@ def check_run(
     reports = reports or Reports()
     chosen = None if profile is None else profile_of(profile)
     _refuse_reports(reports, require is not None or chosen is not None)
-    found = check_all(run, controller, require, chosen, matrix=matrix, closed=closed, disturbance=disturbance)
+    found = check_all(
+        run, controller, require, chosen, matrix=matrix, closed=closed, disturbance=disturbance, diagram=diagram
+    )
     if require is None and chosen is None:
         return True, _report_margins(run, found, output, figures, details)
     compared = None if reports.baseline is None else against(reports.baseline, found.single)
@@ -199,10 +207,11 @@ def _write(reports: Reports, found: Checks, compared: Baseline | None) -> None:
 
 
 def _draw(folder: Path, found: Checks) -> list[str]:
-    from loopshape.cli.figures import draw_loops, draw_several
+    from loopshape.cli.figures import draw_diagram, draw_loops, draw_several
 
     if found.matrix is not None:
         return draw_several(folder, found.matrix)
-    return [
+    first = [] if found.diagram is None else [draw_diagram(folder, found.diagram)]
+    return first + [
         path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
     ]

@@ -44,7 +44,7 @@ def feedforward(
     if (controller is None) != (move is None):
         raise WrongUseError("an error is predicted of a controller along a move", "one of them", "give both or none")
     output = Output(as_json, quiet)
-    plant = _plant(run, recording)
+    plant = plant_of(run, recording)
     made = invert(plant, band_hz=band_hz, taps=taps, preview=preview, integrators=integrators)
     write_json(out, made.to_dict())
     rows = [[made.loop, *made.band_hz, made.taps.size, made.preview, made.inverse_error.max(), made.inverse_high.max()]]
@@ -62,14 +62,15 @@ def feedforward(
     output.json({"feedforward": str(out), **made.to_dict(), "errors": told, "figures": drawn})
 
 
-def _plant(run: Path, recording: str | None) -> FRF:
+def plant_of(run: Path, recording: str | None) -> FRF:
+    """The one FRF of a run, or that of a recording; refuses several."""
     from loopshape.core.errors import WrongUseError
     from loopshape.io.frfs import read_frfs
 
     found = [frf for frf in read_frfs(run) if recording in (None, frf.recording)]
     if len(found) != 1:
         raise WrongUseError(
-            "a feedforward is made from one FRF", f"{len(found)} of {run}",
+            "an inverse is made from one FRF", f"{len(found)} of {run}",
             f"name it with --recording: {', '.join(frf.recording for frf in read_frfs(run))}",
         )  # fmt: skip
     return found[0]

@@ -12,6 +12,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
+    from loopshape.data.diagram import Diagram
     from loopshape.data.frf import FRF
     from loopshape.data.loop import Loop
     from loopshape.data.model import Fit
@@ -80,6 +81,15 @@ def draw_estimates(
                 for name in (p.name for p in own[0].parameters):
                     drawn.append(save(figure_of(parameter_map(own, name)), folder / f"fit_{loop}_{name}.png"))
     return [str(path) for path in drawn]
+
+
+def draw_diagram(folder: Path, made: Diagram) -> str:
+    """The picture of a block diagram."""
+    from loopshape.cli.pictures import save
+    from loopshape.view.diagram import diagram
+    from loopshape.view.style import figure_of
+
+    return str(save(figure_of(diagram(made)), folder / "diagram.png"))
 
 
 def draw_loops(

@@ -27,6 +27,7 @@ from loopshape.cli.gap import gap
 from loopshape.cli.import_file import import_file
 from loopshape.cli.import_frf import import_frf
 from loopshape.cli.interaction import interaction
+from loopshape.cli.learning import learning
 from loopshape.cli.measure import measure
 from loopshape.cli.output import for_any_terminal
 from loopshape.cli.plan import plan
@@ -79,6 +80,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
         ("profiles", profiles, "loopshape profiles --out mine.toml"),
         ("feedforward", feedforward, "loopshape feedforward runs/axis --band-hz 0.5 20 --out feedforward.json"),
+        ("learning", learning, "loopshape learning runs/axis controller.toml --band-hz 0.5 20 --out learning.json"),
         ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
     ),
     "Verify": (

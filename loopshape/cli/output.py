@@ -30,6 +30,9 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 ProfileName = Annotated[
     str | None, typer.Option("--profile", help="A standard's limits too: NAME of `loopshape profiles`, or FILE:NAME.")
 ]
+DiagramFile = Annotated[
+    Path | None, typer.Option("--diagram", help="A block diagram (TOML): the plant is what its tuned block meets.")
+]
 RunFolder = Annotated[Path, typer.Argument(help="A run folder.", show_default=False)]
 
 

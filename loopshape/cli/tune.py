@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, ProfileName, Quiet, RunFolder
+from loopshape.cli.output import AsJson, DiagramFile, Output, ProfileName, Quiet, RunFolder
 from loopshape.cli.verdicts import fits_of, report_verdicts
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ def tune(
     matrix: Annotated[
         bool, typer.Option("--matrix", help="Loop by loop with the others closed, on the run's matrices.")
     ] = False,
+    diagram: DiagramFile = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
     starts: Annotated[int, typer.Option(min=1, help="Starts that are followed; 1 with --start: that one alone.")] = 16,
     grow: Annotated[int, typer.Option(min=0, help="Add up to so many blocks, each the one that pays most.")] = 0,
@@ -50,8 +51,8 @@ def tune(
     if matrix:
         refuse_growth(grow)
     feasible = tune_run(
-        run, require, out, output, start=start, profile=profile, matrix=matrix, seed=seed, starts=starts,
-        **({} if matrix else {"grow": grow, "least_gain": least_gain}),
+        run, require, out, output, start=start, profile=profile, matrix=matrix, diagram=diagram, seed=seed,
+        starts=starts, **({} if matrix else {"grow": grow, "least_gain": least_gain}),
     )  # fmt: skip
     if not feasible:
         raise typer.Exit(1)
@@ -66,12 +67,14 @@ def tune_run(
     start: Path | None = None,
     profile: str | None = None,
     matrix: bool = False,
+    diagram: Path | None = None,
     **search: Any,
 ) -> bool:
     """Tune the loops of a requirements file, report, and write the controllers if all requirements are met.
 
     Each by itself, or with `matrix` in turn with the others closed; a profile then limits each with the others closed.
     """
+    from loopshape.core.errors import WrongUseError
     from loopshape.io.controllers import write_controllers
     from loopshape.io.profiles import joined
     from loopshape.io.requirements import read_required, read_requirements
@@ -79,10 +82,12 @@ def tune_run(
     given, together = read_required(require) if matrix else (read_requirements(require), None)
     requirements, chosen = joined(profile, given)
     began = controllers_to_start(start, [one.loop for one in requirements])
+    if matrix and diagram is not None:
+        raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
     if matrix:
         found, missed, more = _in_turn(run, requirements, began, together, output, **search)
     else:
-        found, missed, more = _each(run, requirements, began, output, **search)
+        found, missed, more = _each(run, requirements, began, output, diagram, **search)
     for sentence in () if chosen is None else chosen.sentences():
         output.paragraph(sentence)
     if missed:
@@ -98,13 +103,19 @@ _Found = tuple[list["Tuning"], str, dict[str, Any]]  # tunings, why they are not
 
 
 def _each(
-    run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], output: Output, **search: Any
-) -> _Found:
-    """Each loop by itself."""
+    run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], output: Output,
+    diagram: Path | None, **search: Any,
+) -> _Found:  # fmt: skip
+    """Each loop by itself, or the tuned block of a diagram."""
     from loopshape.design.tune import tune as tune_loop
+    from loopshape.io.diagrams import read_diagram
     from loopshape.io.frfs import read_frfs
+    from loopshape.loop.equivalent import equivalent
 
     frfs, fits = read_frfs(run), fits_of(run)
+    if diagram is not None:
+        met = equivalent(read_diagram(diagram, run))
+        frfs, fits, requirements = met.plants, (), tuple(map(met.asked, requirements))
     found = []
     for required in requirements:
         mine = [one for one in frfs if one.loop == required.loop]

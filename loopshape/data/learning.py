@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from loopshape.core.json_ready import Plain
 from loopshape.core.units import TWO_PI, Array
 from loopshape.data.feedforward import Feedforward
 from loopshape.data.verdict import Outcome
 
 
 @dataclass(frozen=True, eq=False)
-class Learning:
+class Learning(Plain):
     """u_next = Q (u + F e + z): F inverts the plant, z is the controller's output, Q lets the band through.
 
     From trial to trial what is still to be learned shrinks by `factor` (nf,) = |Q S (1 - P F)|;
     `factor_low` and `factor_high` end its 95 % interval by the FRF's variance. Trials converge where it is below 1 at
     every frequency (Norrlof and Gunnarsson, Int. J. Control 75(14), 2002).
     """
+
+    ALSO: ClassVar[Mapping[str, str]] = {"converges": "converges"}
 
     filter: Feedforward
     smoothing: Array

@@ -10,6 +10,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.data.baseline import Checked, Comparison
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.loop_matrix import LoopMatrix
@@ -20,12 +21,14 @@ from loopshape.data.run import Run
 from loopshape.data.verdict import Verdict
 from loopshape.identify.disturbance import disturbances_in
 from loopshape.io.controllers import read_controllers
+from loopshape.io.diagrams import read_diagram
 from loopshape.io.fits import read_fits
 from loopshape.io.frfs import read_frfs, read_several_loops
 from loopshape.io.requirements import read_required
 from loopshape.io.run_folder import RUN_TOML, read_run
 from loopshape.io.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
+from loopshape.loop.equivalent import Equivalent, equivalent
 from loopshape.loop.several import loop_matrices, verdict_on_matrices
 from loopshape.loop.verdict import check_loops
 
@@ -67,6 +70,7 @@ class Checks:
     verdicts: tuple[Verdict, ...]
     loops: tuple[LoopCheck, ...] = ()
     matrix: MatrixCheck | None = None
+    diagram: Diagram | None = None
 
     @property
     def single(self) -> tuple[LoopCheck, ...]:
@@ -127,12 +131,14 @@ def check_all(
     matrix: bool = False,
     closed: Sequence[str] | None = None,
     disturbance: Path | None = None,
+    diagram: Path | None = None,
 ) -> Checks:
     """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
 
     Several loops are checked at once, on the run's matrices, where `matrix` or the table [several] of the requirements
     asks for it; `closed` are then those that are closed, all by default. With a `profile` its limits hold too.
-    `disturbance` is the folder of a run that shows what disturbs the single loops.
+    `disturbance` is the folder of a run that shows what disturbs the single loops; a `diagram` is checked at its tuned
+    block.
 
     Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
     has FRFs of single loops only.
@@ -140,8 +146,13 @@ def check_all(
     requirements, several = (None, None) if require is None else read_required(require)
     controllers = read_controllers(controller)
     if not matrix and several is None:
-        loops = _single_loops(run, controllers, requirements, profile, disturbance)
-        return Checks(tuple(loop.verdict for loop in loops), loops)
+        drawn = None if diagram is None else read_diagram(diagram, run)
+        met = None if drawn is None else equivalent(drawn)
+        loops = _single_loops(run, controllers, requirements, profile, disturbance, met)
+        inner = () if met is None else tuple(met.inner.values())
+        return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
+    if diagram is not None:
+        raise WrongUseError("a diagram is checked at its tuned block", "several loops at once", "leave --matrix out")
     if disturbance is not None:
         raise WrongUseError("the rms of an error is predicted for single loops", "several at once", "check one alone")
     together = several or SeveralRequirements()
@@ -155,8 +166,9 @@ def _single_loops(
     requirements: tuple[Requirements, ...] | None,
     profile: Profile | None,
     disturbance: Path | None,
+    met: Equivalent | None = None,
 ) -> tuple[LoopCheck, ...]:
-    frfs, fits = read_frfs(run), fits_of(run)
+    frfs, fits = (read_frfs(run), fits_of(run)) if met is None else (met.plants, ())
     measured = {one.loop for one in frfs}
     if requirements is None:
         requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
@@ -167,6 +179,7 @@ def _single_loops(
             "give a controller file of this run's loops",
         )
     asked = requirements if profile is None else tuple(map(profile.joined, requirements))
+    asked = asked if met is None else tuple(map(met.asked, asked))
     shaken = None if disturbance is None else read_run(disturbance)
     return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, shaken) for required in asked)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.requirements import Requirements
@@ -153,15 +154,21 @@ def _(what: FRF, path: Path) -> None:
 
 
 def export(
-    controllers: Controller | GainScheduled | Tuning | Sequence[Controller | GainScheduled], folder: str | Path, to: str
+    controllers: Controller | GainScheduled | Tuning | Diagram | Sequence[Controller | GainScheduled],
+    folder: str | Path,
+    to: str,
 ) -> tuple[Path, ...]:
     """Write controllers as the target runs them, in sections: "json", "matlab", or "c" (a C99 header); gives the files.
 
-    A schedule is written as "json" or "c".
+    A schedule is written as "json" or "c", a diagram too: its controllers, and what leads from one to the other.
     Raises WrongUseError for another format and for sections that are unstable as they will run.
     """
     from loopshape.io.controller_export import export_controllers
 
+    if isinstance(controllers, Diagram):
+        from loopshape.io.diagram_c import export_diagram
+
+        return export_diagram(Path(folder), controllers, to)
     one = controllers.controller if isinstance(controllers, Tuning) else controllers
     return export_controllers(Path(folder), (one,) if isinstance(one, Controller | GainScheduled) else tuple(one), to)
 

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.data.feedforward import Feedforward
+from loopshape.data.learning import Learning
 from loopshape.loop.tracking import TrackingError
 from loopshape.view.curves import frequency_axis
 from loopshape.view.labels import symbol
-from loopshape.view.style import COLOURS, FULL_WIDTH_IN, axes_or_new, head, new_figure, styled
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, axes_or_new, head, new_figure, styled
 
 
 @styled()
@@ -24,6 +25,22 @@ def inverse_error(made: Feedforward, *, ax: Axes | None = None) -> Axes:
     frequency_axis(ax, *made.band_hz)
     ax.set_yscale("log")
     ax.set_ylabel("|1 - P F|")
+    return ax
+
+
+@styled()
+def learning_factor(made: Learning, *, ax: Axes | None = None) -> Axes:
+    """What is left from trial to trial over frequency, with its 95 % interval, and 1, below which trials converge."""
+    ax = axes_or_new(ax, (FULL_WIDTH_IN, 2.8))
+    f = made.frequency_hz
+    ax.plot(f, made.factor, color=COLOURS[0], label="|Q S (1 - P F)|")
+    ax.fill_between(f, made.factor_low, made.factor_high, color=COLOURS[0], alpha=0.25, lw=0.0)
+    ax.axhline(1.0, color=LIMIT, linewidth=1.0)
+    frequency_axis(ax, f[0], f[-1])
+    ax.set_ylim(0.0, max(1.1, 1.1 * float(made.factor_high.max())))
+    ax.set_ylabel("left after a trial")
+    ax.set_title(f"Learning: convergence {made.converges}")
+    ax.legend(loc="best")
     return ax
 
 

@@ -1,0 +1,117 @@
+"""Diagrams by file: check and tune of two actuators, learning, and the exported C stepped against the simulation."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from commands import loopshape
+
+import loopshape as ls
+from loopshape.core.errors import WrongUseError
+from loopshape.io.frfs import write_frfs
+
+RATE = 2000.0
+F = np.geomspace(0.1, 800.0, 90)
+MODELS = {
+    "P1": control.c2d(control.ss(control.tf([4000.0], [1.0, 20.0, 100.0])), 1.0 / RATE),
+    "P2": control.c2d(control.ss(control.tf([1.0e6], [1.0, 400.0, 1.0e6])), 1.0 / RATE),
+}
+PAGE = (Path(__file__).parents[2] / "docs" / "structures.md").read_text()
+DIAGRAM = PAGE.split("```toml\n")[1].split("```")[0]
+REQUIRE = """
+format = "loopshape-requirements/1"
+[[loop]]
+name = "C1"
+sensitivity_peak_db = 6.0
+integrators = 0
+structure = [{ kind = "gain", gain = [0.01, 100.0] }]
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A folder with the FRFs of two loops, and the files beside it."""
+    words = {"relative_std": 0.01, "open_loop": True, "recording": "r"}
+    frfs = [ls.FRF.from_control(MODELS[p], F, loop=loop, **words) for p, loop in (("P1", "coarse"), ("P2", "fine"))]
+    write_frfs(tmp_path / "run", frfs)
+    (tmp_path / "diagram.toml").write_text(DIAGRAM)
+    C1 = ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE, loop="C1")
+    ls.write(C1, tmp_path / "c.toml")
+    return tmp_path / "run"
+
+
+def test_a_diagram_is_checked_at_its_tuned_block(run: Path) -> None:
+    require = run.parent / "r.toml"
+    require.write_text('format = "loopshape-requirements/1"\n[[loop]]\nname = "C1"\nmodulus_margin = 0.3\n')
+    done = loopshape(
+        "check", run, run.parent / "c.toml", "--require", require, "--diagram", run.parent / "diagram.toml", "--json"
+    )
+    answer = json.loads(done.stdout)
+    assert [one["loop"] for one in answer["loops"]] == ["C2", "C1"]
+    assert answer["passed"]
+    assert any(Path(path).name == "diagram.png" for path in answer["figures"])
+
+
+def test_a_diagram_with_an_unstable_inner_loop_is_refused_in_words(run: Path) -> None:
+    text = DIAGRAM.replace("gain = 0.3", "gain = 30.0")
+    (run.parent / "diagram.toml").write_text(text)
+    done = loopshape("check", run, run.parent / "c.toml", "--diagram", run.parent / "diagram.toml", code=2)
+    assert "inner loop C2 is unstable" in " ".join(done.stderr.split())
+
+
+def test_learning_says_whether_trials_converge(tmp_path: Path) -> None:
+    s = 2j * np.pi * F
+    P = ls.FRF.from_arrays(F, 20.0 / s, relative_std=0.01, rate_hz=RATE, loop="x", recording="r", open_loop=True)
+    write_frfs(tmp_path / "run", [P])
+    ls.write(ls.controller(ls.gain(0.5), rate_hz=RATE, loop="x"), tmp_path / "c.toml")
+    out = tmp_path / "learning.json"
+    loopshape("learning", tmp_path / "run", tmp_path / "c.toml", "--band-hz", 0.1, 20, "--out", out)
+    told = json.loads(out.read_text())
+    L = ls.learning(P, ls.controller(ls.gain(0.5), rate_hz=RATE), band_hz=(0.1, 20.0))
+    assert told["converges"] == "passed"
+    np.testing.assert_allclose(told["factor"], L.factor)
+    assert (tmp_path / "run" / "figures" / "learning_x.png").exists()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
+@pytest.mark.parametrize("kind", ["parallel", "observer"])
+def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
+    """The step in C, fed with what the simulation measured, gives what the simulation put into the plants."""
+    C = ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE)
+    P1, P2 = (ls.FRF.from_control(MODELS[name], F, relative_std=0.01) for name in ("P1", "P2"))
+    C2 = ls.controller(ls.gain(0.3), ls.low_pass(30.0, order=1), rate_hz=RATE)
+    nominal = control.tf([4000.0], [1.0, 20.0, 100.0])
+    D, models = {
+        "parallel": (ls.dual_stage(P1, P2, C2).with_part("C1", C), MODELS),
+        "observer": (
+            ls.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
+        ),
+    }[kind]  # fmt: skip
+    ls.export(D, tmp_path, "c")
+    outputs = ["u1", "u2"] if kind == "parallel" else ["u"]
+    show = " ".join(["%.17g"] * len(outputs))
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "diagram.h"\nint main(void) {\n'
+        "  diagram_state s; diagram_inputs in; diagram_outputs out; diagram_reset(&s);\n"
+        '  while (scanf("%lf %lf", &in.r, &in.y) == 2) { diagram_step(&s, &in, &out);\n'
+        f'    printf("{show}\\n", {", ".join(f"out.{n}" for n in outputs)}); }}\n  return 0; }}\n'
+    )
+    command = ["cc", "-std=c99", "-Wall", "-Werror", "-ffp-contract=off", "main.c", "-o", "main"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
+    signals = ls.simulate(D, models, {"r": np.sin(0.02 * np.arange(300))})
+    lines = "\n".join(f"{r!r} {y!r}" for r, y in zip(signals["r"].tolist(), signals["y"].tolist(), strict=True))
+    done = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=True, timeout=60)
+    found = np.array([row.split() for row in done.stdout.splitlines()], dtype=float).T
+    for name, values in zip(outputs, found, strict=True):
+        np.testing.assert_allclose(values, signals[name], atol=1e-9 * np.abs(signals[name]).max())
+
+
+def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
+    P = ls.FRF.from_control(MODELS["P1"], F)
+    D = ls.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
+    with pytest.raises(WrongUseError, match="no controller yet"):
+        ls.export(D, tmp_path, "c")
