@@ -46,9 +46,8 @@ def _part(words: Words, rate_hz: float, run: Path) -> Part:
         what = _plants(words, run)
     elif "controller" in words.table:
         what = read_controller(words, rate_hz)
-    signals = (_signals(words, key) for key in ("in", "out"))
     counts = {key: words.whole(key, 0) for key in ("integrators", "unstable_poles") if key in words.table}
-    return Part(words.text("name"), *signals, what, **counts)  # type: ignore[arg-type]
+    return Part(words.text("name"), _signals(words, "in"), _signals(words, "out"), what, **counts)
 
 
 def _signals(words: Words, key: str) -> tuple[str, ...]:
