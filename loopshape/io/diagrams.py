@@ -46,8 +46,8 @@ def _part(words: Words, rate_hz: float, run: Path) -> Part:
         what = _plants(words, run)
     elif "controller" in words.table:
         what = read_controller(words, rate_hz)
-    counts = {key: words.whole(key, 0) for key in ("integrators", "unstable_poles") if key in words.table}
-    return Part(words.text("name"), _signals(words, "in"), _signals(words, "out"), what, **counts)
+    poles = [words.whole(key, 0) if key in words.table else None for key in ("integrators", "unstable_poles")]
+    return Part(words.text("name"), _signals(words, "in"), _signals(words, "out"), what, poles[0], poles[1])
 
 
 def _signals(words: Words, key: str) -> tuple[str, ...]:
