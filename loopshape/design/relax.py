@@ -19,7 +19,7 @@ from loopshape.core.units import Array
 from loopshape.data.requirements import LIMIT_OF, Requirements
 from loopshape.design.measures import Measures
 from loopshape.design.problem import Problem, bounds_reached
-from loopshape.design.rows import SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.rows import Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
 from loopshape.design.settle import Judge, Settled, least_rooms, settle
 from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
@@ -119,7 +119,7 @@ def shortfall(
             return min([settled, again], key=lambda one: one.rank), None
     judged = Settled(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
-    asked = dict.fromkeys(pull.quantity for pull in pulls if pull.quantity != SURE)
+    asked = dict.fromkeys(pull.quantity for pull in pulls if pull.quantity in LIMIT_OF)
     starts = [least, *ends[:ENDS]]
     relaxed = [_relaxation(p, name, starts, settled.tighten, judge_of) for name in asked]
     bounds = bounds_reached(p, least.x)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from loopshape.design import relax
 from loopshape.design.measures import measure
 from loopshape.design.tune import tune
 
@@ -49,6 +50,19 @@ def test_what_holds_them_apart_is_named_with_shares_that_sum_to_one(known):
     crossover = 2.0 * np.pi * known.bandwidth_hz
     assert shares["bandwidth_hz"] == pytest.approx(crossover * DELAY_S * shares["phase_margin_deg"], rel=1e-2)
     assert why.certified
+
+
+def test_a_dip_that_binds_is_no_requirement_that_could_give(monkeypatch):
+    certificate = relax._certificate
+
+    def with_a_dip(*given):
+        pulls, helps = certificate(*given)
+        return (*pulls, replace(pulls[0], quantity="dip")), helps
+
+    monkeypatch.setattr(relax, "_certificate", with_a_dip)
+    why = tune([PLANT], APART).shortfall
+    assert "dip" in {pull.quantity for pull in why.pulls}
+    assert {one.quantity for one in why.relaxations} == {"bandwidth_hz", "phase_margin_deg"}
 
 
 def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
