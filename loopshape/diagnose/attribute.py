@@ -70,6 +70,10 @@ def worth_fitting(guesses: Sequence[Guess], base: Fitted) -> list[Guess]:
     return list(guesses[: min(max(enough, 8), 20)])
 
 
+#: share of mean squares below which a start is taken to change nothing
+_ROUNDING = 1e-10
+
+
 def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, brief: bool = False) -> list[Guess]:
     """Each hypothesis at its best start, the magnitude scaled and the spread answering, both by straight lines."""
     every = [(h, h.starts(base.phi)[: 1 if brief else None]) for h in hypotheses]
@@ -106,9 +110,10 @@ def _guesses(
     g[:, phi.size - n_spread :] = products[:, :-1]
     out = [_guess(hypothesis, phi, fitting.Normal(h, g), squares, fitting.weights(squares), spread)]
     place = sum(len(f.free) for f in hypothesis.forms[:-1])
-    if (start := phi[place]) != 0.0:
-        across, own = products[:, -1], table[:, -1, -1]
-        h[:, place, place] = (squares - 2.0 * across + own) / start**2
+    across, own = products[:, -1], table[:, -1, -1]
+    changed = np.maximum(squares - 2.0 * across + own, 0.0)  # rounding is left where the start changes nothing
+    if (start := phi[place]) != 0.0 and np.any(changed > _ROUNDING * (squares + own)):
+        h[:, place, place] = changed / start**2
         h[:, place, phi.size - n_spread :] = (products[:, :-1] - table[:, -1, :-1]) / start
         h[:, phi.size - n_spread :, place] = h[:, place, phi.size - n_spread :]
         g[:, place] = (squares - across) / start

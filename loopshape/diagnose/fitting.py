@@ -101,9 +101,19 @@ def box_step(hypothesis: Hypothesis, phi: Array, equations: Normal, weight: Arra
     return _solve(h, g, (hypothesis.low - phi)[free], (hypothesis.high - phi)[free], free)
 
 
+def _factor(h: Array) -> Array:
+    """The Cholesky factor of a scaled matrix, with as much on its diagonal as differences of sums took off it."""
+    for ridge in (1e-9, 1e-7, 1e-5):
+        try:
+            return np.linalg.cholesky(h + ridge * np.eye(len(h)))
+        except np.linalg.LinAlgError:
+            continue
+    return np.linalg.cholesky(h + 1e-3 * np.eye(len(h)))
+
+
 def _solve(h: Array, g: Array, low: Array, high: Array, free: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(h), 1e-300))
-    factor = np.linalg.cholesky(h / np.outer(scale, scale) + 1e-9 * np.eye(len(h)))
+    factor = _factor(h / np.outer(scale, scale))
     solution = lsq_linear(
         factor.T, np.linalg.solve(factor, g / scale), (low * scale - 1e-12, high * scale + 1e-12), method="bvls"
     )

@@ -93,3 +93,25 @@ def test_a_size_is_as_sure_as_its_form_fits(evidence):
     wider = np.sqrt(deviation(20.0) ** 2 - deviation(1e9) ** 2)  # of 20 a tenth is left, of 1e9 nothing
     assert wider == pytest.approx(attribute.OF_WHAT_IS_LEFT * 0.1 * found.magnitudes[0], rel=1e-6)
     assert attribute.share_left(none, none) == 1.0
+
+
+def test_two_numbers_that_rounding_alone_tells_apart_share_the_step():
+    # an effect that is the change of a tolerance: its products come from differences, 1e-8 below what they should be
+    h, g = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-8]]), np.array([1.0, 1.0])
+    step = fitting._solve(h, g, np.full(2, -9.0), np.full(2, 9.0), np.ones(2, dtype=bool))
+    assert step.sum() == pytest.approx(1.0, rel=1e-4)
+
+
+class Idle(Line):
+    """A plant on which the effect does nothing but round the last digits another way."""
+
+    def residuals(self, prepared, moves):
+        out = MEASURED - SPREAD @ [moves["s1"], moves["s2"]]
+        return {"a": out * (1.0 + 3e-16 * (moves.get("load", 0.0) != 0.0))}
+
+
+def test_a_start_that_changes_nothing_is_left_as_it_is():
+    evidence = Evidence(Idle(), [None], 1, CELLS)
+    base = attribute.healthy(evidence)
+    (guess,) = attribute.started(evidence, [Hypothesis(evidence.plant, evidence.plant.effects)], base)
+    assert guess.cost == pytest.approx(fitting.cost(base.mean_squares), rel=1e-6)
