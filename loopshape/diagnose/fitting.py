@@ -105,10 +105,10 @@ def _factor(h: Array) -> Array:
     """The Cholesky factor of a scaled matrix, with as much on its diagonal as differences of sums took off it."""
     for ridge in (1e-9, 1e-7, 1e-5):
         try:
-            return np.linalg.cholesky(h + ridge * np.eye(len(h)))
+            return np.asarray(np.linalg.cholesky(h + ridge * np.eye(len(h))), dtype=float)
         except np.linalg.LinAlgError:
             continue
-    return np.linalg.cholesky(h + 1e-3 * np.eye(len(h)))
+    return np.asarray(np.linalg.cholesky(h + 1e-3 * np.eye(len(h))), dtype=float)
 
 
 def _solve(h: Array, g: Array, low: Array, high: Array, free: Array) -> Array:
