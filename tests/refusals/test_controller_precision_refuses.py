@@ -124,7 +124,7 @@ def test_export(tmp_path):
     def named(name):
         return Controller(name, (GAIN,), 1000.0)
 
-    no([make()], "C", "format for controllers is not known; received 'C'; use json, matlab, c")
+    no([make()], "C", "format for controllers is not known; received 'C'; use json, matlab, simulink, c")
     no([], "c", "no controller")
     no([named("a b"), named("a_b")], "c", "two loops would become one file; received controller_a_b.h")
     no([named("Axis"), named("axis")], "json", "two loops would become one file")
