@@ -8,7 +8,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -33,11 +33,12 @@ Place = tuple[float, float]
 
 
 def main() -> None:
-    """Measure the dense grid, tune the nodes, check each frozen point, move."""
-    plants = measured()
+    """Measure nodes and cells, tune the nodes, check each frozen point, move."""
+    places = tuple(product(SETTINGS["theta2_deg"], SETTINGS["p_ab_bar"]))
+    plants = measured((*places, *product(middles(SETTINGS["theta2_deg"]), middles(SETTINGS["p_ab_bar"]))))
     (asked,) = read_requirements(HERE / "requirements.toml")
-    wanted = closer(asked)
-    nodes = {place: tuned(place, plants, wanted) for place in product(SETTINGS["theta2_deg"], SETTINGS["p_ab_bar"])}
+    wanted = asked.moved(SETTINGS["room"])
+    nodes = {place: tuned(place, plants, wanted) for place in places}
     points = [{"theta2_deg": t, "p_ab_bar": p} for t, p in nodes]
     follows = {"theta2_deg": "theta2", "p_ab_bar": "p_ab"}
     scheduled = ls.gain_scheduled(list(nodes.values()), points, follows, lag_s=SETTINGS["lag_s"])
@@ -48,16 +49,19 @@ def main() -> None:
     }
     write(HERE / "points.csv", point_rows(plants, nodes, verdicts))
     write(HERE / "summary.csv", summary_rows(plants, nodes, verdicts, {"scheduled": scheduled, "robust": robust}))
-    places = {plant.recording: dict(plant.operating_point) for plant in plants.values()}
-    figure = gain_scheduled_page(scheduled, verdicts["scheduled"], places)
+    known = {plant.recording: dict(plant.operating_point) for plant in plants.values()}
+    figure = gain_scheduled_page(scheduled, verdicts["scheduled"], known)
     write_bytes_whole(ROOT / "figures" / "schedules" / "schedule.png", png(figure))
 
 
-def measured() -> dict[Place, ls.FRF]:
-    """The angle's FRF at each place of the dense grid, one recording each."""
-    thetas = sorted(SETTINGS["theta2_deg"] + SETTINGS["theta2_between_deg"])
-    bars = sorted(SETTINGS["p_ab_bar"] + SETTINGS["p_ab_between_bar"])
-    points = tuple({"theta2_deg": t, "p_ab_bar": p} for t, p in product(thetas, bars))
+def middles(values: Sequence[float]) -> list[float]:
+    """The middle of every two neighbours."""
+    return [0.5 * (a + b) for a, b in pairwise(values)]
+
+
+def measured(places: Sequence[Place]) -> dict[Place, ls.FRF]:
+    """The angle's FRF at each place, one recording each."""
+    points = tuple({"theta2_deg": t, "p_ab_bar": p} for t, p in places)
     study = replace(read_study(HERE / "identify.toml"), operating_points=points)
     arm = Arm1()
     recordings = tuple(measure(study, arm, threads=1))
@@ -66,22 +70,14 @@ def measured() -> dict[Place, ls.FRF]:
     return {(f.operating_point["theta2_deg"], f.operating_point["p_ab_bar"]): f for f in frfs}
 
 
-def closer(asked: ls.Requirements) -> ls.Requirements:
-    """Limits with room for what lies between the nodes."""
-    room_db, room_deg = SETTINGS["room_db"], SETTINGS["room_deg"]
-    return asked.moved({"sensitivity_peak_db": -room_db, "phase_margin_deg": room_deg, "gain_margin_db": room_db})
-
-
 def tuned(place: Place, plants: dict[Place, ls.FRF], asked: ls.Requirements) -> ls.Controller:
-    """The node's controller, tuned on its own plant and those half a knot around it; -theta2 has that of theta2."""
+    """The node's controller, tuned on its own plant; -theta2 has that of theta2."""
     at = (abs(place[0]), place[1])
-    near = [x for x in plants if abs(x[0] - at[0]) < 8.0 and abs(x[1] - at[1]) < 0.11]
-    if place not in CACHE:
-        found = ls.tune([plants[x] for x in near], asked, starts=SETTINGS["starts"])
-        CACHE[at] = CACHE[(-at[0], at[1])] = found.controller
-        low = min(m.bandwidth_hz for m in found.verdict.margins.values())
-        print(at, f"{low:.3g} Hz on {len(near)} plants, {found.verdict.outcome}", flush=True)
-    return CACHE[place]
+    if at not in CACHE:
+        found = ls.tune(plants[at], asked, starts=SETTINGS["starts"])
+        CACHE[at] = found.controller
+        print(at, f"{found.bandwidth_hz:.3g} Hz, {found.verdict.outcome}", flush=True)
+    return CACHE[at]
 
 
 CACHE: dict[Place, ls.Controller] = {}

@@ -12,6 +12,9 @@ from loopshape.data.verdict import Verdict
 from loopshape.view.labels import quantity, symbol
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, MARKERS, axes_or_new, head, shades, styled
 
+#: more curves than this have their legend beside the plot
+BESIDE = 6
+
 
 @styled()
 def magnitudes(C: GainScheduled, *, ax: Axes | None = None) -> Axes:
@@ -56,7 +59,11 @@ def frozen_points(C: GainScheduled, verdict: Verdict, operating_points: dict[str
     ax.set_xlabel(quantity(first.name))
     ax.set_ylabel("bandwidth [Hz]")
     if first is not last:
-        ax.legend(title=quantity(last.name), ncols=2)
+        title = quantity(last.name)
+        if len(seconds) > BESIDE:
+            ax.legend(title=title, loc="center left", bbox_to_anchor=(1.02, 0.5))
+        else:
+            ax.legend(title=title, ncols=2)
     return ax
 
 
