@@ -15,6 +15,7 @@ from loopshape.cli.verdicts import (
     report_comparisons,
     report_headline,
     report_margins,
+    report_phase_budget,
     report_verdicts,
     warn_of,
 )
@@ -124,6 +125,8 @@ def check_run(
     report_headline(found.verdicts, output, ", and worse than the baseline" if worse else "")
     if details:
         report_verdicts(found.verdicts, output)
+        for one in found.loops:
+            report_phase_budget(one.verdict, one.controller, output)
     else:
         warn_of(found.verdicts, output)
     _say_profile(chosen, found.verdicts, output)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from loopshape.data.verdict_words import (
 
 if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison
+    from loopshape.data.controller import Controller
     from loopshape.data.model import Fit
     from loopshape.data.verdict import Line, Verdict
 
@@ -170,6 +172,18 @@ def _margins(verdict: Verdict, output: Output) -> None:
     ]
     columns += ["|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
     output.table(f"Margins of loop {verdict.loop}", columns, rows)
+
+
+def report_phase_budget(verdict: Verdict, controller: Controller, output: Output) -> None:
+    """What each block costs in degrees where the phase margin is least; nothing where no |L| crosses 0 dB."""
+    seen = {name: m for name, m in verdict.margins.items() if isfinite(m.at_hz.get("phase_margin_deg", inf))}
+    if not seen or controller.loop != verdict.loop:
+        return
+    worst = min(seen, key=lambda name: seen[name].phase_margin_deg)
+    at_hz = seen[worst].at_hz["phase_margin_deg"]
+    rows: list[list[object]] = [[k, *part] for k, part in enumerate(controller.phase_budget(at_hz), start=1)]
+    title = f"Phase budget of loop {verdict.loop} at {at_hz:.4g} Hz, where the phase margin of {worst} is read"
+    output.table(title, ["", "block", "phase [deg]", "magnitude [dB]"], rows)
 
 
 def _detunings(verdict: Verdict, output: Output) -> None:

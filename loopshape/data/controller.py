@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import cascade
-from loopshape.core.units import TWO_PI, Array, ComplexArray, angular
+from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, db, deg
 from loopshape.data.block import BLOCK_KINDS, Block, Polynomial, Section, block_kind, series_response
 from loopshape.data.precision import Precision
 
@@ -117,6 +117,17 @@ class Controller:
     def outside(self, frequency_hz: ArrayLike) -> ComplexArray:
         """Response (nf,) of what follows the sections: the computation's delay and the added hold."""
         return hold_and_delay(frequency_hz, self.rate_hz, self.computation_delay_s, hold=self.added_hold)
+
+    def phase_budget(self, frequency_hz: float) -> tuple[tuple[str, float, float], ...]:
+        """What each block adds at a frequency: its kind, degrees and dB; last the hold and delay, where it has them.
+
+        Rounded coefficients are left out: `moved_by_rounding` says what they change.
+        """
+        s = self.s_at([frequency_hz])
+        parts = [(block.kind, series_response((block,), s)) for block in self.blocks]
+        if self.computation_delay_s or self.added_hold:
+            parts.append(("hold and delay", self.outside([frequency_hz])))
+        return tuple((kind, float(deg(np.angle(one[0]))), float(db(np.abs(one[0])))) for kind, one in parts)
 
     def biquads(self) -> Array:
         """Discrete sections (n, 5) as b0, b1, b2, a1, a2 with a0 = 1, by Tustin's rule, rounded to `precision`.

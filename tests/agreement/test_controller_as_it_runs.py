@@ -140,3 +140,17 @@ def test_every_setting_changes_the_digest_and_the_name_does_not():
     ]  # fmt: skip
     assert len({plain.digest, *(one.digest for one in others)}) == len(others) + 1
     assert replace(plain, loop="two").digest == plain.digest
+
+
+def test_the_phase_budget_is_each_section_alone_and_what_follows_them():
+    c = Controller("one", SERIES, RATE_HZ, computation_delay_s=3e-3, added_hold=True)
+    at_hz = 0.21 * RATE_HZ
+    parts = c.phase_budget(at_hz)
+    w = [2.0 * np.pi * at_hz / RATE_HZ]
+    alone = [signal.freqz(row[:3], [1.0, *row[3:]], worN=w)[1][0] for row in c.biquads()]
+    behind = np.sinc(0.21) * np.exp(-1j * np.pi * 0.21) * np.exp(-2j * np.pi * at_hz * 3e-3)
+    assert [kind for kind, *_ in parts] == [block.kind for block in SERIES] + ["hold and delay"]
+    for (_, degrees, decibels), one in zip(parts, [*alone, behind], strict=True):
+        assert 10.0 ** (decibels / 20.0) * np.exp(1j * np.radians(degrees)) == pytest.approx(one, rel=1e-9)
+    whole = np.exp(1j * np.radians(sum(degrees for _, degrees, _ in parts)))
+    assert whole == pytest.approx(np.exp(1j * np.angle(c.response([at_hz])[0])), rel=1e-9)

@@ -138,6 +138,9 @@ def test_a_controller_that_got_worse_fails_unless_that_is_allowed(bench: Path) -
     line = next(x for x in table if x.startswith("bandwidth_hz") and "exact" in x)
     assert "worse" in line
     assert "loop motor: another controller, the same data" in done.stdout
+    budget = next(k for k, x in enumerate(table) if x.startswith("Phase budget of loop motor at "))
+    assert "where the phase margin of type-a is read" in table[budget]
+    assert [x.split()[:2] for x in table[budget + 2 : budget + 5]] == [["1", "gain"], ["2", "lead_lag"], ["3", "notch"]]
     assert 'type="worse"' in (bench / "slow.xml").read_text()
     assert re.search(r"^\| bandwidth_hz \| motor \| .* \| exact \| Hz \| type-a \| 1 \| worse \|$",
                      (bench / "slow.md").read_text(), flags=re.M)  # fmt: skip
