@@ -53,7 +53,8 @@ def axis(
     motor_inertia, the part of a single body that sits on the motor's side of a coupling that may be flexible;
     load_inertia, load_damping, coupling_stiffness and coupling_damping of a load behind a coupling, in the units of the
     motor's side. SI of rad, or of m where `rotary` is false. `effort`, `position` and `load_position` are columns, or
-    an `Input` and `Output`s with factors. A payload is looked for in kg m2 (kg of a linear axis) on the last body.
+    an `Input` and an `Output` each, with factors. A payload is looked for in kg m2 (kg of a linear axis) on the last
+    body.
 
     Refuses unknown names, missing ones, and a load's sensor without a load. Misleads where the gear's ratio is not in
     the factors.

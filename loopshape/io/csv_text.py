@@ -68,8 +68,8 @@ class CsvTable:
     def stamps(self, name: str, clock: str) -> Array:
         """A column (n,) of stamps written as text, in s since its first row; refuses what `clock` does not read.
 
-        `clock` is "iso" (dates and times as ISO 8601 writes them), "clock" (hours:minutes:seconds), or a format of
-        `datetime.strptime`. A comma stands for the point of the seconds.
+        `clock` is "iso" (dates and times as ISO 8601 writes them), "clock" (hours:minutes:seconds, or a number with
+        sec, min or hr behind it), or a format of `datetime.strptime`. A comma stands for the point of the seconds.
         """
         import pandas as pd
 

@@ -31,7 +31,7 @@ _CLOCKS = (
     ("%d.%m.%Y %H:%M:%S,%f", re.compile(r"\d\d?\.\d\d?\.\d{4} \d\d?:\d\d:\d\d,\d+")),
     ("%d.%m.%Y %H:%M:%S", re.compile(r"\d\d?\.\d\d?\.\d{4} \d\d?:\d\d:\d\d")),
     ("%Y/%m/%d %H:%M:%S.%f", re.compile(r"\d{4}/\d\d/\d\d \d\d?:\d\d:\d\d\.\d+")),
-    ("clock", re.compile(r"\d\d?:\d\d:\d\d([.,]\d+)?")),
+    ("clock", re.compile(r"\d\d?:\d\d:\d\d([.,]\d+)?|-?\d+([.,]\d+)? (sec|min|hr)")),
 )
 
 

@@ -134,6 +134,7 @@ def test_stamps_of_every_kind_give_the_rate(tmp_path):
         "german": [f"05.03.2024 10:{10 + int(s) // 60:02d}:{s % 60:06.3f}" for s in k / RATE],
         "epoch ms": [f"{1709632800000 + round(1e3 * s)}" for s in k / RATE],
         "us": [f"{round(1e6 * s)}" for s in k / RATE],
+        "MATLAB's durations": [f"{s:.6g} sec" for s in k / RATE],
     }
     for name, column in stamps.items():
         rows = "\n".join(f"{s},{a:.6g},{b:.6g},{c:.6g}" for s, a, b, c in zip(column, n, z, y, strict=True))
