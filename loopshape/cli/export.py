@@ -107,16 +107,21 @@ def firmware(
     rate_hz: Annotated[float, typer.Option(help="Rate of the loop.")],
     out: Annotated[Path, typer.Option(help="The controller file to write.")],
     axis: Annotated[str, typer.Option(help="roll, pitch or yaw; of drives position, velocity or current.")] = "roll",
+    notch: Annotated[
+        list[str] | None,
+        typer.Option(help="A dynamic notch as it stood, FREQUENCY:WIDTH in Hz (betaflight: FREQUENCY:Q); repeatable."),
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
     """Make a controller file of a firmware's rate loop or a drive's; export-controller writes its parameters back."""
     from loopshape.io.controllers import write_controllers
     from loopshape.io.drives import controller_of_parameters
-    from loopshape.io.firmware import left_out, read_parameters
+    from loopshape.io.firmware import left_out, read_parameters, with_notches
 
     output, given = Output(as_json, quiet), read_parameters(parameters)
     made, missing = controller_of_parameters(given, of, axis, rate_hz), left_out(given, of, axis)
+    made = with_notches(made, notch or (), of)
     write_controllers(out, [made], {"firmware": of, "parameters": parameters.name, "left_out": list(missing)})
     rows = [[block.kind, ", ".join(f"{k} {v:.6g}" for k, v in block.parameters.items())] for block in made.blocks]
     output.table(f"Loop {axis} of {of} in {out}", ["block", "parameters"], rows)

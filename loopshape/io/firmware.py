@@ -16,8 +16,8 @@ Feed-forward, limits, anti-windup and thrust-dependent scaling are outside; filt
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -181,7 +181,7 @@ def left_out(parameters: Mapping[str, float | str], firmware: str, axis: str) ->
     on = [name for name in names if parameters.get(name, 0.0) not in (0.0, "OFF")]
     return tuple(
         f"{name} = {parameters[name]}: this filter is not in the controller, and its phase is missing; switch it off,"
-        " or add it as a block at its frequency in the flight that was logged"
+        " or add it as it stood in the flight that was logged, a notch by --notch"
         for name in on
     )
 
@@ -200,6 +200,27 @@ def _notch(f_hz: float, width_hz: float, rate_hz: float) -> Block:
     warped, k = _warped(f_hz, rate_hz), float(np.tan(np.pi * f_hz / rate_hz))
     damping = float(np.tan(np.pi * width_hz / rate_hz)) * (1.0 + k**2) / (2.0 * k)
     return Block("notch", {"f1_hz": warped, "f2_hz": warped, "damping1": 0.0, "damping2": damping})
+
+
+def with_notches(controller: Controller, words: Sequence[str], firmware: str) -> Controller:
+    """A controller behind a bank of dynamic notches as they stand at one moment of a flight.
+
+    Each word is FREQUENCY:WIDTH in Hz, of Betaflight FREQUENCY:Q. Its notch is (1 + 2 b/z + 1/z²)/(1 + a + 2 b/z
+    + (1 - a)/z²), b = -cos(w), with PX4's a = tan(pi width/rate) or a = sin(w)/(2 Q). Refuses other words, and
+    frequencies from half the rate on.
+    """
+    bank = []
+    for word in words:
+        match = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", word)
+        f_hz, second = (float(x) for x in match.groups()) if match else (0.0, 0.0)
+        if not (0.0 < f_hz < 0.5 * controller.rate_hz and 0.0 < second < 0.5 * controller.rate_hz):
+            what = "FREQUENCY:Q" if firmware == "betaflight" else "FREQUENCY:WIDTH in Hz"
+            raise WrongUseError(f"a notch of a bank is {what}, below half the rate", repr(word), "as 140:25")
+        notch = _notch(f_hz, second, controller.rate_hz)
+        if firmware == "betaflight":
+            notch = replace(notch, parameters={**notch.parameters, "damping2": 0.5 / second})
+        bank.append(notch)
+    return replace(controller, blocks=(*controller.blocks, *bank))
 
 
 def _share(f_hz: float, rate_hz: float) -> float:

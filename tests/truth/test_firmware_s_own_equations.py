@@ -9,7 +9,7 @@ from loopshape.cli.export import export_controller, firmware
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.controller import step
 from loopshape.io.drives import controller_of_parameters, drive_parameters, drive_text
-from loopshape.io.firmware import controller_of, left_out, parameters_of, read_parameters
+from loopshape.io.firmware import controller_of, left_out, parameters_of, read_parameters, with_notches
 
 RATE_HZ = 1000.0
 T = 1.0 / RATE_HZ
@@ -288,3 +288,23 @@ def test_a_backup_of_two_axes_is_asked_for_one(tmp_path):
         controller_of_parameters({**MOTOR, "phase_resistance": 0.04}, "odrive", "current", RATE_HZ)
     with pytest.raises(WrongUseError, match="position, velocity, current"):
         controller_of_parameters(given, "odrive", "roll", RATE_HZ)
+
+
+@pytest.mark.parametrize(("name", "parameters", "axis"), [("px4", PX4, "roll"), ("betaflight", BETAFLIGHT, "yaw")])
+def test_a_bank_of_dynamic_notches_is_the_firmware_s_product(name, parameters, axis):
+    bank = [(120.0, 20.0), (185.0, 4.0)] if name == "px4" else [(120.0, 3.0), (185.0, 5.0)]
+    alone = controller_of(parameters, name, axis, RATE_HZ)
+    C = with_notches(alone, [f"{f:g}:{x:g}" for f, x in bank], name)
+    f_hz = np.array([1.0, 50.0, 118.0, 190.0, 420.0])
+    z, expected = np.exp(2j * np.pi * f_hz / RATE_HZ), alone.response(f_hz)
+    for f, x in bank:
+        w = 2.0 * np.pi * f / RATE_HZ
+        a = np.tan(np.pi * x / RATE_HZ) if name == "px4" else np.sin(w) / (2.0 * x)
+        expected = expected * (1 - 2 * np.cos(w) / z + z**-2) / (1 + a - 2 * np.cos(w) / z + (1 - a) * z**-2)
+    np.testing.assert_allclose(C.response(f_hz), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("word", ["120", "600:20", "120:0", "a:b", "120:-3"])
+def test_a_notch_that_no_bank_holds_is_refused(word):
+    with pytest.raises(WrongUseError, match="FREQUENCY:WIDTH in Hz, below half the rate"):
+        with_notches(controller_of(PX4, "px4", "roll", RATE_HZ), [word], "px4")
