@@ -13,8 +13,11 @@ from loopshape.io.import_file import import_file
 PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.S)
 LOOP = next(block for block in BLOCKS if "speed" in block)
-STATES_UNITS = ("tdms", "mf4")
-NEEDS = {"tdms": "nptdms", "mf4": "asammdf", "mat": "scipy", "json": "json", "wav": "scipy", "mcap": "mcap"}
+STATES_UNITS = ("tdms", "mf4", "csv")
+NEEDS = {
+    "tdms": "nptdms", "mf4": "asammdf", "mat": "scipy", "json": "json", "wav": "scipy", "mcap": "mcap", "csv": "csv",
+    "bag": "rosbags",
+}  # fmt: skip
 
 
 def written(ending, folder, monkeypatch):
@@ -36,7 +39,7 @@ def test_every_block_is_tried():
     assert {ending for block in BLOCKS for ending in re.findall(r"try\.(\w+)", block)} == set(NEEDS)
 
 
-@pytest.mark.parametrize("ending", ["tdms", "mf4", "mat", "json"])
+@pytest.mark.parametrize("ending", ["tdms", "mf4", "mat", "json", "csv", "bag"])
 def test_the_draft_is_taken_and_the_response_is_the_plant(ending, tmp_path, monkeypatch):
     file = written(ending, tmp_path, monkeypatch)
     draft = draft_map(file)
