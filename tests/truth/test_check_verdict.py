@@ -372,3 +372,12 @@ def test_a_crossing_is_not_warned_of_where_no_bandwidth_is_required():
     C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
     asked = Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
     assert not [w for w in check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked).warnings if "crosses 0 dB" in w]
+
+
+def test_a_peak_near_the_crossing_does_not_hide_that_the_error_is_hardly_reduced_below():
+    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    peak = 1.0 + 8.0 / (1.0 + 20.0j * (F / 9.0 - 9.0 / F))  # |L| up to 20 dB at 9 Hz, near 1 below 4
+    found = check([plant_of(1.1 * peak / (1.0 + 1j * F / 30.0))], C, asked)
+    assert db(1.0 + np.abs(1.1 * peak / (1.0 + 1j * F / 30.0)).max()) > 18.0
+    assert any("crosses 0 dB" in w for w in found.warnings)
