@@ -22,6 +22,8 @@ from loopshape.io.sources import open_source
 FORMAT = "loopshape-frf-mat/1"
 #: a variable with the lines, and its unit; without a unit of its own `frequency_unit` says it, else it is Hz
 _LINES = {"frequency_hz": "Hz", "frequency": "", "omega_rad_s": "rad/s"}
+#: other words for them, taken with a note
+_HABITS = {"hz": "Hz", "f_hz": "Hz", "freq_hz": "Hz", "f": "Hz", "freq": "Hz", "w": "rad/s", "omega": "rad/s"}
 _UNITS = {"Hz": 1.0, "rad/s": hz(1.0), "rad/TimeUnit": hz(1.0)}
 
 
@@ -51,11 +53,14 @@ def _cell(texts: list[str]) -> np.ndarray:
 def read_frf_mat(path: Path) -> ForeignFRF:
     """A MAT file (5 to 7.3) with `response` and `frequency_hz`, `frequency` or `omega_rad_s`; see docs/files.md.
 
-    A response goes over outputs, inputs and lines, or is a vector for one of each. Of v7.3 only numbers are read.
+    Other words for frequencies (hz, f, freq, w, omega), and a response that is the only complex variable, are taken
+    with a note. A response goes over outputs, inputs and lines, or is a vector for one of each. Of v7.3 only numbers
+    are read.
     """
-    held = _variables(path)
+    held, taken = _by_habit(_variables(path))
     words = _words(path, held)
     f, notes = _lines(path, held)
+    notes = (*notes, *taken)
     if "response" not in held:
         raise UnreadableInputError(f"{path} holds no response", short(", ".join(held) or "nothing"), "call it response")
     response = _lines_first(path, "response", held["response"], f.size, 2).astype(complex)
@@ -73,6 +78,21 @@ def read_frf_mat(path: Path) -> ForeignFRF:
     one = "coherence" in arrays and response.shape[1:] == (1, 1)
     coherence = arrays["coherence"][:, None, None] if one else None
     return ForeignFRF(str(path), f, response, arrays, words, notes, coherence, std)
+
+
+def _by_habit(held: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Frequencies under another word, and the one complex variable as the response, with a note of each."""
+    notes: list[str] = []
+    words = [name for name in held if name.lower() in _HABITS]
+    if len(words) == 1 and not any(name in held for name in _LINES):
+        unit = _HABITS[words[0].lower()]
+        held = {**held, "omega_rad_s" if unit == "rad/s" else "frequency_hz": held[words[0]]}
+        notes.append(f"frequency was taken from {words[0]}, in {unit}")
+    found = [name for name, values in held.items() if values.dtype.kind == "c"]
+    if "response" not in held and len(found) == 1:
+        held = {**held, "response": held[found[0]]}
+        notes.append(f"response was taken from {found[0]}, the only complex variable")
+    return held, tuple(notes)
 
 
 def _variables(path: Path) -> dict[str, np.ndarray]:

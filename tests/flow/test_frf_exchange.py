@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
+from loopshape.core.errors import UnreadableInputError
 from loopshape.data.control_frd import from_control, to_control
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
@@ -273,3 +274,23 @@ def test_every_format_is_documented():
         assert kind.ending in text
     header = json.loads(json.dumps(frf_header(frf())))
     assert all(f"`{word}`" in text or word in text for word in header)
+
+
+@pytest.mark.parametrize(
+    ("word", "per_hz"), [("hz", 1.0), ("freq", 1.0), ("f", 1.0), ("w", 2 * np.pi), ("omega", 2 * np.pi)]
+)
+def test_a_mat_file_in_other_words_is_taken_with_a_note(tmp_path, word, per_hz):
+    f_hz = np.geomspace(1.0, 100.0, 50)
+    H = 1.0 / (1.0 + 1j * f_hz / 10.0)
+    savemat(tmp_path / "a.mat", {word: per_hz * f_hz, "fresp": H, "coh": np.ones(50)})
+    found = read_frf_file(tmp_path / "a.mat", Stated(relative_std=0.01))
+    np.testing.assert_allclose(found.frequency_hz, f_hz, rtol=1e-12)
+    np.testing.assert_allclose(found.response[:, 0, 0], H, rtol=1e-12)
+    assert any(f"taken from {word}" in note for note in found.notes)
+    assert any("response was taken from fresp" in note for note in found.notes)
+
+
+def test_two_complex_variables_are_no_response(tmp_path):
+    savemat(tmp_path / "a.mat", {"hz": np.arange(1.0, 9.0), "a": 1j * np.ones(8), "b": 1j * np.ones(8)})
+    with pytest.raises(UnreadableInputError, match="holds no response"):
+        read_frf_file(tmp_path / "a.mat", Stated(relative_std=0.01))
