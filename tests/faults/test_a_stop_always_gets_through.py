@@ -70,7 +70,7 @@ def test_a_stop_reaches_a_target_that_another_host_drives(arm_experiment):
     loops, ends = arm_experiment((0.0, 1.0), 1).loops, []
     with emulated() as port, open_link(port, 0) as link:
         session = Session(link)
-        wanted = settings(watchdog_ms=60000)
+        wanted = settings(watchdog_ms=10000)
         armed(session, wanted, loops, configuration(session.identity, loops, wanted, 1000.0, {}))
         session.unasked = lambda f: ends.append(session.ended(f)) if f.type == Say.ENDED else None
         with session.kept_alive(0.1):
