@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from loopshape.data.verdict import Verdict as Verdict
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
+    from loopshape.design.decoupled import decoupled as decoupled
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
     from loopshape.design.tune import Tuning as Tuning
@@ -152,6 +153,7 @@ _HOME = {
     "connect": "verbs.machine",
     "controller": "data.shorthand",
     "decouple": "design.decouple",
+    "decoupled": "design.decoupled",
     "disturbance_observer": "data.common_diagrams",
     "dual_stage": "data.common_diagrams",
     "emulator": "verbs.machine",
