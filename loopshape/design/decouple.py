@@ -93,8 +93,8 @@ def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Deco
     >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
     >>> ls.decouple(P, at_hz=1.0).matrix.round(3).tolist()
     [[1.0, -0.4], [0.1, 1.0]]
-    >>> ls.decouple(P, at_hz=(1.0, 10.0), order=1).filters["u2"]["u1"]
-    Controller u2 of u1: section at 1000 Hz
+    >>> ls.decouple(P, at_hz=(1.0, 10.0), order=1).filters["u2_1"]["u1_1"]
+    Controller u2_1 of u1_1: section at 1000 Hz
     """
     plant, loops = square_part(P)
     used = _lines(plant, at_hz)

@@ -34,7 +34,7 @@ def decoupled(
     >>> H = np.stack([[g, 0.4 * g / (1.0 + 1j * f_hz / 5.0)], [0.0 * g, g]]).transpose(2, 0, 1)
     >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
     >>> ls.decoupled(P, ls.decouple(P, at_hz=(0.5, 20.0), order=1))
-    Diagram decoupled: u1, u2, u1 of u2, u2 of u1, P; u1 is tuned, from outside: r1, r2
+    Diagram decoupled: u1_1, u2_1, u1_1 of u2_1, u2_1 of u1_1, P; u1_1 is tuned, from outside: r1, r2
     """
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     given, loops = dict(controllers or {}), W.loops
