@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
+    from loopshape.data.weight import Weight as Weight
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
@@ -141,6 +142,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
+    "Weight": "data.weight",
     "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
