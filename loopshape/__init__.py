@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Output as Output
     from loopshape.data.machine import Port as Port
     from loopshape.data.model import Fit as Fit
+    from loopshape.data.objective import Objective as Objective
     from loopshape.data.prediction import Comparison as Comparison
     from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
@@ -130,6 +131,7 @@ _HOME = {
     "Mask": "data.limits_over",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
+    "Objective": "data.objective",
     "Outcome": "data.verdict",
     "Output": "data.machine",
     "Part": "data.diagram",

@@ -22,6 +22,10 @@ class Objective:
     to `disturbance_below_hz`. |S| is the error with the loop over the error without it, wherever a disturbance
     enters, so that operating points compare. `weighted_norm` weighs ln of one over the norm that the requirements'
     `weights` ask for: that norm is made small. Refuses weights below zero, none above, and half a disturbance term.
+
+    >>> import loopshape as ls
+    >>> ls.Objective(bandwidth=1.0, disturbance=0.5, disturbance_below_hz=0.3).disturbance
+    0.5
     """
 
     bandwidth: float = 1.0

@@ -112,7 +112,7 @@ def test_bandwidths_of_s_and_t_out_of_sight_still_have_slopes():
         rows = np.array([what == name for what in here.what])
         assert np.all(here.room[rows] < 0.0)
         assert name.startswith("s") or np.all(here.room_slopes[rows, 1] > 0.0)
-    _, _, room = differences(p, np.log([0.1, 0.02]), 1)
+    _, _, room, _ = differences(p, np.log([0.1, 0.02]), 1)
     np.testing.assert_allclose(here.room_slopes[:, 1], room, rtol=1e-4, atol=2e-5)
 
 

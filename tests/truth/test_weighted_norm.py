@@ -4,7 +4,9 @@ Truths: an integrator under a gain, whose optimum is written out; python-control
 """
 
 import json
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 import control
@@ -27,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, servos, wished
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3
-INTEGRATOR = frf(TransferFunction([B], [1.0, 0.0]), 600, low_hz=0.01, high_hz=1000.0)
+INTEGRATOR = frf(TransferFunction([B], [1.0, 0.0]), 600, low_hz=0.01, high_hz=4600.0)
 TWO = (ls.Weight("S", lambda f_hz: A / (TWO_PI * f_hz)), ls.Weight("CS", C3))
 FOUR = (
     {"response": "S", "points": [[0.5, 30.0], [20.0, -6.0]]},
@@ -73,8 +75,9 @@ def test_the_norm_is_that_of_python_control():
     )
     L = control.ss(P) * control.ss(lead) * 0.4
     S = control.feedback(control.ss([], [], [], [[1.0]], 1e-3), L)
-    stacked = control.append(W1 * S, W2 * (L * S), 0.02 * 0.4 * control.ss(lead) * S)
-    stacked = stacked * control.ss([], [], [], np.ones((3, 1)), 1e-3)
+    T, CS = control.feedback(L, 1), 0.4 * control.ss(lead) * S
+    stacked = control.append(control.ss(W1) * S, control.ss(W2) * T, 0.02 * CS)
+    stacked = stacked * control.ss([], [], [], np.outer(np.ones(3), [1.0, 0.0, 0.0]), 1e-3)  # square, as scipy needs it
     truth = control.system_norm(stacked, "inf", tol=1e-9)
     plant = ls.FRF.from_control(P, np.geomspace(0.05, 499.0, 4000), rate_hz=rate)
     C = ls.controller(ls.gain(0.4), ls.lead_lag(20.0, 200.0), rate_hz=rate)
@@ -89,7 +92,7 @@ def test_the_norm_is_that_of_python_control():
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
     weights = tuple(map(ls.Weight.from_table, FOUR))
-    C = Controller("one", (Block("gain", {"gain": 0.6}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
+    C = Controller("one", (Block("gain", {"gain": 0.2}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
     asked = wished(weighted_norm=2.0, weights=FOUR)
     found = check(servos(noise), C, asked, detuned=False).margins
     for plant, margins in zip(servos(0.0, 4000), found.values(), strict=True):
@@ -113,14 +116,15 @@ def test_tuned_to_the_norm_it_is_smaller_than_at_the_largest_bandwidth_and_withi
     assert any(b.quantity == "weighted_norm" for b in small.binding)
 
 
-def test_a_start_is_never_made_worse_and_a_larger_structure_gains():
+def test_a_start_is_never_made_worse_and_no_larger_structure_beats_the_optimum():
     asked = only_weights([ls.gain((0.1, 100.0))])
     first = ls.tune(INTEGRATOR, asked, starts=2)
     again = ls.tune(INTEGRATOR, asked, start=first, starts=1)
     assert again.weighted_norm <= first.weighted_norm * (1.0 + 1e-9)
-    # C(0) >= A/(B norm) and C(inf) <= norm/C3: a lag gives them different gains, and the norm falls
+    # under the best gain the norm is the same at every frequency, as at the optimum over all controllers
     lag = ls.tune(INTEGRATOR, only_weights([ls.gain((0.1, 100.0)), ls.lead_lag((0.05, 50.0), (0.05, 50.0))]), starts=6)
-    assert lag.weighted_norm < 0.95 * first.weighted_norm
+    best = np.sqrt(A * C3 / B)
+    assert best * 0.999 < lag.weighted_norm < 1.002 * best
 
 
 def test_the_norm_as_a_limit_holds_while_the_bandwidth_grows():
@@ -166,6 +170,16 @@ def test_what_is_no_weight_is_refused():
         Requirements.from_table({"name": "a", "weights": [{"response": "S"}]})
     with pytest.raises(WrongUseError, match="needs weights"):
         Requirements.from_table({"name": "a", "objective": "weighted_norm"})
+
+
+def test_the_page_of_weights_runs(capsys):
+    page = (Path(__file__).parents[2] / "docs" / "weights.md").read_text()
+    left = {}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.S)), left)
+    assert left["C"].feasible
+    assert "weighted_norm" in capsys.readouterr().out
+    (table,) = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
+    assert Requirements.from_table(tomllib.loads(table)["loop"][0]).objective == Objective(0.0, weighted_norm=1.0)
 
 
 def test_the_command_tunes_to_the_norm_of_a_file(tmp_path):
