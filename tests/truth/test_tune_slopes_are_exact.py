@@ -85,6 +85,19 @@ def test_slopes_agree_with_finite_differences(runs):
         np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
 
 
+@pytest.mark.parametrize("response", ["S", "T", "CS", "PS"])
+def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
+    rising = [{"response": response, "points": [[1.0, -60.0], [1400.0, -60.0], [3000.0, 140.0]]}]
+    asked = wished(GAIN, LEAD, LOW_PASS, weights=[*WEIGHTS, *rising], objective="weighted_norm")
+    p, x = problem_of(servos(), asked), np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
+    here = measure(p, x, {})
+    assert here.norms[-1].at[here.norms[-1].value.argmin()] >= p.f.size
+    assert here.norms[-1].value.min() == here.smallness.min()
+    for k in range(x.size):
+        *_, smallness = differences(p, x, k)
+        np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
+
+
 def test_slopes_of_a_pid_agree_with_finite_differences():
     p = problem_of(servos(), wished(GAIN, PID, LOW_PASS, **LIMITS))
     x = np.log([0.4, 0.3, 60.0, 700.0, 500.0, 0.7])

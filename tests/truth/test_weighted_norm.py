@@ -89,6 +89,18 @@ def test_the_norm_is_that_of_python_control():
     assert (line.quantity, line.outcome) == ("weighted_norm", "passed")
 
 
+@pytest.mark.parametrize("responses", [("S",), ("T",), ("CS",), ("PS",), ("S", "T", "CS", "PS")])
+def test_each_weight_is_on_its_own_response(responses):
+    # largest about the peak of |S|, where |S|, |T| and |L| differ
+    weights = tuple(ls.Weight(name, lambda f_hz: np.exp(-3.0 * np.log(f_hz / 3.0) ** 2)) for name in responses)
+    (plant,) = (one for one in servos(0.0, 1500) if one.recording == "load 1.5")
+    C = Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
+    asked = Requirements("one", integrators=1, unstable_poles=0, weights=weights)
+    (found,) = check([plant], C, asked, detuned=False).margins.values()
+    assert found.weighted_norm == pytest.approx(norm_of(plant, C, weights), rel=1e-4)
+    assert 2.0 < found.at_hz["weighted_norm"] < 4.5
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
     weights = tuple(map(ls.Weight.from_table, FOUR))
