@@ -100,7 +100,7 @@ def read_study(path: Path) -> Study:
         effects=words.numbers("effects"),
         pwm=_pwm(words),
         controllers={} if described else _controllers(words),
-        schedules={} if described else _schedules(words, rate_hz),
+        schedules=_schedules(words, rate_hz),
         decoupling={t.text("name"): read_decoupling(t) for t in words.tables("loop") if "decoupling" in t.table},
         extra={
             "units": {t.name: u for t, u in read},
