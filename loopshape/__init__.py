@@ -80,11 +80,11 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
+    from loopshape.verbs.diagnosis import gap as gap
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
@@ -166,7 +166,7 @@ _HOME = {
     "from_control": "data.control_frd",
     "gain": "data.shorthand",
     "gain_scheduled": "data.gain_scheduled",
-    "gap": "verbs.chain",
+    "gap": "verbs.diagnosis",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
     "learning": "design.learning",
