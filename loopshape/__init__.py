@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
+    from loopshape.design.repetitive import repetitive as repetitive
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.diagram_run import simulate as simulate
     from loopshape.loop.equivalent import Equivalent as Equivalent
@@ -188,6 +189,7 @@ _HOME = {
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",
+    "repetitive": "design.repetitive",
     "resonator": "data.shorthand",
     "schedule": "verbs.chain",
     "shape": "verbs.chain",
