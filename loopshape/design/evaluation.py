@@ -10,8 +10,9 @@ import numpy as np
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.block import coefficients
 from loopshape.data.controller import Block, series_response
-from loopshape.design.problem import Problem, coefficients
+from loopshape.design.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

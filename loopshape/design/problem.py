@@ -16,7 +16,7 @@ import numpy as np
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels import tuning_rows as rows
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.block import BLOCK_KINDS, BlockTemplate
+from loopshape.data.block import BLOCK_KINDS, BlockTemplate, coefficients
 from loopshape.data.controller import Block, Controller
 from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
@@ -322,11 +322,6 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
 def _moved_with(template: BlockTemplate, name: str) -> list[str]:
     """Parameters of a block that a free one moves: itself and those tied to it."""
     return [name, *(k for k, target in template.tie.items() if target == name)]
-
-
-def coefficients(blocks: Sequence[Block]) -> Array:
-    """Coefficients of blocks (blocks, 6): s^0, s^1, s^2 of the numerator, and of the denominator."""
-    return np.array([(*num, *den) for num, den in (block.section() for block in blocks)])
 
 
 def _none(name: str) -> float:
