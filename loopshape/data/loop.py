@@ -26,7 +26,6 @@ from loopshape.data.frf import FRF
 from loopshape.data.model import TransferFunction
 from loopshape.data.smoothed import Scatter
 
-
 Values = TypeVar("Values", bound=np.ndarray)
 
 

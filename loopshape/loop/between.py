@@ -153,9 +153,7 @@ def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int,
 
 
 @lru_cache(maxsize=64)
-def _past(
-    pole: HiddenPole, lines: FRF, scatter: Scatter | None
-) -> tuple[int, int, Array, ComplexArray, ComplexArray]:
+def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, int, Array, ComplexArray, ComplexArray]:
     """Lines `first`, `last` about a hidden pole, frequencies (nz, n) in Hz along them and P there, of no controller.
 
     One for each of the poles that the lines allow; last what is smooth of P on the lines, for the likeliest.

@@ -24,8 +24,9 @@ def chance_of_error(reach: Array, alike: Array) -> tuple[float, Array]:
     """Chance that errors carry a path over a point, one at most, and the share (n,) of each place.
 
     `reach` (n,) is the distance from the point in deviations, `alike` (n - 1,) the correlation of neighbours' errors
-    (`data.smoothed.spread`). The error along the shortest way is normal; it passes the point at the nearest place, or comes to do so from one place
-    to the next: as often as a normal process rises through a level (Rice, Bell System Technical Journal 24, 1945).
+    (`data.smoothed.spread`). The error along the shortest way is normal; it passes the point at the nearest place, or
+    comes to do so from one place to the next: as often as a normal process rises through a level (Rice, Bell System
+    Technical Journal 24, 1945).
     """
     level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
     nearest = int(np.argmin(reach))

@@ -29,7 +29,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     for _ in range(150):
         x = p.low + rng.random(p.low.size) * (p.high - p.low)
         e = Evaluation(p, x)
-        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below)
+        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
         measured = begin(p, x).merit
         assert np.isfinite(merit) == np.isfinite(measured)
         if np.isfinite(merit):

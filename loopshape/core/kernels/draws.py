@@ -34,8 +34,9 @@ def spread(draws: ComplexArray) -> tuple[Array, Array, Array]:
 
 @compiled
 def straight(
-    draws: ComplexArray, k: np.ndarray, before: ComplexArray, after: ComplexArray, sides: ComplexArray, off: ComplexArray
-) -> ComplexArray:
+    draws: ComplexArray, k: np.ndarray, before: ComplexArray, after: ComplexArray, sides: ComplexArray,
+    off: ComplexArray,
+) -> ComplexArray:  # fmt: skip
     """Draws (m, n, e) at places (n,) after lines k (n,): `before` that line, `after` the next one, and a side of `off`.
 
     `draws` are (m, lines, e), `before` and `after` (n,) their weights, `sides` (m,) what each draw weighs `off` (n, e).

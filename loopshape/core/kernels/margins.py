@@ -220,8 +220,8 @@ def read_drawn(
 
 @compiled
 def _read(
-    f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float, bounded: bool,
-    masks: Array, masks_above: Array, found: Array, at: Array,
+    f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float,
+    bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array,
 ) -> None:  # fmt: skip
     """Margins of one loop into `found` (COLUMNS,), and where they lie into `at`; |C|² on the lines and above them."""
     found[:] = np.inf
