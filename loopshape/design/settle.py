@@ -30,6 +30,8 @@ class Judge(Protocol):
 WATCHED = 0.1
 #: limits with less room than this bind; those points alone are asked about so many times between two rounds of all
 CLOSE, CLOSER = 0.002, 2
+#: what those points ask changes a little from one search to the next: so much of it is given on top
+STEADY = 0.05
 #: rounds of checking and searching on at most; from this one on limits are never loosened again
 ROUNDS, FIRM = 8, 3
 #: a result is settled where the limits that bind were tightened by no more than this (ln or rad) beyond what was needed
@@ -136,7 +138,7 @@ def _nearer(p: Problem, best: Found, tighten: Tighten, judge: Judge, *, firm: bo
             break
         there = np.isin(np.arange(p.points), binding)
         rises = {name: np.maximum(needed - given[name], 0.0) for name, needed in asked.items()}
-        more = {name: _a_little_more(p, name, asked[name], rise) for name, rise in rises.items()}
+        more = {name: _a_little_more(p, name, asked[name], rise) + STEADY * asked[name] for name, rise in rises.items()}
         if firm:
             more = {name: np.maximum(given[name], own) for name, own in more.items()}
         tighten = {**tighten, **{name: np.where(there, own, given[name]) for name, own in more.items()}}
