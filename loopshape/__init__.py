@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
+    from loopshape.design.next_trial import next_trial as next_trial
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.diagram_run import simulate as simulate
     from loopshape.loop.equivalent import Equivalent as Equivalent
@@ -173,6 +174,7 @@ _HOME = {
     "low_pass": "data.shorthand",
     "measure": "verbs.machine",
     "multirate": "data.algebra.multirate",
+    "next_trial": "design.next_trial",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "pid": "data.shorthand",

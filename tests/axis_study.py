@@ -1,6 +1,6 @@
 """A study for the target in Python: motor axes without a plant, described by the study itself."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,10 @@ from python_target import Board, Target
 from python_target_machine import Axes
 
 from loopshape.cli.output import Output
+from loopshape.core.kernels import scheduled
 from loopshape.core.kernels.noise import start_state
+from loopshape.data.experiment import LoopSetup
+from loopshape.data.gain_scheduled import Follows
 from loopshape.io.run_folder import read_run
 from loopshape.io.study import read_study
 from loopshape.rig.described import DescribedRig
@@ -114,8 +117,7 @@ def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> 
     machine = Axes(count, coupling=coupling)
     machine.noise.state = start_state(e.seed)
     machine.place(e.references[0].tolist())
-    loops, states = range(count), [np.zeros((len(loop.controller.blocks), 2)).tolist() for loop in e.loops]
-    sections = [loop.controller.biquads().tolist() for loop in e.loops]
+    loops, controllers = range(count), [controller_of(loop, [one.name for one in e.loops]) for loop in e.loops]
     rows = []
     for k in range(e.samples):
         s, r, n = machine.read(), e.references[k].tolist(), e.injected[k].tolist()
@@ -124,9 +126,7 @@ def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> 
             x = r[i] - s[i]
             if e.injection == "controller_input":
                 x = x + n[i]
-            for (b0, b1, b2, a1, a2), w in zip(sections[i], states[i], strict=True):
-                x, w[0], w[1] = section(b0, b1, b2, a1, a2, w, x)
-            z.append(x)
+            z.append(controllers[i]([*r, *s], x))
         if e.injection == "control":
             z = n
         u = [z[i] + n[i] if e.injection == "plant_input" else z[i] for i in loops]
@@ -135,6 +135,27 @@ def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> 
     table = np.array(rows)
     kinds = ("r", "n", "z", "s", "u")
     return {f"{kind}{i + 1}": table[:, j * count + i] for j, kind in enumerate(kinds) for i in loops}
+
+
+def controller_of(loop: LoopSetup, names: list[str]) -> Callable[[list[float], float], float]:
+    """From references and outputs of all loops, and this one's error, to its z, tick by tick."""
+    if loop.schedule is not None:
+        tables = loop.schedule.tables([(name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for name in names])
+
+        def scheduled_step(signals: list[float], x: float) -> float:
+            scheduled.follow(tables, np.array(signals))
+            return scheduled.step(tables, x)
+
+        return scheduled_step
+    sections = loop.controller.biquads().tolist()
+    state = [[0.0, 0.0] for _ in sections]
+
+    def step(signals: list[float], x: float) -> float:
+        for (b0, b1, b2, a1, a2), w in zip(sections, state, strict=True):
+            x, w[0], w[1] = section(b0, b1, b2, a1, a2, w, x)
+        return x
+
+    return step
 
 
 def section(b0: float, b1: float, b2: float, a1: float, a2: float, w: list[float], x: float) -> tuple[float, ...]:

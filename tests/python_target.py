@@ -11,20 +11,18 @@ from dataclasses import dataclass, field
 
 from python_target_frames import Collector, frame
 from python_target_machine import Axes
+from python_target_schedule import RefusedError, Schedule, fields, inside
 
 OK, NO, SAMPLES, ENDED = 0x81, 0x82, 0x90, 0x91
 IDENTIFY, CONFIGURE, SECTIONS, LIMIT, READY, ARM, SETPOINT, BEGIN, ROWS, GO, STOP, VENT, DISARM, ALIVE, AGAIN, CLEAR = (
     range(1, 17)
 )
+SCHEDULE, NODES = 0x11, 0x12
 IDLE, ARMED, RUNNING, FAULT = range(4)
 COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY = range(7)
 CONTROLLER_INPUT, PLANT_INPUT, CONTROL = range(3)
 NONE = 255
 RATE_TICKS = 10
-
-
-class RefusedError(Exception):
-    """A request that is refused: its code and a sentence."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +39,15 @@ class Board:
     emulated: bool = True
     board: str = "python"
     version: str = "1"
+    schedule_rows: int = 100
+    """Rows of NODES that a schedule may have; 0: no schedules."""
     ignores_limits: bool = False
     """A broken board, for tests of the host."""
 
 
 @dataclass
 class Settings:
-    """What CONFIGURE, SECTIONS and LIMIT set."""
+    """What CONFIGURE, SECTIONS, SCHEDULE, NODES and LIMIT set."""
 
     loops: int
     hold: bool
@@ -57,8 +57,24 @@ class Settings:
     u: list[list[float]]
     digest: int
     sections: list[list[tuple[float, ...]]] = field(default_factory=list)
+    schedules: dict[int, Schedule] = field(default_factory=dict)
     limits: list[tuple[float, float, float]] = field(default_factory=list)
     ready: bool = False
+
+    def begun(self, loop: int) -> bool:
+        """Whether something of a loop's controller, or of a later one, is here."""
+        return any(self.sections[loop:]) or any(one >= loop for one in self.schedules)
+
+    def whole(self, loop: int) -> bool:
+        """Whether a loop has its controller."""
+        one = self.schedules.get(loop)
+        return len(one.rows) == one.most if one else bool(self.sections[loop])
+
+    def next_loop(self, loop: int, goes_on: bool = False) -> bool:
+        """Whether a controller, or where it `goes_on` more sections, of this loop may come."""
+        free = loop < self.loops and not self.limits and not self.begun(loop + 1) and loop not in self.schedules
+        before = self.schedules if goes_on else range(loop)
+        return free and all(map(self.whole, before)) and (goes_on or not self.sections[loop])
 
 
 @dataclass
@@ -76,18 +92,6 @@ class Announced:
     buffer: deque[tuple[float, ...]] = field(default_factory=deque)
     waits: bool = False
     ended: bytes = b""
-
-
-def fields(form: str, payload: bytes) -> tuple:
-    """The payload as these fields, or NO 2."""
-    if struct.calcsize("<" + form) != len(payload):
-        raise RefusedError(2, f"the payload has {len(payload)} bytes, not {struct.calcsize('<' + form)}")
-    return struct.unpack("<" + form, payload)
-
-
-def inside(fine: bool, sentence: str) -> None:
-    if not fine:
-        raise RefusedError(3, sentence)
 
 
 class Target:
@@ -180,6 +184,8 @@ class Target:
             AGAIN: (self._again, (IDLE, ARMED, RUNNING, FAULT)),
             CLEAR: (self._clear, (FAULT,)),
         }
+        if self.board.schedule_rows:
+            answers |= {SCHEDULE: (self._schedule, (IDLE,)), NODES: (self._nodes, (IDLE,))}
         if kind not in answers:
             raise RefusedError(8, f"there is no request 0x{kind:02X}")
         answer, states = answers[kind]
@@ -194,7 +200,7 @@ class Target:
         if protocol != 1:
             raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
         b, m = self.board, self.machine
-        flags = b.emulated + 2 * b.fast
+        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0)
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
         words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
@@ -237,11 +243,34 @@ class Target:
         numbers = fields(f"{5 * count}d", payload[3:])
         if not count:
             raise RefusedError(2, "no section")
-        inside(loop < s.loops and not s.limits, f"loop {loop} at this place")
-        inside(first == len(s.sections[loop]) and not any(s.sections[loop + 1 :]), f"section {first} is out of order")
+        inside(s.next_loop(loop, goes_on=True), f"loop {loop} at this place")
+        inside(first == len(s.sections[loop]), f"section {first} is out of order")
         inside(first + count <= self.board.most_sections, f"{first + count} sections")
         inside(all(map(math.isfinite, numbers)), "a coefficient is not finite")
         s.sections[loop] += [numbers[5 * i : 5 * i + 5] for i in range(count)]
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _schedule(self, payload: bytes) -> bytes:
+        s = self._configured()
+        one = Schedule.read(payload, s.loops)
+        inside(s.next_loop(payload[0]), f"loop {payload[0]} at this place")
+        if one.sections > self.board.most_sections or one.most > self.board.schedule_rows:
+            raise RefusedError(6, f"{one.sections} sections, {one.most} rows")
+        s.schedules[payload[0]] = one
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _nodes(self, payload: bytes) -> bytes:
+        s = self._configured()
+        if len(payload) < 4:
+            raise RefusedError(2, "too short")
+        loop, first, count = struct.unpack("<BHB", payload[:4])
+        numbers = fields(f"{6 * count}d", payload[4:])
+        if not count:
+            raise RefusedError(2, "no row")
+        inside(loop in s.schedules and not s.limits and not s.begun(loop + 1), f"no rows of loop {loop} at this place")
+        s.schedules[loop].take(first, [numbers[6 * i : 6 * i + 6] for i in range(count)])
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
 
@@ -263,7 +292,7 @@ class Target:
         missing = len(self.machine.sensors) + len(self.machine.commands) - len(s.limits)
         if missing:
             raise RefusedError(4, f"{missing} sensors or commands have no limit")
-        if not all(s.sections):
+        if not all(map(s.whole, range(s.loops))):
             raise RefusedError(4, "a loop has no section")
         s.ready = True
         return struct.pack("<I", s.digest)
@@ -399,7 +428,13 @@ class Target:
         self.command_history: deque[list[float]] = deque(maxlen=RATE_TICKS)
         self.closes = False
         if self.settings:
-            self.memory = [[[0.0, 0.0] for _ in loop] for loop in self.settings.sections]
+            self._controllers_rest()
+
+    def _controllers_rest(self) -> None:
+        s = self._configured()
+        self.memory = [[[0.0, 0.0] for _ in loop] for loop in s.sections]
+        for one in s.schedules.values():
+            one.rest()
 
     def _start_from(self, outputs: list[float]) -> None:
         self.reference, self.setpoint, self.ramp_left = list(outputs), list(outputs), 0
@@ -445,7 +480,7 @@ class Target:
         y = self._outputs(s)
         if self.closes:
             self.closes = False
-            self.memory = [[[0.0, 0.0] for _ in loop] for loop in self._configured().sections]
+            self._controllers_rest()
             to, self.reference = self.setpoint, list(y)
             self._ramp(to, 0.0)
         self._loops(s, y)
@@ -507,10 +542,13 @@ class Target:
         self, r: list[float], n: list[float], y: list[float], injection: int
     ) -> tuple[list[float], list[float]]:
         z, total = [], []
+        schedules = self._configured().schedules if injection != CONTROL else {}
         for k, cascade in enumerate(self._configured().sections):
             e = r[k] - y[k]
             if injection == CONTROLLER_INPUT:
                 e = e + n[k]
+            if k in schedules:
+                e = schedules[k].step([*r, *y], e)
             for section, state in zip(cascade, self.memory[k], strict=True):
                 e = biquad(section, state, e)
             z.append(e)

@@ -22,7 +22,7 @@ class DescribedRig:
     parameters = ParameterTable(())
 
     def __init__(self, loops: Sequence[LoopSetup]) -> None:
-        if not loops or any(loop.controller is None for loop in loops):
+        if not loops or any(loop.controller is None and loop.schedule is None for loop in loops):
             raise WrongUseError(
                 "a study without a plant describes its loops",
                 ", ".join(loop.name for loop in loops) or "no [[loop]]",
@@ -38,10 +38,15 @@ class DescribedRig:
         return tuple(Controller(loop.name, _blocks(loop), rate_hz) for loop in self._loops)
 
     def loop_setups(self, controllers: Sequence[Controller], injection: str) -> tuple[LoopSetup, ...]:
-        """The loops with these controllers; what enters at the plant's input is in the control's unit."""
+        """The loops with these controllers alone; what enters at the plant's input is in the control's unit."""
         by_name = {c.loop: c for c in controllers}
         return tuple(
-            replace(loop, controller=by_name[loop.name], injected=_injected(loop, injection == "plant_input"))
+            replace(
+                loop,
+                controller=by_name[loop.name],
+                schedule=None,
+                injected=_injected(loop, injection == "plant_input"),
+            )
             for loop in self._loops
         )
 
@@ -97,7 +102,9 @@ def _injected(loop: LoopSetup, at_plant: bool) -> str:
 
 
 def _blocks(loop: LoopSetup) -> tuple[Block, ...]:
-    return () if loop.controller is None else loop.controller.blocks
+    """Of its controller, or of a schedule's first node: the study puts its schedules in place afterwards."""
+    one = loop.controller or (loop.schedule and loop.schedule.controllers[0])
+    return one.blocks if one else ()
 
 
 def _unit(key: str) -> tuple[str, float]:

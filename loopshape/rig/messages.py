@@ -13,6 +13,7 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array
 from loopshape.rig.frames import LONGEST_PAYLOAD, Frame
+from loopshape.rig.scheduling import Scheduling
 
 PROTOCOL = 1
 
@@ -36,6 +37,8 @@ class Ask(IntEnum):
     ALIVE = 0x0E
     AGAIN = 0x0F
     CLEAR = 0x10
+    SCHEDULE = 0x11
+    NODES = 0x12
 
 
 class Say(IntEnum):
@@ -118,6 +121,7 @@ class Identity:
     """What a target says of itself; `number` is numpy's type of its numbers, sensors and commands are columns.
 
     `ranges` are the lowest and highest value of each sensor, then of each command; an older target says none.
+    `schedules`: whether it takes controllers that follow an operating point.
     """
 
     protocol: int
@@ -135,6 +139,7 @@ class Identity:
     sensors: tuple[str, ...]
     commands: tuple[str, ...]
     ranges: tuple[tuple[float, float], ...] = ()
+    schedules: bool = False
 
     @classmethod
     def read(cls, payload: bytes) -> Identity:
@@ -158,7 +163,7 @@ class Identity:
         return cls(
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
             board, version, tuple(names[:sensors]), tuple(names[sensors:]),
-            tuple(zip(numbers[::2], numbers[1::2], strict=True)),
+            tuple(zip(numbers[::2], numbers[1::2], strict=True)), bool(flags & 4),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:
@@ -170,13 +175,13 @@ class Identity:
 class Configuration:
     """What a target is to do: matrices, controllers and limits.
 
-    `outputs` (loops, sensors) and `mixing` (commands, loops); `sections` (k, 5) of each loop; `limits` (sensors +
-    commands, 3): low, high and rate per second in the columns' units.
+    `outputs` (loops, sensors) and `mixing` (commands, loops); of each loop its `sections` (k, 5), or
+    its schedule; `limits` (sensors + commands, 3): low, high and rate per second in the columns' units.
     """
 
     outputs: Array
     mixing: Array
-    sections: tuple[Array, ...]
+    sections: tuple[Array | Scheduling, ...]
     limits: Array
     hold: bool
     watchdog_ms: int
@@ -188,10 +193,11 @@ class Configuration:
         """The requests that configure, in the order of the digest."""
         said = [(Ask.CONFIGURE, self._configure())]
         for loop, sections in enumerate(self.sections):
-            said += [
-                (Ask.SECTIONS, struct.pack("<BBB", loop, k, len(part)) + np.asarray(part, "<f8").tobytes())
-                for k, part in _pieces(sections, LONGEST_PAYLOAD // 40 - 1)
-            ]
+            if isinstance(sections, Scheduling):
+                head, nodes = sections.payloads(loop)
+                said += [(Ask.SCHEDULE, head), *((Ask.NODES, part) for part in nodes)]
+            else:
+                said += _sections(loop, sections)
         return said + [
             (Ask.LIMIT, struct.pack("<Bddd", k, *map(float, limit))) for k, limit in enumerate(self.limits.tolist())
         ]
@@ -212,8 +218,13 @@ class Configuration:
         return check
 
 
-def _pieces(table: Array, most: int) -> list[tuple[int, Array]]:
-    return [(k, table[k : k + most]) for k in range(0, len(table), most)]
+def _sections(loop: int, table: Array) -> list[tuple[Ask, bytes]]:
+    most = LONGEST_PAYLOAD // 40 - 1
+    pieces = [(k, table[k : k + most]) for k in range(0, len(table), most)]
+    return [
+        (Ask.SECTIONS, struct.pack("<BBB", loop, k, len(part)) + np.asarray(part, "<f8").tobytes())
+        for k, part in pieces
+    ]
 
 
 def setpoint(ramp_s: float, references: Sequence[float]) -> bytes:

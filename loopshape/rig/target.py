@@ -25,6 +25,7 @@ from loopshape.rig.armed import beat_s, reason_words
 from loopshape.rig.armed import vented as vented
 from loopshape.rig.armed import vented_on_error as vented_on_error
 from loopshape.rig.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
+from loopshape.rig.scheduling import Scheduling
 from loopshape.rig.taking import KEPT, Arrived, Taking
 
 ENDED_S = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
@@ -43,7 +44,7 @@ def configuration(
     return Configuration(
         outputs=np.array([[float(s in sum_terms(loop.output)) for s in identity.sensors] for loop in loops]),
         mixing=_mixing(identity, loops, settings),
-        sections=tuple(loop.controller.biquads() for loop in loops if loop.controller is not None),
+        sections=_controllers(loops),
         limits=np.array([[getattr(settings.limits[c], key) for key in ("low", "high", "rate")] for c in columns]),
         hold=settings.on_limit == "hold",
         watchdog_ms=settings.watchdog_ms,
@@ -53,6 +54,17 @@ def configuration(
     )
 
 
+def _controllers(loops: Sequence[LoopSetup]) -> tuple[Array | Scheduling, ...]:
+    names = [loop.name for loop in loops]
+    made: list[Array | Scheduling] = []
+    for loop in loops:
+        if loop.schedule is not None:
+            made.append(Scheduling.of(loop.schedule, names))
+        elif loop.controller is not None:
+            made.append(loop.controller.biquads())
+    return tuple(made)
+
+
 def _mixing(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings) -> Array:
     """From the controllers' outputs to the commands: the decoupling first, then the study's sums."""
     sums = [[settings.commands[u].get(loop.name, 0.0) for loop in loops] for u in identity.commands]
@@ -60,11 +72,11 @@ def _mixing(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSett
 
 
 def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings, rate_hz: float) -> None:
-    if scheduled := [loop.name for loop in loops if loop.schedule is not None]:
+    if (scheduled := [loop.name for loop in loops if loop.schedule is not None]) and not identity.schedules:
         raise WrongUseError(
-            "the protocol carries no schedule to a target",
+            "the target takes no schedule",
             ", ".join(scheduled),
-            "build the exported one in (loopshape export-controller --to c), or give a frozen controller",
+            "build the target anew from this version's sources, or give a frozen controller",
         )
     if identity.rate_hz != rate_hz:
         raise WrongUseError(
@@ -91,17 +103,23 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
     names = [loop.name for loop in loops]
     for column, parts in settings.commands.items():
         _known(f"loops of {column}", parts, names)
-    if len(loops) > identity.most_loops or any(loop.controller is None for loop in loops):
+    blocks = [_blocks(loop) for loop in loops]
+    if len(loops) > identity.most_loops or not all(blocks):
         raise WrongUseError(
             f"the target closes up to {identity.most_loops} loops, each with a controller",
             ", ".join(names),
             "leave loops out, or give each a controller",
         )
-    longest = max(len(loop.controller.blocks) for loop in loops if loop.controller is not None)
-    if longest > identity.most_sections:
+    if (longest := max(blocks)) > identity.most_sections:
         raise WrongUseError(
             "a controller has more blocks than the target computes", f"{longest}, {identity.most_sections}", "use fewer"
         )
+
+
+def _blocks(loop: LoopSetup) -> int:
+    """Blocks of a loop's controller; 0 where it has none."""
+    one = loop.controller if loop.schedule is None else loop.schedule.controllers[0]
+    return 0 if one is None else len(one.blocks)
 
 
 def _known(what: str, asked: Mapping | set[str], known: Sequence[str]) -> None:

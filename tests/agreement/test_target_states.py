@@ -30,6 +30,8 @@ REQUESTS = {
     Ask.ALIVE: (bytes(8), STATES),
     Ask.AGAIN: (struct.pack("<IIH", 1, 0, 1), STATES),
     Ask.CLEAR: (b"", [State.FAULT]),
+    Ask.SCHEDULE: (struct.pack("<BBBdBdBd", 0, 1, 1, 0.5, 0, 1.0, 1, 0.0), [State.IDLE]),
+    Ask.NODES: (struct.pack("<BHB6d", 0, 0, 1, *np.ones(6)), [State.IDLE]),
 }
 
 

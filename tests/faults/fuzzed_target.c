@@ -131,9 +131,9 @@ static double any_number(void)
 /* The payload of a request: fitting, with numbers of any kind, or of any bytes. */
 static void fill(uint8_t type, struct writer *p)
 {
-    static const char *const form[0x11] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
-                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  ""};
-    const char *text = type <= 0x10 ? form[type] : "qqq";
+    static const char *const form[0x13] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
+                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd"};
+    const char *text = type <= 0x12 ? form[type] : "qqq";
     if (drawn(8) == 0) {
         for (uint32_t n = drawn(60); n > 0; n--)
             put_u8(p, (uint8_t)drawn(256));
@@ -147,30 +147,52 @@ static void fill(uint8_t type, struct writer *p)
                      *text == 'b' ? 1 : *text == 'h' ? 2 : *text == 'i' ? 4 : 8);
 }
 
+/* A part of the configuration, into the digest and on its way. */
+static void part(uint8_t type, struct writer *p)
+{
+    digest = crc32_of(digest, p->data, p->count);
+    ask(type, p);
+    p->count = 0;
+}
+
+/* A gain, or one that follows the reference or the output over two nodes. */
+static void controller(struct writer *p)
+{
+    const double gain[] = {2.0, 0.0, 0.0, 0.0, 0.0}, node[] = {2.0, 0.1, 0.0, 1.0, 0.0, 0.0};
+    if (drawn(2)) {
+        put_u8(p, 0), put_u8(p, 0), put_u8(p, 1);
+        for (int k = 0; k < 5; k++)
+            put_f64(p, gain[k]);
+        part(0x03, p);
+        return;
+    }
+    put_u8(p, 0), put_u8(p, 1), put_u8(p, 1), put_f64(p, 0.5);
+    put_u8(p, (uint8_t)drawn(2)), put_f64(p, 1.0), put_u8(p, 2), put_f64(p, 0.0), put_f64(p, 0.5);
+    part(0x11, p);
+    for (uint8_t row = 0; row < 2; row++) {
+        put_u8(p, 0), put_u16(p, row), put_u8(p, 1);
+        for (int k = 0; k < 6; k++)
+            put_f64(p, (row + 1.0) * node[k]);
+        part(0x12, p);
+    }
+}
+
 static void configure(uint8_t hold_on_limit)
 {
     uint8_t data[256];
     struct writer p = {data, 0, sizeof data};
-    const double head[] = {0.0, 0.0, 0.0, 1.0, 0.0, 1.0}, gain[] = {2.0, 0.0, 0.0, 0.0, 0.0};
+    const double head[] = {0.0, 0.0, 0.0, 1.0, 0.0, 1.0};
 
     put_u8(&p, 1), put_u8(&p, hold_on_limit), put_u8(&p, 1), put_u16(&p, WATCHDOG_MS);
     for (int k = 0; k < 6; k++)
         put_f64(&p, head[k]);
-    digest = crc32_of(0, data, p.count);
-    ask(0x02, &p);
-    p.count = 0;
-    put_u8(&p, 0), put_u8(&p, 0), put_u8(&p, 1);
-    for (int k = 0; k < 5; k++)
-        put_f64(&p, gain[k]);
-    digest = crc32_of(digest, data, p.count);
-    ask(0x03, &p);
+    digest = 0;
+    part(0x02, &p);
+    controller(&p);
     for (uint8_t k = 0; k < 3; k++) {
-        p.count = 0;
         put_u8(&p, k), put_f64(&p, -1.0), put_f64(&p, 1.0), put_f64(&p, drawn(2) ? INFINITY : 50.0);
-        digest = crc32_of(digest, data, p.count);
-        ask(0x04, &p);
+        part(0x04, &p);
     }
-    p.count = 0;
     ask(0x05, &p);
     put_u32(&p, digest);
     ask(0x06, &p);
@@ -198,7 +220,7 @@ static void send_changed(void)
 {
     uint8_t data[FRAME_PAYLOAD], body[FRAME_BODY], encoded[2 * FRAME_ENCODED + 4];
     struct writer p = {data, 0, sizeof data}, out = {body, 0, FRAME_HEAD + FRAME_PAYLOAD};
-    const uint8_t type = (uint8_t)drawn(0x14);
+    const uint8_t type = (uint8_t)drawn(0x16);
 
     fill(type, &p);
     put_u8(&out, type), put_u16(&out, (uint16_t)drawn(4));

@@ -4,10 +4,11 @@
  * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
  *    safe, send bytes. boards/arm_emulator.c is a whole example; boards/scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
- *    configure.c, frames.c, loops.c, run.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
+ *    configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
  * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,
- *    five columns) to 11 kB (as target.h has them), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
- *    (3 TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) numbers: 535 kB as target.h has them, which is a PC's; 35 kB for one
+ *    five columns) to 11 kB (as target.h has them), + 8 TARGET_SCHEDULE bytes and 0.5 kB a loop for schedules (none where it
+ *    is 0), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
+ *    (3 TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) numbers: 545 kB as target.h has them, which is a PC's; 35 kB for one
  *    axis with one loop, sensor and command, 1024 rows, 1024 ticks, 4 bytes. The program is about 15 kB (x86-64, -Os). The line
  *    carries rate x (3 loops + sensors + commands) x bytes x 11 bit/s: an axis at 2 kHz with 4 bytes 440 kbaud.
  * 3. At power-up: hardware first (valves in the safe state), then target_init().

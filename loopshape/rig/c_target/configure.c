@@ -1,4 +1,4 @@
-/* CONFIGURE, SECTIONS, LIMIT, READY: what the target shall do, taken only whole, in order and within its sizes. */
+/* CONFIGURE, SECTIONS, LIMIT, READY (SCHEDULE and NODES: schedule.c): what the target shall do, taken only whole, in order and within its sizes. */
 #include "state.h"
 
 #include <math.h>
@@ -105,10 +105,23 @@ uint8_t ask_configure(struct reader *in, struct writer *out, const char **why)
 }
 
 /* The digest goes by what came, so it comes in one order: loops, places, limits. */
-static void taken(const uint8_t *payload, size_t size)
+void configuration_taken(const uint8_t *payload, size_t size)
 {
     target.c.digest = crc32_of(target.c.digest, payload, size);
     target.c.ready = 0;
+}
+
+static int controller_there(uint8_t loop)
+{
+    const struct schedule *s = &target.c.schedule[loop];
+    return s->sections > 0 ? s->taken == s->rows : target.c.count[loop] > 0;
+}
+
+int controller_begins(uint8_t loop)
+{
+    const struct configuration *c = &target.c;
+    const unsigned next = c->sections_loop + (controller_there(c->sections_loop) ? 1u : 0u);
+    return loop < c->loops && loop == next && c->schedule[loop].sections == 0 && c->limits == 0;
 }
 
 uint8_t ask_sections(struct reader *in, struct writer *out, const char **why)
@@ -123,8 +136,8 @@ uint8_t ask_sections(struct reader *in, struct writer *out, const char **why)
         return refuse(NO_MALFORMED, why, "SECTIONS has another length");
     if (c->loops == 0)
         return refuse(NO_CONFIGURED, why, "CONFIGURE comes first");
-    const int next = loop == c->sections_loop || (loop == c->sections_loop + 1 && c->count[c->sections_loop] > 0);
-    if (loop >= c->loops || !next || first != c->count[loop] || c->limits > 0)
+    const int goes_on = loop == c->sections_loop && c->count[loop] > 0 && c->limits == 0;
+    if (!(goes_on || controller_begins(loop)) || first != c->count[loop])
         return refuse(NO_RANGE, why, "sections come once, in order of loop and place, before the limits");
     if (first + count > TARGET_SECTIONS)
         return refuse(NO_ROOM, why, "more sections than the target holds");
@@ -133,7 +146,7 @@ uint8_t ask_sections(struct reader *in, struct writer *out, const char **why)
     take_table(in, (double *)c->sections[loop] + 5u * first, 5u * count);
     c->sections_loop = loop;
     c->count[loop] = (uint8_t)(first + count);
-    taken(payload, size);
+    configuration_taken(payload, size);
     return 0;
 }
 
@@ -160,7 +173,7 @@ uint8_t ask_limit(struct reader *in, struct writer *out, const char **why)
         return refuse(NO_RANGE, why, "a limit lies within the range that the column can have");
     c->limit[index] = limit;
     c->limits = (uint8_t)(index + 1);
-    taken(payload, size);
+    configuration_taken(payload, size);
     return 0;
 }
 
@@ -173,7 +186,7 @@ uint8_t ask_ready(struct reader *in, struct writer *out, const char **why)
     if (c->loops == 0)
         return refuse(NO_CONFIGURED, why, "nothing is configured");
     for (uint8_t k = 0; k < c->loops; k++)
-        if (c->count[k] == 0)
+        if (!controller_there(k))
             return refuse(NO_CONFIGURED, why, "a loop has no controller");
     if (c->limits < target.board->sensors + target.board->commands)
         return refuse(NO_CONFIGURED, why, "a sensor or command has no limit");

@@ -17,6 +17,11 @@ static double cascade(uint8_t loop, double value)
     return value;
 }
 
+static double controller(uint8_t loop, double value)
+{
+    return target.c.schedule[loop].sections > 0 ? schedule_step(loop, value) : cascade(loop, value);
+}
+
 /* Signed length of a pulse in s: |u| of the period, none up to the dead zone, all of it within the dead zone of 1. */
 static double pulse_s(double u)
 {
@@ -28,6 +33,7 @@ static double pulse_s(double u)
 void loops_rest(void)
 {
     memset(target.l.state, 0, sizeof target.l.state);
+    memset(target.l.follower, 0, sizeof target.l.follower);
     target.l.fresh = 1;
 }
 
@@ -230,7 +236,7 @@ static void control(void)
 
     for (uint8_t k = 0; k < loops; k++) {
         const double error = l->r[k] - l->y[k];
-        l->z[k] = injection == CONTROL ? l->n[k] : cascade(k, injection == CONTROLLER_INPUT ? error + l->n[k] : error);
+        l->z[k] = injection == CONTROL ? l->n[k] : controller(k, injection == CONTROLLER_INPUT ? error + l->n[k] : error);
     }
     for (uint8_t j = 0; j < target.board->commands; j++) {
         double sum = 0.0;

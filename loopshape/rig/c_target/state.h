@@ -23,6 +23,8 @@ typedef float number;
 #define WIDTH (3 * TARGET_LOOPS + LIMITED) /* numbers a tick, at most */
 #define RATE_TICKS 10u                     /* a rate is averaged over so many */
 #define AGAIN_MOST 8u                      /* ranges that wait to be sent again */
+#define VARIABLES 3u                       /* of a schedule, at most */
+#define FOLLOWERS (TARGET_SCHEDULE > 0 ? TARGET_LOOPS : 1)
 #define NOBODY 255u                        /* no limit's index */
 
 enum { IDLE, ARMED, RUNNING, FAULT };
@@ -34,7 +36,21 @@ struct limit {
     double low, high, rate;
 };
 
-/* What CONFIGURE, SECTIONS and LIMIT said, and how far they came. */
+/* A controller whose coefficients follow an operating point; without sections it is none. Its numbers lie in one piece. */
+struct schedule {
+    uint8_t variables, sections, source[VARIABLES], counts[VARIABLES];
+    uint32_t from, rows, taken; /* where its knots begin, rows behind them: in all, and here */
+    double share, scale[VARIABLES];
+};
+
+/* Where such a controller stands. */
+struct follower {
+    uint8_t begun;
+    double at[VARIABLES], now[TARGET_SECTIONS][5];
+    double past[TARGET_SECTIONS + 1][2]; /* the last two signals in front of and behind each section */
+};
+
+/* What CONFIGURE, SECTIONS, SCHEDULE, NODES and LIMIT said, and how far they came. */
 struct configuration {
     uint8_t loops, hold, sections_loop, limits, ready;
     uint16_t watchdog_ms;
@@ -43,6 +59,9 @@ struct configuration {
     double outputs[TARGET_LOOPS * TARGET_SENSORS], mixing[TARGET_COMMANDS * TARGET_LOOPS];
     uint8_t count[TARGET_LOOPS];
     double sections[TARGET_LOOPS][TARGET_SECTIONS][5];
+    struct schedule schedule[TARGET_LOOPS];
+    uint32_t used; /* of the numbers */
+    double numbers[TARGET_SCHEDULE > 0 ? TARGET_SCHEDULE : 1];
     struct limit limit[LIMITED];
 };
 
@@ -51,6 +70,7 @@ struct loops {
     double measured[LIMITED]; /* sensors, then commands */
     double y[TARGET_LOOPS], r[TARGET_LOOPS], n[TARGET_LOOPS], z[TARGET_LOOPS];
     double state[TARGET_LOOPS][TARGET_SECTIONS][2];
+    struct follower follower[FOLLOWERS];
     double from[TARGET_LOOPS], to[TARGET_LOOPS]; /* the references' way to the setpoint */
     uint32_t way, ways;                          /* ticks of it, done and in all */
     double before[LIMITED][RATE_TICKS];          /* the last values, for the rates */
@@ -113,6 +133,13 @@ uint8_t ask_configure(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_sections(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_limit(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_ready(struct reader *in, struct writer *out, const char **why);
+int controller_begins(uint8_t loop); /* whether this loop's controller comes next */
+void configuration_taken(const uint8_t *payload, size_t size);
+
+/* schedule.c */
+uint8_t ask_schedule(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_nodes(struct reader *in, struct writer *out, const char **why);
+double schedule_step(uint8_t loop, double value);
 
 /* run.c */
 uint8_t ask_begin(struct reader *in, struct writer *out, const char **why);

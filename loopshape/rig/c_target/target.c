@@ -3,6 +3,7 @@
 
 #define PROTOCOL 1
 #define VENT 0x0C
+#define TAKES_SCHEDULES 4 /* of IDENTIFY's flags */
 #define IDLE_MS 1000u /* a host that is silent for so long may be replaced */
 
 struct target target;
@@ -35,7 +36,7 @@ static uint8_t ask_identify(struct reader *in, struct writer *out, const char **
     put_u32(out, TARGET_TICKS);
     put_f64(out, b->rate_hz);
     put_f64(out, b->pwm_hz);
-    put_u8(out, b->flags);
+    put_u8(out, (uint8_t)(b->flags | (TARGET_SCHEDULE > 0 ? TAKES_SCHEDULES : 0)));
     put_text(out, b->name);
     put_text(out, b->version);
     for (uint8_t k = 0; k < b->sensors + b->commands; k++)
@@ -162,7 +163,7 @@ static const struct {
     {ask_setpoint, IN(ARMED)}, {ask_begin, IN(ARMED)},   {ask_rows, ANY},
     {ask_go, IN(ARMED)},      {ask_stop, ANY},           {ask_vent, ANY},
     {ask_disarm, ANY},        {ask_alive, ANY},          {ask_again, ANY},
-    {ask_clear, IN(FAULT)},
+    {ask_clear, IN(FAULT)},   {ask_schedule, IN(IDLE)},  {ask_nodes, IN(IDLE)},
 };
 
 static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer *out, const char **why)

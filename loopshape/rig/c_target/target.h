@@ -20,6 +20,9 @@ struct frame_decoder;
 #ifndef TARGET_SECTIONS
 #define TARGET_SECTIONS 12 /* biquads a loop */
 #endif
+#ifndef TARGET_SCHEDULE
+#define TARGET_SCHEDULE 1024 /* numbers of all schedules: knots, and six for each section of each node; 0: no schedules */
+#endif
 #ifndef TARGET_ROWS
 #define TARGET_ROWS 1024 /* rows of excitation that wait */
 #endif
@@ -32,7 +35,7 @@ struct frame_decoder;
 #ifndef TARGET_BYTES
 #define TARGET_BYTES 256 /* bytes served between two looks at the timer */
 #endif
-#define TARGET_VERSION "1.1"
+#define TARGET_VERSION "1.2"
 
 /* At power-up: idle, the machine safe, nothing configured. */
 void target_init(void);
