@@ -90,7 +90,9 @@ class _Judged:
         return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
     def drawn_at(self, k: np.ndarray) -> ComplexArray:
-        """What draws (draws, m) do to L on some lines k (m,)."""
+        """What draws (draws, m) do to L on some lines k (m,); none where no scatter is known."""
+        if self.factor is None or self.deviations is None:
+            return np.zeros((0, k.size), dtype=complex)
         return np.asarray(self.factor[k] * self.deviations[:, k])
 
 
@@ -197,8 +199,8 @@ def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
         reference = np.concatenate([L, j.reference])
         factor = np.concatenate([np.ones(f.size), j.factor])
         deviations = by_draw(np.concatenate([moved, j.deviations], axis=1))
-    lines = (np.concatenate([one, two]) for one, two in ((f, j.f), (L, j.L), (C, j.C)))
-    return _Judged(*lines, reference, factor, deviations)
+    f, L, C = np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C])
+    return _Judged(f, L, C, reference, factor, deviations)
 
 
 def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:

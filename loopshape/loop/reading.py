@@ -32,19 +32,21 @@ class Reader:
 
         What |L| may do above the last line counts where `bounded`.
         """
-        return kernel.read_margins(*_seen(f, L, C, above_hz, C_above), self.from_hz, bounded, *self._over(f, above_hz))
+        over, over_above = weights(self.masks, f), weights(self.masks, above_hz)
+        f, L, C, above_hz, C_above = _seen(f, L, C, above_hz, C_above)
+        return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above)
 
     def read_drawn(
         self, f: Array, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, C: ComplexArray,
         above_hz: Array, C_above: ComplexArray, *, bounded: bool = True,
     ) -> Array:  # fmt: skip
         """Columns (draws, columns) for `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
-        arrays = _seen(f, reference, factor, draws, C, above_hz, C_above)
-        return kernel.read_drawn(*arrays, self.from_hz, bounded, *self._over(f, above_hz))
-
-    def _over(self, f: Array, above_hz: Array) -> list[Array]:
-        """Weights of the masks on the lines and above them."""
-        return [weights(self.masks, f), weights(self.masks, above_hz)]
+        over, over_above = weights(self.masks, f), weights(self.masks, above_hz)
+        f, reference, factor, draws, C = _seen(f, reference, factor, draws, C)
+        above_hz, C_above = _seen(above_hz, C_above)
+        return kernel.read_drawn(
+            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above
+        )
 
 
 def _seen(*arrays: np.ndarray) -> list[np.ndarray]:
