@@ -194,7 +194,7 @@ def report(
     folder = Path(run_folder)
     given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
     path = Path(out or folder / "report.html")
-    write_bytes_whole(path, report_page(folder, *given, date, int(1e6 * figures_mb))[1])
+    write_bytes_whole(path, report_page(folder, given[0], given[1], given[2], date, int(1e6 * figures_mb))[1])
     return path
 
 
