@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Output as Output
     from loopshape.data.machine import Port as Port
     from loopshape.data.model import Fit as Fit
+    from loopshape.data.objective import Objective as Objective
     from loopshape.data.prediction import Comparison as Comparison
     from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
+    from loopshape.data.weight import Weight as Weight
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
@@ -131,6 +133,7 @@ _HOME = {
     "Mask": "data.limits_over",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
+    "Objective": "data.objective",
     "Outcome": "data.verdict",
     "Output": "data.machine",
     "Part": "data.diagram",
@@ -143,6 +146,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
+    "Weight": "data.weight",
     "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
