@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,20 @@ class Rows:
     a: ComplexArray
     j: np.ndarray
     b: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class DenseRows:
+    """Values (m,) of one quantity that every line moves: slopes (m, n) are worked out when they are asked for.
+
+    `at` and `point` as in `Rows`.
+    """
+
+    what: str
+    value: Array
+    at: np.ndarray
+    point: np.ndarray
+    slopes: Callable[[], Array]
 
 
 def of_kernel(names: Sequence[str], places: np.ndarray, value: Array, ab: ComplexArray) -> Iterator[Rows]:
