@@ -52,7 +52,7 @@ def rms_rows(e: Evaluation, tighten: Tighten) -> Iterator[DenseRows]:
     largest = np.array([a + each[a:b].argmax() for a, b in zip(p.first[:-1], p.first[1:], strict=True)])
     columns = np.arange(p.unique_f.size)
     yield DenseRows(
-        NAME, room[known], largest[known], known, lambda: np.real(pull[known] @ p.slopes(e.blocks, columns).T)
+        NAME, room[known], largest[known], known, lambda: np.real(pull[known] @ p.slopes(e.values, columns).T)
     )
 
 
