@@ -122,7 +122,7 @@ def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
     """Slopes (m, n) of rows by x."""
     i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
     a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
-    return e.p.row_slopes(e.blocks, i, a, j, b)
+    return e.p.row_slopes(e.values, i, a, j, b)
 
 
 def rejection(e: Evaluation) -> Array:
@@ -145,7 +145,7 @@ def rejection_slopes(e: Evaluation) -> Array:
     weights = low_weights(p)
     k = np.flatnonzero(weights)
     T = e.L[k] / (1.0 + e.L[k])
-    each = np.real(weights[k] * T * p.slopes(e.blocks, p.line[k]))
+    each = np.real(weights[k] * T * p.slopes(e.values, p.line[k]))
     return np.array([np.bincount(p.owner[k], weights=row, minlength=p.points) for row in each]).T
 
 
