@@ -40,20 +40,27 @@ if TYPE_CHECKING:
 Plants = FRF | Sequence[FRF] | Diagram
 
 
-def frfs(run: Run | str | Path, loop: str | None = None, **settings: Any) -> tuple[FRF, ...]:
+def frfs(
+    run: Run | str | Path, loop: str | None = None, *, realisations: bool = False, **settings: Any
+) -> tuple[FRF, ...]:
     """FRFs of all recordings of a run that excite one loop (or `loop`), in order, with variance and valid band.
 
-    `settings` are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1", "h2", "hv"), method,
-    resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop without recording, and
-    BadSignalError for a record without excitation.
+    With `realisations` multisines that are alike but for their phases give one FRF, whose variance holds what a
+    nonlinear plant answers differently to each draw; a single one tells noise alone. They are taken by periods.
+
+    `settings` of single recordings are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1",
+    "h2", "hv"), method, resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop
+    without recording, and BadSignalError for a record without excitation.
     """
-    from loopshape.identify.frequency_response import estimate_frf, excited_recordings
+    from loopshape.identify import groups
+    from loopshape.identify.frequency_response import estimate_together, excited_recordings
 
     whole = run if isinstance(run, Run) else read(run)
     chosen = Settings(**settings)
     names = None if loop is None else whole.loop(loop).name
     mine = [r for r in excited_recordings(whole) if r.info.alone and names in (None, r.info.excites)]
-    return tuple(estimate_frf(r, whole.loop(str(r.info.excites)), chosen) for r in mine)
+    grouped = groups.realisations(mine) if realisations else [[r] for r in mine]
+    return tuple(estimate_together(group, whole.loop(str(group[0].info.excites)), chosen) for group in grouped)
 
 
 def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None = None, **settings: Any) -> FRF:
