@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from loopshape.data.weight import Weight as Weight
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
+    from loopshape.design.decoupled import decoupled as decoupled
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
     from loopshape.design.next_trial import next_trial as next_trial
@@ -158,6 +159,7 @@ _HOME = {
     "connect": "verbs.machine",
     "controller": "data.shorthand",
     "decouple": "design.decouple",
+    "decoupled": "design.decoupled",
     "disturbance_observer": "data.common_diagrams",
     "dual_stage": "data.common_diagrams",
     "emulator": "verbs.machine",
