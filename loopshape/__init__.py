@@ -70,6 +70,8 @@ if TYPE_CHECKING:
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
+    from loopshape.design.next_trial import next_trial as next_trial
+    from loopshape.design.repetitive import repetitive as repetitive
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.diagram_run import simulate as simulate
     from loopshape.loop.equivalent import Equivalent as Equivalent
@@ -81,11 +83,11 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
+    from loopshape.verbs.diagnosis import gap as gap
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
@@ -168,13 +170,14 @@ _HOME = {
     "from_control": "data.control_frd",
     "gain": "data.shorthand",
     "gain_scheduled": "data.gain_scheduled",
-    "gap": "verbs.chain",
+    "gap": "verbs.diagnosis",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
     "learning": "design.learning",
     "low_pass": "data.shorthand",
     "measure": "verbs.machine",
     "multirate": "data.algebra.multirate",
+    "next_trial": "design.next_trial",
     "notch": "data.shorthand",
     "pi": "data.shorthand",
     "pid": "data.shorthand",
@@ -190,6 +193,7 @@ _HOME = {
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",
+    "repetitive": "design.repetitive",
     "resonator": "data.shorthand",
     "schedule": "verbs.chain",
     "shape": "verbs.chain",

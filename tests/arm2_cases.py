@@ -5,7 +5,7 @@ import numpy as np
 from loopshape.data.experiment import Experiment
 from loopshape.model.arm import closed_loop2 as kernel
 from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.closed_loop import COMPLETE, CONTROL
+from loopshape.model.arm.closed_loop import COMPLETE, CONTROL, plain_wiring
 from loopshape.model.arm.parameters import Sensors
 from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
 
@@ -46,8 +46,8 @@ def open_loop(c, start, z, steps=1, tick_s=1e-3, period_ticks=20):
     z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
     state, out = np.array(start, dtype=float), np.empty((len(z), len(kernel.LOGGED)))
     ended, n = kernel.run2(
-        c, sensors, state, *[no_controller] * 4, np.zeros((4, 1, 2)), np.zeros((len(z), 4)), z, CONTROL, False, tick_s,
-        period_ticks, 0.01, steps, 1, out,
+        c, sensors, state, *[no_controller] * 4, np.zeros((4, 1, 2)), plain_wiring(4), np.zeros((len(z), 4)), z,
+        CONTROL, False, tick_s, period_ticks, 0.01, steps, 1, out,
     )  # fmt: skip
     assert (ended, n) == (COMPLETE, len(z))
     return out, state

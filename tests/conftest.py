@@ -94,7 +94,7 @@ def arm_open_loop():
             m = np.empty(memory.SIZE)
             memory.start(c, state, m)
         ended, n = closed_loop.run(
-            c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), closed_loop.plain_wiring(),
+            c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), closed_loop.plain_wiring(2),
             np.zeros((len(z), 2)), z,
             closed_loop.CONTROL, False, tick_s, period_ticks, dead_zone, solver, steps, 1, out,
         )  # fmt: skip

@@ -14,6 +14,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from hdd_benchmark import HALF, NAMES, Benchmark, System, read_controllers, write_controllers  # noqa: E402
 from hdd_forecast import Forecast, nodes_hz, run_out_variance  # noqa: E402
+from hdd_limit import closed, filters, least, lifted  # noqa: E402
 from hdd_rows import Limits, margins  # noqa: E402
 from hdd_tuning import Roots, Tuner, resonators, search  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
@@ -30,12 +31,15 @@ SEEDS = (101, 201)
 DAMPING = 0.03
 #: searches one after the other: widest gap between nodes, most steps, first radius
 WIDEST_HZ, STEPS, RADII = (70.0, 20.0), (150, 150), (0.05, 0.05)
+#: a pole at 1 drifts (both actuators against each other, unseen) and counts as stable
+DRIFT = 1e-6
 #: dense nodes on which margins are read
 DENSE = (8.0, 1.003)
 COLUMNS = (
     "controllers", "case", "three_sigma", "forecast", "peak_S_db", "gain_margin_db", "phase_margin_deg",
     "low_S_over_reference_db", "largest_pole", "largest_stroke_nm",
 )  # fmt: skip
+LIMIT = ("case", "no_controller_below", "its_peak_S_db", "other_plants_stable", "reference", "tuned")
 
 
 def main() -> None:
@@ -50,6 +54,7 @@ def main() -> None:
     rows = [row for name, one in sets.items() for row in verified(benchmark, dense, name, one, reference)]
     _write("cases.csv", COLUMNS, rows)
     _write("seeds.csv", ("controllers", "first_seed", "worst_three_sigma"), seeds(benchmark, sets))
+    _write("limit.csv", LIMIT, limit(benchmark, dense, sets))
     write_bytes_whole(HERE.parent.parent / "figures" / "hdd" / "sensitivity.png", png(sensitivities(dense, sets)))
 
 
@@ -151,6 +156,23 @@ def seeds(benchmark: Benchmark, sets: Mapping[str, Mapping[str, System]]) -> Ite
         for name, one in sets.items():
             worst = max(benchmark.three_sigma(benchmark.head(case, one, given)[0]) for case in benchmark.cases)
             yield [name, str(first), f"{worst:.4g}"]
+
+
+def limit(benchmark: Benchmark, forecast: Forecast, sets: Mapping[str, Mapping[str, System]]) -> Iterator[list[str]]:
+    """The least 3 sigma of each plant alone without the run-out, what reaches it, and the sets' own without it."""
+    kept = {name: forecast.K(dict(one)) for name, one in sets.items()}
+    sigma = {name: forecast.three_sigma(K, forecast.loops(K)) for name, K in kept.items()}
+    plants = [lifted(benchmark, case) for case in benchmark.cases]
+    for k, plant in enumerate(plants):
+        found = least(plant)
+        own = forecast.loops(filters(benchmark, plant, found, forecast))[k]
+        held = sum(
+            np.abs(np.linalg.eigvals(closed(other, plant, found))).max() < 1.0 + DRIFT
+            for other in plants
+            if other is not plant
+        )
+        numbers = (found.three_sigma, np.max(-db(np.abs(1.0 + own))), held, sigma["reference"][k], sigma["tuned"][k])
+        yield [str(k + 1), *(f"{x:.4g}" for x in numbers)]
 
 
 @styled()

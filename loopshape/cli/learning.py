@@ -34,7 +34,7 @@ def learning(
     from loopshape.design.learning import learning as learn
     from loopshape.io.check_files import controller_of
     from loopshape.io.controllers import read_controllers
-    from loopshape.io.files import write_json
+    from loopshape.io.trials import write_learning
     from loopshape.view.feedforward import learning_factor
     from loopshape.view.style import figure_of
 
@@ -42,7 +42,7 @@ def learning(
     plant = plant_of(run, recording)
     own = controller_of(read_controllers(controller), plant.loop)
     made = learn(plant, own, band_hz=band_hz, taps=taps, preview=preview, integrators=integrators)
-    write_json(out, made.to_dict())
+    write_learning(out, made)
     k = int(made.factor_high.argmax())
     rows = [[plant.loop, made.converges, made.factor[k], made.factor_high[k], made.frequency_hz[k]]]
     output.table("Learning", ["loop", "converges", "most that is left", "95 % below", "at [Hz]"], rows)

@@ -29,6 +29,7 @@ from loopshape.cli.import_frf import import_frf
 from loopshape.cli.interaction import interaction
 from loopshape.cli.learning import learning
 from loopshape.cli.measure import measure
+from loopshape.cli.next_trial import next_trial
 from loopshape.cli.output import for_any_terminal
 from loopshape.cli.plan import plan
 from loopshape.cli.predict import predict
@@ -81,6 +82,7 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
         ("profiles", profiles, "loopshape profiles --out mine.toml"),
         ("feedforward", feedforward, "loopshape feedforward runs/axis --band-hz 0.5 20 --out feedforward.json"),
         ("learning", learning, "loopshape learning runs/axis controller.toml --band-hz 0.5 20 --out learning.json"),
+        ("next-trial", next_trial, "loopshape next-trial runs/move learning.json --out next.csv"),
         ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
     ),
     "Verify": (

@@ -24,7 +24,18 @@ from loopshape.data.excitation_parts import (
 )
 from loopshape.data.multisine import Multisine
 
-__all__ = ["BandNoise", "Excitation", "Multisine", "Prbs", "Profile", "Staircase", "Sweep", "ramp", "samples"]
+__all__ = [
+    "BandNoise",
+    "Excitation",
+    "Multisine",
+    "Prbs",
+    "Profile",
+    "Sampled",
+    "Staircase",
+    "Sweep",
+    "ramp",
+    "samples",
+]
 
 
 class Excitation(Protocol):
@@ -207,6 +218,24 @@ class Staircase:
         """The staircase, (n,)."""
         index = np.searchsorted(np.asarray(self.times_s), np.arange(n) / rate_hz + 1e-9, side="right")
         return np.concatenate([[before], np.asarray(self.values, dtype=float)])[index]
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """A signal (n,) that is given sample by sample at a rate, as a feedforward that was learned; it starts at t = 0."""
+
+    values: Array
+    rate_hz: float
+
+    def sampled(self, n: int, rate_hz: float, before: float) -> Array:
+        """The signal, (n,), with `before` after its end; refuses another rate, and a signal that is longer."""
+        if rate_hz != self.rate_hz or self.values.size > n:
+            raise WrongUseError(
+                "a signal that is given by its samples has the rate of the study and fits in the experiment",
+                f"{self.values.size} samples at {self.rate_hz:g} Hz, for {n} at {rate_hz:g} Hz",
+                "learn it from a recording of this experiment",
+            )
+        return np.concatenate([self.values, np.full(n - self.values.size, before)])
 
 
 @dataclass(frozen=True)

@@ -56,10 +56,11 @@ class Learning(Plain):
         """
         many = self.smoothing.size
         given = np.asarray(u, dtype=float) + np.asarray(control, dtype=float)
-        return self._smoothed(_ending(given, many)) + self.filter.signal(self._smoothed(_ending(error, many)))
+        # the inverse comes after Q, for it makes much of noise at the ends
+        return self.smoothed(_ending(given, many)) + self.filter.signal(self.smoothed(_ending(error, many)))
 
-    def _smoothed(self, values: Array) -> Array:
-        """Through Q; the inverse comes after it, for it makes much of noise at the ends."""
+    def smoothed(self, values: Array) -> Array:
+        """A signal (n,) through Q, which goes on at both ends as it is there."""
         return np.convolve(np.pad(values, self.smoothing.size // 2, mode="edge"), self.smoothing, mode="valid")
 
 

@@ -38,6 +38,7 @@ class Run:
         y: ArrayLike,
         rate_hz: float,
         excitation: ArrayLike | None = None,
+        reference: ArrayLike | None = None,
         injection: str = "controller_input",
         loop: str = "loop",
         recording: str = "recording",
@@ -49,6 +50,8 @@ class Run:
 
         With `excitation`, the signal that was injected, the loop was closed; it entered at the controller's input or,
         with injection "plant_input", behind `u` (then it is added to `u`). Without, `u` was applied in open loop.
+        With `reference` the recording is one of a move along this setpoint, from which no FRF is estimated and
+        `ls.next_trial` learns; an excitation beside it is the feedforward, and entered at the plant's input.
         `period_s` says that the excitation repeats; `controller` is what closed the loop, and tells unstable poles.
         Signs as drawn in `loopshape.data.loop`. Raises WrongUseError for lengths that differ.
 
@@ -59,18 +62,20 @@ class Run:
         >>> ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=1000.0)
         Run: 1 recording at 1000 Hz, loop loop
         """
-        columns = {"u_1": u, "y_1": y} | ({} if excitation is None else {"n_1": excitation})
-        arrays = {name: np.array(values, dtype=float) for name, values in columns.items()}
+        given = {"u_1": u, "y_1": y, "n_1": excitation, "r_1": reference}
+        arrays = {name: np.array(values, dtype=float) for name, values in given.items() if values is not None}
         if len({values.shape for values in arrays.values()}) != 1 or arrays["u_1"].ndim != 1:
             shapes = ", ".join(f"{name[:-2]} {values.shape}" for name, values in arrays.items())
             raise WrongUseError("the signals of a recording are (n,) and of one length", shapes, "cut them alike")
-        setup = LoopSetup(loop, None, None if excitation is None else "n_1", "u_1", "y_1", controller)
+        r, n = ("r_1" if "r_1" in arrays else None), ("n_1" if "n_1" in arrays else None)
+        setup = LoopSetup(loop, r, n, "u_1", "y_1", controller)
+        place = ("reference" if n is None else "plant_input") if r else ("control" if n is None else injection)
         info = RecordingInfo(
             file=f"{recording}.parquet",
-            kind="noise" if period_s is None else "multisine",
-            injection="control" if excitation is None else injection,
-            excites=loop,
-            closed_loop=excitation is not None,
+            kind="profile" if r else "noise" if period_s is None else "multisine",
+            injection=place,
+            excites=None if r else loop,
+            closed_loop=place != "control",
             operating_point=dict(operating_point or {}),
             period_s=period_s,
             periodic_from_s=None if period_s is None else 0.0,

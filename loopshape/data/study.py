@@ -8,7 +8,7 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block
-from loopshape.data.excitation import Excitation, Profile, Staircase
+from loopshape.data.excitation import Excitation, Profile, Sampled, Staircase
 from loopshape.data.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.data.experiment import LoopSetup, Told
 from loopshape.data.gain_scheduled import GainScheduled
@@ -23,10 +23,11 @@ Setpoint = Staircase | Profile
 class ExperimentTemplate(Told):
     """One `[[experiment]]` of a study, to be done at each of its operating points.
 
-    `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored
-    units. The excitation starts after `lead_s` at rest and is followed by `tail_s`; `duration_s` is the
-    whole length where there is no excitation. `excites_also` are excitations of further loops at once with that
-    of `excites`, in the unit of the place they enter; `expanded` makes them orthogonal over several templates.
+    `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored units.
+    `feedforward` is added at the plant's input, by loop. The excitation starts after `lead_s` at rest and is followed
+    by `tail_s`; `duration_s` is the whole length where there is no excitation. `excites_also` are excitations of
+    further loops at once with that of `excites`, in the unit of the place they enter; `expanded` makes them orthogonal
+    over several templates.
     `operating_points` None takes the study's; `parameters` come on top of the study's. Refuses `excites_also` without
     `excites` and `excitation`, or with the loop of `excites`.
     """
@@ -44,6 +45,7 @@ class ExperimentTemplate(Told):
     duration_s: float | None = None
     operating_points: tuple[Mapping[str, float], ...] | None = None
     excites_also: Mapping[str, Excitation] = field(default_factory=dict)
+    feedforward: Mapping[str, Sampled] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.excites_also and (self.excites is None or self.excitation is None):

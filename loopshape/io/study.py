@@ -27,6 +27,9 @@ An experiment has an `excitation` (with `lead_s`, `tail_s`), `references` or `co
     realisations = 2                           # optional: multisines again with new phases
     excitations = { theta1 = { kind = "multisine", ... }, theta2 = { kind = "multisine", ... } }
 
+`feedforward = { theta2 = "next.csv" }` beside references is added at the plant's input, sample by sample
+(`io.trials`, which `loopshape learning` writes); the file lies beside the study.
+
 `excitations` stands for `excites` and `excitation` where several loops are excited at once: multisines become
 orthogonal over as many recordings as loops, noises are added in one recording (`excitation_sets`). With rig = "target"
 there are `[target]` and `[limits]` too (`study_target`).
@@ -35,6 +38,7 @@ there are `[target]` and `[limits]` too (`study_target`).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +49,12 @@ from loopshape.data.excitation_sets import together
 from loopshape.data.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
-from loopshape.io.files import plain_name
+from loopshape.io.files import inside, plain_name
+from loopshape.io.provenance import file_sha256
 from loopshape.io.run_tables import SCHEDULE_KEYS, TOLD, read_blocks, read_decoupling, read_loops, read_schedule
 from loopshape.io.study_signals import read_excitation, read_excitations, read_setpoints
 from loopshape.io.study_target import read_target
+from loopshape.io.trials import read_feedforward
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
 
 _KEYS = (
@@ -57,7 +63,7 @@ _KEYS = (
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
-    "excitation", "excitations", "realisations", "references", "control", *(key.name for key in TOLD),
+    "excitation", "excitations", "realisations", "references", "control", "feedforward", *(key.name for key in TOLD),
 )  # fmt: skip
 Points = tuple[Mapping[str, float], ...]
 Setpoints = Mapping[str, Setpoint]
@@ -78,7 +84,7 @@ def read_study(path: Path) -> Study:
     words.need("rig", *(() if described else ("plant",)), "operating_points", "experiment")
     rate_hz = words.positive("rate_hz", 1000.0)
     seed, target = words.whole("seed", 0), read_target(words)
-    read = [one for table in words.tables("experiment") for one in _experiments(table, seed)]
+    read = [one for table in words.tables("experiment") for one in _experiments(table, seed, path.parent, rate_hz)]
     if not read:
         raise WrongUseError(f"{words.where}: no experiment", "an empty list", "write an [[experiment]]")
     refuse_doubles((template.name for template, _ in read), words.where, "experiments")
@@ -96,7 +102,10 @@ def read_study(path: Path) -> Study:
         controllers={} if described else _controllers(words),
         schedules=_schedules(words, rate_hz),
         decoupling={t.text("name"): read_decoupling(t) for t in words.tables("loop") if "decoupling" in t.table},
-        extra={"units": {template.name: units for template, units in read}},
+        extra={
+            "units": {t.name: u for t, u in read},
+            "files": dict(p for _, u in read for p in u.get("files", {}).items()),
+        },
         target=target,
         loops=read_loops(words, rate_hz) if described else (),
     )
@@ -139,9 +148,13 @@ def _schedules(words: Words, rate_hz: float) -> dict[str, GainScheduled]:
     return {t.text("name"): read_schedule(t, rate_hz) for t in words.tables("loop") if "nodes" in t.table}
 
 
-def _experiments(words: Words, seed: int) -> list[tuple[ExperimentTemplate, dict[str, Any]]]:
+def _experiments(
+    words: Words, seed: int, folder: Path, rate_hz: float
+) -> list[tuple[ExperimentTemplate, dict[str, Any]]]:
     """The experiments that one `[[experiment]]` stands for, each with the stored units of its signals."""
     template, units = _experiment(words, seed)
+    if "feedforward" in words.table:
+        template, units = _helped(words, template, units, folder, rate_hz)
     realisations = words.whole("realisations", 1) if "realisations" in words.table else None
     with said_in(words.where):
         return [(one, units) for one in expanded(template, realisations)]
@@ -175,6 +188,23 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
     )
     units: dict[str, Any] = {"excitation": signal_units.pop(excites, None) if excites else None}
     return template, units | {"excites_also": signal_units, "references": reference_units, "control": control_units}
+
+
+def _helped(
+    words: Words, template: ExperimentTemplate, units: dict[str, Any], folder: Path, rate_hz: float
+) -> tuple[ExperimentTemplate, dict[str, Any]]:
+    """The experiment with the feedforwards of files beside the study; refuses them with an excitation or open loops."""
+    if template.excitation is not None or template.control or template.injection != "reference":
+        raise WrongUseError(
+            f"{words.where}: a feedforward goes with references alone", "an excitation, control or injection beside it",
+            "leave that out: it enters at the plant's input",
+        )  # fmt: skip
+    named = words.inner("feedforward")
+    files = {loop: inside(folder, named.text(loop), "the file of a feedforward") for loop in named.table}
+    read = {loop: read_feedforward(file, rate_hz) for loop, file in files.items()}
+    made = replace(template, injection="plant_input", feedforward={loop: one for loop, (one, _) in read.items()})
+    digests = {file.name: file_sha256(file) for file in files.values()}
+    return made, units | {"feedforward": {loop: unit for loop, (_, unit) in read.items()}, "files": digests}
 
 
 def _excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:

@@ -13,12 +13,12 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES, Array
 from loopshape.data.channel import Channel
 from loopshape.data.controller import Controller
-from loopshape.data.excitation import samples
+from loopshape.data.excitation import Sampled, samples
 from loopshape.data.experiment import Experiment, LoopSetup
 from loopshape.data.plant import Plant
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
-from loopshape.data.study import ExperimentTemplate, Study
+from loopshape.data.study import ExperimentTemplate, Setpoint, Study
 from loopshape.rig.effects import moves
 
 
@@ -125,7 +125,7 @@ def _check_units(study: Study, template: ExperimentTemplate, loops: Sequence[Loo
     units = dict(study.extra.get("units", {})).get(template.name, {})
     for loop in loops:
         asked = [(units.get("references", {}).get(loop.name), loop.reference)]
-        asked += [(units.get("control", {}).get(loop.name), loop.control)]
+        asked += [(units.get(key, {}).get(loop.name), loop.control) for key in ("control", "feedforward")]
         if loop.name in template.excited:
             place = {"control": loop.control, "reference": loop.reference}.get(template.injection, loop.injected)
             mine = units if loop.name == template.excites else units.get("excites_also", {})
@@ -162,10 +162,11 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
     for loop, signal in template.references.items():
         k = _place(plant, loop, template.name)
         references[:, k] = signal.sampled(n, study.rate_hz, float(setpoint[k]))
-    driven = bool(template.control) or template.excitation is not None
+    given: dict[str, Setpoint | Sampled] = {**template.control, **template.feedforward}
+    driven = bool(given) or template.excitation is not None
     injected = np.zeros(shape) if driven else np.broadcast_to(0.0, shape)
-    for loop, signal in template.control.items():
-        injected[:, _place(plant, loop, template.name)] = signal.sampled(n, study.rate_hz, 0.0)
+    for loop, added in given.items():
+        injected[:, _place(plant, loop, template.name)] = added.sampled(n, study.rate_hz, 0.0)
     target = references if template.injection == "reference" else injected
     period_s, periodic_from_s = _excite(target, template, plant, study.rate_hz)
     return Experiment(

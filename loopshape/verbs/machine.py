@@ -71,6 +71,8 @@ def measure(
         "study_sha256": file_sha256(file),
         KEY: {**versions(), "study": file.name, "seed": wanted.seed},
     }
+    if files := wanted.extra.get("files"):
+        extra["files_sha256"] = dict(files)
     if wanted.rig == "target":
         may = confirm or (lambda motion: arm)
         record_on_target(wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra)

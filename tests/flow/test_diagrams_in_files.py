@@ -79,7 +79,7 @@ def test_learning_says_whether_trials_converge(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-@pytest.mark.parametrize("kind", ["parallel", "observer"])
+@pytest.mark.parametrize("kind", ["parallel", "observer", "repetitive"])
 def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     """The step in C, fed with what the simulation measured, gives what the simulation put into the plants."""
     C = ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE)
@@ -91,6 +91,7 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
         "observer": (
             ls.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
         ),
+        "repetitive": (ls.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
     }[kind]  # fmt: skip
     ls.export(D, tmp_path, "c")
     outputs = ["u1", "u2"] if kind == "parallel" else ["u"]

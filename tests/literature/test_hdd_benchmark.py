@@ -94,3 +94,29 @@ def test_systems_of_roots_are_those_they_were_made_of(disk):
     for system in disk.reference().values():
         roots = Roots.of(system).with_pairs(resonators([3000.0], 0.03))
         np.testing.assert_allclose(response(roots.system(), z), response(system, z), rtol=1e-9)
+
+
+def test_no_set_is_better_than_the_limit_and_the_forecast_knows_what_reaches_it(disk):
+    """Two routes, the lifted plant's Riccati equations and the frequency domain, agree on the least 3 sigma."""
+    from hdd_benchmark import read_controllers
+    from hdd_forecast import Forecast
+    from hdd_limit import filters, least, lifted
+    from run import tuning_nodes
+
+    forecast = Forecast(disk, tuning_nodes(disk, 70.0))
+    plant = lifted(disk, disk.cases[2])
+    found = least(plant)
+    rows = list(csv.DictReader((STUDY / "limit.csv").read_text().splitlines()))
+    assert found.three_sigma == pytest.approx(float(rows[2]["no_controller_below"]), rel=1e-3)
+    K = filters(disk, plant, found, forecast)
+    assert forecast.three_sigma(K, forecast.loops(K))[2] == pytest.approx(found.three_sigma, rel=0.01)
+    for controllers in (disk.reference(), read_controllers(STUDY / "controllers_tuned.json")):
+        K = forecast.K(controllers)
+        assert forecast.three_sigma(K, forecast.loops(K))[2] > found.three_sigma
+
+
+def test_the_piezo_s_gain_does_not_move_the_limit(disk):
+    from hdd_limit import least, lifted
+
+    found = [least(lifted(disk, disk.cases[k])).three_sigma for k in (2, 5, 8)]
+    assert found == pytest.approx([found[0]] * 3, rel=1e-5)

@@ -95,7 +95,7 @@ def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     def go() -> None:
         state = np.zeros((2, sections.shape[1], 2))
         ended, _ = kernel.run(
-            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, kernel.plain_wiring(), r, injected,
+            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, kernel.plain_wiring(2), r, injected,
             kernel.CONTROLLER_INPUT, True, 1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
         )  # fmt: skip
         assert ended == kernel.COMPLETE, "the arm left its range"
@@ -136,7 +136,7 @@ def our_arm2() -> Callable[[], object]:
 
     from loopshape.core.kernels.noise import start_state
     from loopshape.model.arm import closed_loop2 as kernel
-    from loopshape.model.arm.closed_loop import COMPLETE, CONTROLLER_INPUT
+    from loopshape.model.arm.closed_loop import COMPLETE, CONTROLLER_INPUT, plain_wiring
     from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
 
     vector = ARM2_PARAMETERS.vector()
@@ -144,13 +144,13 @@ def our_arm2() -> Callable[[], object]:
     r, sections, rested = work.references(), work.biquads(), work.start()
     injected, out = np.zeros_like(r), np.zeros((len(r), kernel.MEASURED))
     injected.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
-    seed = start_state(1)
+    wiring, seed = plain_wiring(4), start_state(1)
 
     def go() -> None:
         state = np.zeros((4, sections.shape[1], 2))
         ended, _ = kernel.run2(
-            c, sensors, rested.copy(), sections[0], sections[1], sections[2][:1], sections[3][:1], state, r, injected,
-            CONTROLLER_INPUT, True, 1e-3, 20, 0.01, 1, seed, out,
+            c, sensors, rested.copy(), sections[0], sections[1], sections[2][:1], sections[3][:1], state, wiring, r,
+            injected, CONTROLLER_INPUT, True, 1e-3, 20, 0.01, 1, seed, out,
         )  # fmt: skip
         assert ended == COMPLETE, "the arm left its range"
 

@@ -13,8 +13,7 @@ from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.channel import Channel
 from loopshape.data.controller import Block
-from loopshape.data.experiment import Experiment, decoupling_matrix
-from loopshape.data.gain_scheduled import Follows
+from loopshape.data.experiment import Experiment
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.model.arm import closed_loop as kernel
@@ -144,12 +143,6 @@ class Arm1(Arm):
         memory.start(c, x, m)
         how = (SOLVERS[solver], steps, start_state(e.seed), out)
         return kernel.run(c, sensor_constants(vector), x, m, *(*signals, *how))
-
-    def _wiring(self, e: Experiment) -> tuple[Any, ...]:
-        plain = kernel.plain_wiring()
-        signals = [(loop, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in self.loops]
-        made = [loop.schedule and loop.schedule.tables(signals) for loop in e.loops]
-        return (kernel.Wiring(made[0] or plain.theta, made[1] or plain.p, decoupling_matrix(e.loops)),)
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         columns = {"true_theta2_rad": logged["angle"], "true_velocity_rad_s": logged["velocity"]}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.kernels import biquads, noise, pwm, scheduled
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
+from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
 from loopshape.model.arm import effect_parameters as e
 from loopshape.model.arm import memory, model, valves
@@ -30,31 +30,41 @@ CONTROLLER_INPUT, PLANT_INPUT, CONTROL = 0, 1, 2
 #: columns of the log, pressures in Pa: measured angle and pressures, z and u; true states after them if asked
 LOGGED = ("theta2", "p_a", "p_b", "z_theta2", "z_p", "u_a", "u_b", "angle", "velocity", "true_a", "true_b", "p_c")
 MEASURED = 7
-#: what a schedule may follow: references, then outputs, of both loops in stored units
-SIGNALS = 4
 LOWEST_PA, WIDEST = 5e2, 1.2  # a followed state stays inside: a wrong hypothesis shall err, not break
 
 
 class Wiring(NamedTuple):
-    """Schedules of both controllers (without sections: none), and the matrix between the controllers and the plant."""
+    """Schedules of the controllers, which of them there are, and the matrix between the controllers and the plant.
 
-    theta: scheduled.Scheduled
-    p: scheduled.Scheduled
+    A schedule may follow the references, then the outputs, of all loops in stored units.
+    """
+
+    schedules: tuple[scheduled.Scheduled, ...]
+    scheduled: np.ndarray
     decoupling: Array
 
 
-def plain_wiring() -> Wiring:
+def plain_wiring(loops: int) -> Wiring:
     """Controllers that stay as they are, each straight on its own input."""
-    return Wiring(scheduled.none(SIGNALS), scheduled.none(SIGNALS), np.eye(2))
+    return Wiring((scheduled.none(2 * loops),) * loops, np.zeros(loops, dtype=bool), np.eye(loops))
 
 
-@compiled_in_line
-def controlled(sections: Array, state: Array, schedule: scheduled.Scheduled, signals: Array, error: float) -> float:
-    """What a loop's controller answers, by its schedule where it has one."""
-    if schedule.sections.shape[0] == 0:
-        return biquads.step(sections, state, error)
-    scheduled.follow(schedule, signals)
-    return scheduled.step(schedule, error)
+@compiled
+def by_schedules(wiring: Wiring, signals: Array, errors: Array, z: Array) -> None:
+    """Replace what the loops' controllers answer, `z`, where a loop has a schedule."""
+    for k in range(z.size):
+        if wiring.scheduled[k]:
+            scheduled.follow(wiring.schedules[k], signals)
+            z[k] = scheduled.step(wiring.schedules[k], errors[k])
+
+
+@in_line
+def decoupled(matrix: Array, v: Array, out: Array) -> None:
+    """Fill `out` with the matrix times `v`."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for j in range(v.size):
+            out[i] += matrix[i, j] * v[j]
 
 
 @in_line
@@ -284,7 +294,8 @@ def run(
     period_s = period_ticks * tick_s
     held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
     held[model.COULOMB] = c[e.COULOMB]
-    signals = np.zeros(SIGNALS)
+    signals, errors, v, entering = np.zeros(4), np.zeros(2), np.zeros(2), np.zeros(2)
+    follows = wiring.scheduled.any()
     n_edges = 0
     u_a = u_b = 0.0
     spare, has_spare = 0.0, False
@@ -294,25 +305,26 @@ def run(
             true, true_a, true_b, sensors, random_state, spare, has_spare
         )
         if closed:
-            e_theta = references[tick, 0] - theta
-            e_p = 1e-5 * (references[tick, 1] - (p_a + p_b))
+            errors[0] = references[tick, 0] - theta
+            errors[1] = 1e-5 * (references[tick, 1] - (p_a + p_b))
             if injection == CONTROLLER_INPUT:
-                e_theta += injected[tick, 0]
-                e_p += injected[tick, 1]
-            signals[0], signals[1] = references[tick, 0], 1e-5 * references[tick, 1]
-            signals[2], signals[3] = theta, 1e-5 * (p_a + p_b)
-            z_theta = controlled(biquads_theta, controller_state[0], wiring.theta, signals, e_theta)
-            z_p = controlled(biquads_p, controller_state[1], wiring.p, signals, e_p)
+                errors[0] += injected[tick, 0]
+                errors[1] += injected[tick, 1]
+            v[0] = biquads.step(biquads_theta, controller_state[0], errors[0])
+            v[1] = biquads.step(biquads_p, controller_state[1], errors[1])
+            if follows:
+                signals[0], signals[1] = references[tick, 0], 1e-5 * references[tick, 1]
+                signals[2], signals[3] = theta, 1e-5 * (p_a + p_b)
+                by_schedules(wiring, signals, errors, v)
         else:
-            z_theta, z_p = injected[tick, 0], injected[tick, 1]
-        v_theta, v_p = z_theta, z_p
+            v[0], v[1] = injected[tick, 0], injected[tick, 1]
+        z_theta, z_p = v[0], v[1]
         if closed and injection == PLANT_INPUT:
-            v_theta += injected[tick, 0]
-            v_p += injected[tick, 1]
-        d = wiring.decoupling
-        v_theta, v_p = d[0, 0] * v_theta + d[0, 1] * v_p, d[1, 0] * v_theta + d[1, 1] * v_p
+            v[0] += injected[tick, 0]
+            v[1] += injected[tick, 1]
+        decoupled(wiring.decoupling, v, entering)
 
-        log(out, tick, theta, p_a, p_b, z_theta, z_p, v_theta + v_p, v_p - v_theta, x)
+        log(out, tick, theta, p_a, p_b, z_theta, z_p, entering[0] + entering[1], entering[1] - entering[0], x)
         phase = tick % period_ticks
         if phase == 0:
             u_a, u_b = late(out, 5, tick, c[e.LOOP_DELAY] / tick_s), late(out, 6, tick, c[e.LOOP_DELAY] / tick_s)

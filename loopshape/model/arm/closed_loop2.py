@@ -22,7 +22,10 @@ from loopshape.model.arm.closed_loop import (
     LEFT_THETA2,
     NOT_FINITE,
     PLANT_INPUT,
+    Wiring,
+    by_schedules,
     converted,
+    decoupled,
 )
 from loopshape.model.arm.model import called, in_line
 from loopshape.model.arm.model2 import moving2
@@ -36,7 +39,7 @@ LOGGED = (
     "u_a", "u_b", "u_c", "u_d",
     "capacity", "true_a", "true_b", "true_c", "true_d", "angle1", "angle2", "velocity1", "velocity2",
 )  # fmt: skip
-Z, U, MEASURED, STATES = 6, 10, 14, 9  # places of z, of u and of the true states, and their number
+LOOPS, Z, U, MEASURED, STATES = 4, 6, 10, 14, 9  # number of loops, places of z, u and true states, and their number
 
 
 @called
@@ -123,16 +126,41 @@ def sense2(x: Array, sensors: Sensors, random_state: int, row: Array) -> int:
 
 
 @in_line
-def log2(out: Array, tick: int, z1: float, z2: float, z3: float, z4: float, shared: float, x: Array) -> None:
-    """Decouple what enters the plant (z, with what is injected there) and log it; true states too where there is room.
+def compare2(references: Array, out: Array, tick: int, shared: float, errors: Array) -> None:
+    """Fill errors (4,) in rad and bar from the references and a row's six sensors."""
+    errors[0], errors[1] = references[tick, 0] - out[tick, 0], references[tick, 1] - out[tick, 1]
+    errors[2] = 1e-5 * (references[tick, 2] - (out[tick, 2] + shared * out[tick, 3]))
+    errors[3] = 1e-5 * (references[tick, 3] - (out[tick, 4] + shared * out[tick, 5]))
+
+
+@in_line
+def told2(references: Array, out: Array, tick: int, shared: float, signals: Array) -> None:
+    """Fill what a schedule may follow (8,), references and outputs in rad and bar."""
+    signals[0], signals[1] = references[tick, 0], references[tick, 1]
+    signals[2], signals[3] = 1e-5 * references[tick, 2], 1e-5 * references[tick, 3]
+    signals[4], signals[5] = out[tick, 0], out[tick, 1]
+    signals[6] = 1e-5 * (out[tick, 2] + shared * out[tick, 3])
+    signals[7] = 1e-5 * (out[tick, 4] + shared * out[tick, 5])
+
+
+@in_line
+def add(injected: Array, tick: int, signals: Array) -> None:
+    """Add what is injected in a tick to signals (4,)."""
+    for k in range(LOOPS):
+        signals[k] += injected[tick, k]
+
+
+@in_line
+def log2(out: Array, tick: int, v: Array, shared: float, x: Array) -> None:
+    """Log the commands that follow from what enters the plant, `v` (4,); true states too where there is room.
 
     u_A = z_theta2 + z_pA, u_B = -z_theta2, u_C = -z_theta1 + z_pC, u_D = z_theta1 (5.11-5.15, signs of ARM.md). With
     `shared` 1 z_p enters both muscles of its pair: u_B = -z_theta2 + z_pAB, u_D = z_theta1 + z_pCD (5.3-5.7).
     """
-    out[tick, U], out[tick, U + 1], out[tick, U + 2], out[tick, U + 3] = z2 + z3, -z2, z4 - z1, z1
+    out[tick, U], out[tick, U + 1], out[tick, U + 2], out[tick, U + 3] = v[1] + v[2], -v[1], v[3] - v[0], v[0]
     if shared != 0.0:  # not added as 0 elsewhere, which would make +0 of -0
-        out[tick, U + 1] += shared * z3
-        out[tick, U + 3] += shared * z4
+        out[tick, U + 1] += shared * v[2]
+        out[tick, U + 3] += shared * v[3]
     if out.shape[1] > MEASURED:
         for k in range(STATES):
             out[tick, MEASURED + k] = x[k]
@@ -162,6 +190,7 @@ def run2(
     biquads_p_a: Array,
     biquads_p_c: Array,
     controller_state: Array,
+    wiring: Wiring,
     references: Array,
     injected: Array,
     injection: int,
@@ -175,31 +204,33 @@ def run2(
 ) -> tuple[int, int]:
     """Simulate as many ticks as `references` (n, 4: rad, rad, Pa, Pa) has; fills `out` (n, 14 or 23) by `LOGGED`.
 
-    `x` (9,) and `controller_state` (4, sections, 2) move in place. Gives why it ended and how many ticks are logged.
+    `x` (9,), `controller_state` (4, sections, 2) and the schedules of `wiring` move in place. Gives why it ended and
+    how many ticks are logged.
     The constants' `SHARED` is the strategy: 1 measures and drives both muscles of a pair by its pressure loop, 0 one.
     Sensor spans: angles are centred, pressures start at 0; beyond them the converters clip.
     """
-    u, closes, shared = np.zeros(4), np.zeros(4), c[SHARED]
+    u, closes, shared, signals = np.zeros(4), np.zeros(4), c[SHARED], np.zeros(2 * LOOPS)
+    errors, v, entering, follows = np.zeros(LOOPS), np.zeros(LOOPS), np.zeros(LOOPS), wiring.scheduled.any()
     for tick in range(references.shape[0]):
         random_state = sense2(x, sensors, random_state, out[tick])
         if closed:
-            e1, e2 = references[tick, 0] - out[tick, 0], references[tick, 1] - out[tick, 1]
-            held1, held2 = out[tick, 2] + shared * out[tick, 3], out[tick, 4] + shared * out[tick, 5]
-            e3, e4 = 1e-5 * (references[tick, 2] - held1), 1e-5 * (references[tick, 3] - held2)
+            compare2(references, out, tick, shared, errors)
             if injection == CONTROLLER_INPUT:
-                e1, e2 = e1 + injected[tick, 0], e2 + injected[tick, 1]
-                e3, e4 = e3 + injected[tick, 2], e4 + injected[tick, 3]
-            z1 = biquads.step(biquads_theta1, controller_state[0], e1)
-            z2 = biquads.step(biquads_theta2, controller_state[1], e2)
-            z3 = biquads.step(biquads_p_a, controller_state[2], e3)
-            z4 = biquads.step(biquads_p_c, controller_state[3], e4)
+                add(injected, tick, errors)
+            v[0] = biquads.step(biquads_theta1, controller_state[0], errors[0])
+            v[1] = biquads.step(biquads_theta2, controller_state[1], errors[1])
+            v[2] = biquads.step(biquads_p_a, controller_state[2], errors[2])
+            v[3] = biquads.step(biquads_p_c, controller_state[3], errors[3])
+            if follows:
+                told2(references, out, tick, shared, signals)
+                by_schedules(wiring, signals, errors, v)
         else:
-            z1, z2, z3, z4 = injected[tick, 0], injected[tick, 1], injected[tick, 2], injected[tick, 3]
-        out[tick, 6], out[tick, 7], out[tick, 8], out[tick, 9] = z1, z2, z3, z4
+            v[0], v[1], v[2], v[3] = injected[tick, 0], injected[tick, 1], injected[tick, 2], injected[tick, 3]
+        out[tick, Z], out[tick, Z + 1], out[tick, Z + 2], out[tick, Z + 3] = v[0], v[1], v[2], v[3]
         if closed and injection == PLANT_INPUT:
-            z1, z2 = z1 + injected[tick, 0], z2 + injected[tick, 1]
-            z3, z4 = z3 + injected[tick, 2], z4 + injected[tick, 3]
-        log2(out, tick, z1, z2, z3, z4, shared, x)
+            add(injected, tick, v)
+        decoupled(wiring.decoupling, v, entering)
+        log2(out, tick, entering, shared, x)
         phase = tick % period_ticks
         if phase == 0:
             for k in range(4):

@@ -12,7 +12,8 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment, LoopSetup, shared_unit
+from loopshape.data.experiment import Experiment, LoopSetup, decoupling_matrix, shared_unit
+from loopshape.data.gain_scheduled import Follows
 from loopshape.data.plant import ParameterTable
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.model.arm import closed_loop as kernel
@@ -116,10 +117,15 @@ class Arm:
         vector = self.parameters.vector({f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters))
         controllers = [sections(loop, e) for loop in e.loops]
         state = np.zeros((len(controllers), max(b.shape[0] for b in controllers), 2))
-        wiring = self._wiring(e)
         injected = np.ascontiguousarray(e.injected)
         injected.setflags(write=False)  # one kind of array, one compiled kernel
-        loops = (*controllers, state, *wiring, np.ascontiguousarray(e.references * np.array(self.to_si)), injected)
+        loops = (
+            *controllers,
+            state,
+            wiring(e.loops),
+            np.ascontiguousarray(e.references * np.array(self.to_si)),
+            injected,
+        )
         ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
         pwm = (1.0 / e.rate_hz, ticks, self._value(vector, "pwm_dead_zone"))
         out = np.empty((e.samples, len(self.logged) if states else self.measured))
@@ -133,14 +139,6 @@ class Arm:
     ) -> tuple[int, int]:
         """Run the kernel into `out`; gives why it ended and how many rows are filled."""
         raise NotImplementedError
-
-    def _wiring(self, e: Experiment) -> tuple[Any, ...]:
-        """What the kernel is told of schedules and decoupling beside the controllers; refuses what it does not know."""
-        if any(loop.schedule is not None or loop.decoupling for loop in e.loops):
-            raise WrongUseError(
-                f"{self.title} runs neither schedules nor a decoupling matrix", e.name, "use plain controllers"
-            )
-        return ()
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         """Columns of the true states."""
@@ -177,6 +175,16 @@ def period_ticks(rate_hz: float, pwm_hz: float) -> int:
             "a PWM period must be a whole number of controller samples", f"{pwm_hz:g} Hz at {rate_hz:g} Hz"
         )
     return round(ticks)
+
+
+def wiring(loops: Sequence[LoopSetup]) -> kernel.Wiring:
+    """Schedules and decoupling of the loops, as the kernels take them beside the controllers."""
+    signals = [(loop.name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in loops]
+    plain = kernel.plain_wiring(len(loops)).schedules
+    made = tuple(
+        loop.schedule.tables(signals) if loop.schedule else none for loop, none in zip(loops, plain, strict=True)
+    )
+    return kernel.Wiring(made, np.array([loop.schedule is not None for loop in loops]), decoupling_matrix(loops))
 
 
 def sections(loop: LoopSetup, e: Experiment) -> Array:
