@@ -28,11 +28,11 @@ class Block:
     @classmethod
     def read(cls, payload: bytes, signals: int) -> "Block":
         """BLOCK, or the refusal that it earns."""
-        if len(payload) < 5:
+        if len(payload) < 6:
             raise RefusedError(2, "too short")
-        _, every, delay, count = payload[:4]
-        end = 4 + 9 * count
-        terms = [fields("Bd", payload[k : k + 9]) for k in range(4, end, 9)]
+        _, every, delay, count = fields("BBHB", payload[:5])
+        end = 5 + 9 * count
+        terms = [fields("Bd", payload[k : k + 9]) for k in range(5, end, 9)]
         if len(payload) <= end:
             raise RefusedError(2, "no number of sections")
         numbers = fields(f"{5 * payload[end]}d", payload[end + 1 :])

@@ -28,7 +28,7 @@ class Block:
 
     def payload(self, index: int) -> bytes:
         """Payload of BLOCK. Refuses what does not fit into one message."""
-        out = struct.pack("<BBBB", index, self.every, self.delay, len(self.terms))
+        out = struct.pack("<BBHB", index, self.every, self.delay, len(self.terms))
         out += b"".join(struct.pack("<Bd", *term) for term in self.terms)
         out += struct.pack("<B", len(self.sections)) + np.asarray(self.sections, "<f8").tobytes()
         if len(out) > LONGEST_PAYLOAD:
@@ -45,7 +45,7 @@ def blocks(wired: Wired, loops: Sequence[LoopSetup], rate_hz: float) -> tuple[tu
     every, signals = _every(wired.diagram, rate_hz), _Signals(wired, _sources(wired, loops))
     given = {loop.name: name for loop in loops if (name := wired.gives(loop)) is not None}
     parts = signals.order(given.values())
-    number = signals.source | {p.outputs[0]: 2 * len(loops) + k for k, p in enumerate(parts)}
+    number = {**signals.source, **{p.outputs[0]: 2 * len(loops) + k for k, p in enumerate(parts)}}
     made = [_block(p, signals.terms(p.inputs[0]), number, every) for p in parts]
     outputs = {}
     for loop, signal in given.items():
@@ -104,7 +104,7 @@ class _Signals:
             name = left.pop()
             reads[name] = {one for one in self.terms(self._parts[name].inputs[0]) if one in self._parts}
             left |= reads[name] - set(reads)
-        known, found = {name for name in reads if _delay(self._parts[name]) >= 0.5}, []
+        known, found = {name for name in reads if self._parts[name].delay_samples}, []
         while rest := [name for name in self._parts if name in reads and name not in found]:
             if not (ready := [name for name in rest if reads[name] <= known]):
                 names = ", ".join(self._parts[name].name for name in rest)
@@ -125,17 +125,12 @@ def _weights(terms: Mapping[str, float], number: Mapping[str, int]) -> tuple[tup
 
 def _block(part: Part, terms: Mapping[str, float], number: Mapping[str, int], every: int) -> Block:
     assert isinstance(part.what, Controller)
-    delay = _delay(part)
-    if abs(delay - round(delay)) > 1e-6 or delay > 255.5:
+    asked = part.what.computation_delay_s * part.what.rate_hz
+    if abs(asked - part.delay_samples) > 1e-6 or asked > 65535.5:
         raise WrongUseError(
-            f"the delay of {part.name} is no whole number of its samples up to 255", f"{delay:g}", "take the next one"
+            f"the delay of {part.name} is no whole number of its samples up to 65535", f"{asked:g}", "take the next one"
         )
-    return Block(_weights(terms, number), part.what.biquads(), round(delay), every)
-
-
-def _delay(part: Part) -> float:
-    """Samples of a controller's delay, at its own rate."""
-    return part.what.computation_delay_s * part.what.rate_hz if isinstance(part.what, Controller) else 0.0
+    return Block(_weights(terms, number), part.what.biquads(), part.delay_samples, every)
 
 
 def _every(D: Diagram, rate_hz: float) -> int:

@@ -56,8 +56,8 @@ def diagrams(name):
             ls.Part("C1", "e1", "u1", slow), ls.Part("C2", "e", "u2", C), ls.Part("P", ("u1", "u2"), ("y1", "y2"), G)
         )  # fmt: skip
         return ls.Diagram(parts, {"y": "y1 + y2", "e": "r - y", "e1": "e + y2"}, "C1"), {"P": two}, two_inputs
-    late = controller(ls.gain(1.0), computation_delay_s=0.003)
-    parts = (  # a cascade whose inner controller also reads what both gave three samples ago, in a circle
+    late = controller(ls.gain(1.0), computation_delay_s=0.3)
+    parts = (  # a cascade whose inner controller also reads what both gave 300 samples ago, in a circle
         ls.Part("outer", "e", "v", slow), ls.Part("inner", "ei", "u1", controller(ls.gain(2.0))),
         ls.Part("late", "both", "w", late),
         ls.Part("second", "y2", "u2", controller(ls.gain(-1.0), ls.low_pass(90.0, 0.7))),
@@ -330,7 +330,9 @@ def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):
     odd = ls.Diagram((ls.Part("C", "e", "u", third), ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
     refused(tmp_path, ls.Wired(odd, wires), "a whole part of it; received 300 Hz, the target 1000 Hz")
     half = D.with_part("C", controller(ls.gain(1.0), computation_delay_s=0.0005))
-    refused(tmp_path, ls.Wired(half, wires), "the delay of C is no whole number of its samples up to 255; received 0.5")
+    refused(
+        tmp_path, ls.Wired(half, wires), "the delay of C is no whole number of its samples up to 65535; received 0.5"
+    )
 
 
 def test_a_simulated_rig_refuses_a_diagram(tmp_path):

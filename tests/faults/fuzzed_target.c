@@ -132,7 +132,7 @@ static double any_number(void)
 static void fill(uint8_t type, struct writer *p)
 {
     static const char *const form[0x15] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
-                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbbbbdbddddd", "bb"};
+                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbhbbdbddddd", "bb"};
     const char *text = type <= 0x14 ? form[type] : "qqq";
     if (drawn(8) == 0) {
         for (uint32_t n = drawn(60); n > 0; n--)
@@ -160,7 +160,7 @@ static void diagram(struct writer *p)
 {
     const double section[] = {0.5, 0.2, 0.0, -0.4, 0.1};
     for (uint8_t k = 0; k < 2; k++) {
-        put_u8(p, k), put_u8(p, (uint8_t)(2 - k)), put_u8(p, (uint8_t)(1 + drawn(3))), put_u8(p, 3);
+        put_u8(p, k), put_u8(p, (uint8_t)(2 - k)), put_u16(p, (uint16_t)(1 + drawn(3))), put_u8(p, 3);
         for (uint8_t j = 0; j < 3; j++)
             put_u8(p, j == 2 ? (uint8_t)(3 - k) : j), put_f64(p, j == 1 ? -1.0 : 0.5);
         put_u8(p, 1);

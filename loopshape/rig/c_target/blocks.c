@@ -67,7 +67,7 @@ static uint8_t take_block(struct reader *in, struct block *b)
 {
     b->from = target.c.used;
     b->every = take_u8(in);
-    b->delay = take_u8(in);
+    b->delay = take_u16(in);
     b->terms = take_u8(in);
     if (in->left < 9u * b->terms + 1u)
         return NO_MALFORMED;
@@ -196,6 +196,6 @@ void blocks_step(int injected)
         }
         l->block_wait[k] = (uint8_t)(b->every - 1);
         line(b)[l->block_at[k]] = computed(b, injected); /* without a delay the line is the value itself */
-        l->block_at[k] = b->delay > 0 ? (uint8_t)((l->block_at[k] + 1) % b->delay) : 0;
+        l->block_at[k] = b->delay > 0 ? (uint16_t)((l->block_at[k] + 1) % b->delay) : 0;
     }
 }

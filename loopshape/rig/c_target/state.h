@@ -52,7 +52,8 @@ struct follower {
 
 /* A sum of signals through sections. Its numbers: weights, coefficients; then what moves: states, delay line, value. */
 struct block {
-    uint8_t every, delay, terms, sections, signal[TARGET_TERMS];
+    uint8_t every, terms, sections, signal[TARGET_TERMS];
+    uint16_t delay;
     uint32_t from;
 };
 
@@ -79,7 +80,8 @@ struct loops {
     double y[TARGET_LOOPS], r[TARGET_LOOPS], n[TARGET_LOOPS], z[TARGET_LOOPS];
     double state[TARGET_LOOPS][TARGET_SECTIONS][2];
     struct follower follower[FOLLOWERS];
-    uint8_t block_wait[TARGET_BLOCKS], block_at[TARGET_BLOCKS]; /* ticks until its turn, place in its delay line */
+    uint8_t block_wait[TARGET_BLOCKS]; /* ticks until its turn */
+    uint16_t block_at[TARGET_BLOCKS];  /* place in its delay line */
     double from[TARGET_LOOPS], to[TARGET_LOOPS]; /* the references' way to the setpoint */
     uint32_t way, ways;                          /* ticks of it, done and in all */
     double before[LIMITED][RATE_TICKS];          /* the last values, for the rates */
