@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Output as Output
     from loopshape.data.machine import Port as Port
     from loopshape.data.model import Fit as Fit
+    from loopshape.data.objective import Objective as Objective
     from loopshape.data.prediction import Comparison as Comparison
     from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
@@ -65,7 +66,11 @@ if TYPE_CHECKING:
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
+<<<<<<< HEAD
     from loopshape.data.wired import Wired as Wired
+=======
+    from loopshape.data.weight import Weight as Weight
+>>>>>>> main
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
@@ -133,6 +138,7 @@ _HOME = {
     "Mask": "data.limits_over",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
+    "Objective": "data.objective",
     "Outcome": "data.verdict",
     "Output": "data.machine",
     "Part": "data.diagram",
@@ -145,6 +151,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
+    "Weight": "data.weight",
     "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",

@@ -12,6 +12,7 @@ from loopshape.core.kernels.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.controller import Block, series_response
 from loopshape.design.problem import Problem, coefficients
+from loopshape.design.weighed import weighed
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +71,19 @@ class Evaluation:
         return self._loops[2]
 
     @cached_property
+    def ln_norm(self) -> Array:
+        """ln of the norm of the weighted loop on the flat lines."""
+        weights = weighed(self.p)
+        with np.errstate(divide="ignore"):
+            return self.ln_S + 0.5 * np.log(weights.own + weights.by_C * np.exp(2.0 * self.ln_C[self.p.line]))
+
+    @cached_property
     def flat(self) -> Flat:
         """The lines as the kernels of rows take them."""
-        p = self.p
+        p, weights = self.p, weighed(self.p)
         return Flat(
             p.f, p.ln_f, self.L, self.ln_L, self.ln_S, p.ln_P, self.ln_C, p.ln_reach, p.line, p.first, p.led, p.f_above,
-            p.above.start,
+            p.above.start, weights.own, weights.by_C,
         )  # fmt: skip
 
     @cached_property

@@ -11,15 +11,12 @@ import numpy as np
 from loopshape.core.kernels import tuning_rows as kernel
 from loopshape.core.units import Array, rad
 from loopshape.design.evaluation import Evaluation
+from loopshape.design.norms import EVERY, FAR, NORM, PLATEAU, norm_above
 from loopshape.design.problem import Problem
 from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability import FIT_DEG
 
-#: local peaks this far below their limit (in ln) are left out, save the highest of each operating point
-FAR = 0.7
-#: of lines this near to their limit (in ln) every fourth counts too: on a plateau the peak goes where a step tilts it
-PLATEAU, EVERY = 0.1, 4
 _OF_C = "controller_bandwidth_hz"
 
 
@@ -38,6 +35,7 @@ _KINDS = {
     "process_mask_db": kernel.PS,
     "loop_mask_db": kernel.LOOP,
     "loop_floor_db": kernel.FLOOR,
+    NORM: kernel.NORM,
     SURE: kernel.SURE,
 }
 #: quantities that go on above the last line, where |L| stays below its last value
@@ -107,6 +105,8 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
         if name in _ABOVE:
             yield _mask_above(e, name, mine)
+        if name == NORM:
+            yield from norm_above(e, mine)
     yield from _beyond(e)
     blind = np.diff(p.first_below) == 0
     ends = kernel.end_rows(e.flat, 0, blind, ~p.fitted, p.integrators, p.unstable, float(rad(FIT_DEG)))

@@ -15,7 +15,7 @@ import numpy as np
 
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels import tuning_rows as rows
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray, from_db
 from loopshape.data.block import BLOCK_KINDS, BlockTemplate
 from loopshape.data.controller import Block, Controller
 from loopshape.data.limits_over import MASKED, weights
@@ -331,14 +331,14 @@ def coefficients(blocks: Sequence[Block]) -> Array:
 
 def _none(name: str) -> float:
     """A limit in its own unit that nothing misses."""
-    return 0.0 if LIMIT_OF[name].sense == "at_least" else NONE_DB
+    limit = LIMIT_OF[name]
+    return 0.0 if limit.sense == "at_least" else NONE_DB if limit.unit == "dB" else float(from_db(NONE_DB))
 
 
 def _ln_masks(requirements: Requirements, f: Array) -> Array:
     """ln of the sharpest masks (6, nf) at frequencies in Hz, +inf where there is none, of the floor -inf."""
-    over = weights(requirements.masks, f) if requirements.masks else np.zeros((len(MASKED), f.size))
     with np.errstate(divide="ignore"):
-        level = -0.5 * np.log(over)
+        level = -0.5 * np.log(weights(requirements.masks, f))
     level[MASKED.index("loop_floor_db")] *= -1.0
     return level
 

@@ -34,12 +34,14 @@ class Goal:
     soft: frozenset[str] | None = frozenset()
 
     def terms(self, m: Measures) -> list[tuple[float, Array, Array]]:
-        """Weight, values (points,) and slopes (points, n) of the objective's terms that count."""
+        """Weight, values (k,) and slopes (k, n) of the objective's terms that count: each is its least value."""
         wish, found = m.evaluation.p.requirements.objective, []
         if self.objective and wish.bandwidth:
             found.append((wish.bandwidth, m.ln_bandwidth, m.bandwidth_slopes))
         if self.objective and wish.disturbance:
             found.append((wish.disturbance, m.rejection, m.rejection_slopes))
+        if self.objective and wish.weighted_norm:
+            found.append((wish.weighted_norm, m.smallness, m.smallness_slopes))
         return found
 
     def softs(self, m: Measures) -> np.ndarray:

@@ -56,11 +56,13 @@ class Settled:
 
     @property
     def objective(self) -> float:
-        """The objective with the bandwidth that the check reads where that is less."""
+        """The objective with the bandwidth that the check reads where that is less, and the norm where it is more."""
         m = self.found.measures
-        read, weight = bandwidths(self.verdict), m.evaluation.p.requirements.objective.bandwidth
-        less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if weight and np.isfinite(read).any() else 0.0
-        return m.objective() + weight * min(less, 0.0)
+        read, wish = bandwidths(self.verdict), m.evaluation.p.requirements.objective
+        known = wish.bandwidth and np.isfinite(read).any()
+        less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if known else 0.0
+        more = float(np.log(norm(self.verdict)[0]) + m.smallness.min()) if wish.weighted_norm else 0.0
+        return m.objective() + wish.bandwidth * min(less, 0.0) - wish.weighted_norm * max(more, 0.0)
 
     @property
     def dipped(self) -> np.ndarray:
@@ -75,6 +77,16 @@ def bandwidths(verdict: Verdict) -> Array:
     """First 0 dB crossings (points,) in Hz; nan where there is none."""
     read = np.array([m.bandwidth_hz for m in verdict.margins.values()])
     return np.where((read > 0.0) & np.isfinite(read), read, np.nan)
+
+
+def norm(verdict: Verdict) -> tuple[float, tuple[float, float] | None]:
+    """Largest norm of the weighted loop over the operating points, and its interval: from their largest low end to
+    their largest high end. None where no covariance is known.
+    """
+    every = list(verdict.margins.values())
+    ends = [m.intervals["weighted_norm"] for m in every if "weighted_norm" in m.intervals]
+    interval = (max(low for low, _ in ends), max(high for _, high in ends)) if len(ends) == len(every) else None
+    return max(m.weighted_norm for m in every), interval
 
 
 def miss(verdict: Verdict) -> float:

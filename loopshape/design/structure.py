@@ -39,7 +39,8 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
             f"{requirements.error_rms}",
             'tune with objective = "disturbance" or a mask on S, then check with --disturbance RUN',
         )
-    if all(getattr(requirements, name) is None for name in NEAR):
+    weighted = requirements.weighted_norm is not None or requirements.objective.weighted_norm > 0.0
+    if not weighted and all(getattr(requirements, name) is None for name in NEAR):
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",
             "no limit on a margin or on |S|",

@@ -25,7 +25,7 @@ def export_diagram(folder: Path, D: Diagram, to: str) -> tuple[Path, ...]:
         raise WrongUseError("a diagram is exported in C or JSON", repr(to), "use c or json, or export its controllers")
     if empty := [p.name for p in D.parts if p.what is None]:
         raise WrongUseError("a block of the diagram has no controller yet", ", ".join(empty), "D.with_part(name, C)")
-    own = [replace(p.what, loop=p.name) for p in D.parts if isinstance(p.what, Controller)]
+    own = controllers_of(D)
     if any(c.number_format.fixed for c in own):
         raise WrongUseError("a diagram is exported in floating point", "fixed point", "export its controllers alone")
     text = _header(D) if to == "c" else ""
@@ -36,6 +36,11 @@ def export_diagram(folder: Path, D: Diagram, to: str) -> tuple[Path, ...]:
     else:
         write_json(path, {"format": "loopshape-diagram-export/1", **D.to_dict()})
     return (*made, path)
+
+
+def controllers_of(D: Diagram) -> tuple[Controller, ...]:
+    """The controllers of a diagram under the names of their blocks."""
+    return tuple(replace(p.what, loop=p.name) for p in D.parts if isinstance(p.what, Controller))
 
 
 def _header(D: Diagram) -> str:

@@ -13,6 +13,7 @@ from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Margins
+from loopshape.data.weight import Weight
 from loopshape.loop.between import followed
 from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
 from loopshape.loop.crossings import axis_crossings, unit_crossings
@@ -50,6 +51,7 @@ LOGARITHMS = {
     "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+    "weighted_norm": kernel.LN_WEIGHTED,
 }
 #: where L is read below its first line, as shares of its frequency
 DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
@@ -58,6 +60,8 @@ _BANDWIDTHS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
+#: nothing without weights
+_WEIGHTED = "weighted_norm"
 #: what these lie between, from 0
 _MOST = {
     "gain_margin_db": np.inf,
@@ -87,7 +91,13 @@ class _Judged:
         return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
 
-def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: Sequence[Mask] = ()) -> Margins:
+def margins(
+    loop: Loop,
+    *,
+    high_frequency_from_hz: float | None = None,
+    masks: Sequence[Mask] = (),
+    weights: Sequence[Weight] = (),
+) -> Margins:
     """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
 
     - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
@@ -107,6 +117,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
       -3 dB (0 where it never reaches it, the last line where it does not fall);
     - masks: by how much each response exceeds its mask at the worst frequency, on the lines and above the last one as
       far as what was stated of it goes; below the first line nothing is judged;
+    - norm of the weighted loop: the largest root of the sum of squared weighted responses, on the same lines; above the
+      last one each response counts with the most that it may be there;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 
@@ -119,7 +131,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
     `stable` says "stable".
     """
     j = _judged(loop)
-    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks))
+    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
     first, *others = _readings_from_zero(loop, j)
     found, at = _read(loop, first, first.L[None], reader)
     value, low, high = _with_intervals(loop, first, found[0], reader)
@@ -260,7 +272,8 @@ def _fields(columns: Array) -> dict[str, float]:
     """Fields of `Margins` from the kernel's columns."""
     asked = {name: k for name, k in PLAIN.items() if name not in MASKED or columns[k] > -np.inf}
     out = {name: float(columns[k]) for name, k in asked.items()}
-    out |= {name: float(np.exp(columns[k])) for name, k in LOGARITHMS.items()}
+    logarithms = {name: k for name, k in LOGARITHMS.items() if name != _WEIGHTED or columns[k] > -np.inf}
+    out |= {name: float(np.exp(columns[k])) for name, k in logarithms.items()}
     with np.errstate(over="ignore"):
         out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
     for name, most in _MOST.items():  # a bias taken off may lead out of what can be

@@ -166,8 +166,18 @@ u_a = { low_v = -20.0, high_v = 20.0 }
 u_b = { low_v = -20.0, high_v = 20.0 }
 [[experiment]]
 name = "moved"
-duration_s = 1.5
+excites = "theta2"
+injection = "controller_input"
 references = { theta2 = { kind = "staircase", times_s = [0.3, 0.9], values_deg = [6.0, 1.0] } }
+[experiment.excitation]
+kind = "multisine"
+f_low_hz = 2.0
+f_high_hz = 30.0
+period_s = 0.5
+periods = 3
+amplitude_deg = 0.5
+ramp_s = 0.0
+crest_iterations = 0
 """
 
 
@@ -187,10 +197,12 @@ def test_the_emulated_arm_under_a_diagram(tmp_path, divisor):
     with emulator() as port:
         run = ls.measure(tmp_path / "study.toml", tmp_path / "run", port=port, arm=True, diagram=wired)
         (shown,) = ls.connect(port).show(tmp_path / "study.toml", diagram=wired).experiments()
-    r, y, z = (run.recording("moved").column(name) for name in ("r_theta2_rad", "theta2_rad", "z_theta2_v"))
-    e = through(F, r[::divisor]) - y[::divisor]
+    names = ("r_theta2_rad", "theta2_rad", "n_theta2_rad", "z_theta2_v")
+    r, y, n, z = (run.recording("moved").column(name) for name in names)
+    e = through(F, r[::divisor]) - (y - n)[::divisor]
     np.testing.assert_allclose(z, np.repeat(through(C, e), divisor)[: z.size], rtol=0.0, atol=1e-11)
     assert np.ptp(z) > 0.1
+    assert np.abs(n).max() > 0.001
     assert run.loops[0].controller is None
     assert run.extra["diagram"]["columns"]["u"] == "z_theta2_v"
     assert shown.loops[1].controller is not None  # the pressures' loop keeps its own

@@ -21,7 +21,19 @@ LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db"
 MASKED = LIMITS | {"masks": [{"response": "S", "points": [[0.6, -20.0], [6.0, 3.0]]}]}
 
 
-@pytest.mark.parametrize("limits", [LIMITS, MASKED, {"disk_margin": 0.6, "complementary_peak_db": 5.0}])
+WEIGHTED = {
+    "weights": [
+        {"response": "S", "points": [[0.6, 20.0], [60.0, -6.0]]},
+        {"response": "T", "points": [[1.0, -20.0], [300.0, 10.0]]},
+        {"response": "CS", "points": [[1.0, -40.0], [300.0, 0.0]]},
+        {"response": "PS", "points": [[1.0, -30.0], [300.0, -20.0]]},
+    ],
+    "objective": "weighted_norm",
+}
+DISK = {"disk_margin": 0.6, "complementary_peak_db": 5.0}
+
+
+@pytest.mark.parametrize("limits", [LIMITS, MASKED, WEIGHTED, WEIGHTED | {"weighted_norm": 2.0}, DISK])
 def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     p = problem_of(servos(0.01, 300), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
     q, rng = glanced(p), np.random.default_rng(3)

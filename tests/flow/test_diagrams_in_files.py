@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -12,7 +13,10 @@ from commands import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
+from loopshape.data.verdict import Line
+from loopshape.io.diagrams import read_diagram
 from loopshape.io.frfs import write_frfs
+from loopshape.io.gathered import gather
 
 RATE = 2000.0
 F = np.geomspace(0.1, 800.0, 90)
@@ -117,3 +121,51 @@ def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
     D = ls.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
     with pytest.raises(WrongUseError, match="no controller yet"):
         ls.export(D, tmp_path, "c")
+
+
+def test_a_diagram_is_exported_by_the_command_as_by_the_function(run: Path) -> None:
+    words = ("--diagram", run.parent / "diagram.toml", "--run", run)
+    for to, name in (("c", "diagram.h"), ("json", "diagram.json")):
+        out = run.parent / to
+        done = loopshape("export-controller", run.parent / "c.toml", "--to", to, "--out", out, *words, "--json")
+        told = json.loads(done.stdout)
+        assert [one["loop"] for one in told["exported"]] == ["C1", "C2"]
+        assert told["diagram"] == str(out / name)
+        D = read_diagram(run.parent / "diagram.toml", run)
+        (C1,) = ls.read_controllers(run.parent / "c.toml")
+        for path in ls.export(D.with_part("C1", C1), run.parent / f"{to}2", to):
+            assert path.read_bytes() == (out / path.name).read_bytes()
+    for half in (words[:2], words[2:]):
+        done = loopshape("export-controller", run.parent / "c.toml", "--to", "c", "--out", run.parent / "x", *half)
+        assert done.returncode == 2
+        assert "give both" in done.stderr
+
+
+def test_a_report_shows_the_diagram_and_the_loops_within(run: Path) -> None:
+    """Picture, inner loop and the tuned loop on what its block meets, with the margins of `check`."""
+    (run.parent / "r.toml").write_text(REQUIRE.split("structure")[0])
+    words = ["--controller", run.parent / "c.toml", "--require", run.parent / "r.toml"]
+    words += ["--diagram", run.parent / "diagram.toml", "--json"]
+    told = json.loads(loopshape("report", run, *words).stdout)
+    page = (run / "report.html").read_text()
+    D = read_diagram(run.parent / "diagram.toml", run)
+    (C1,) = ls.read_controllers(run.parent / "c.toml")
+    met = ls.equivalent(D)
+    verdict = ls.check(met.plants, C1, met.asked(ls.Requirements("C1", sensitivity_peak_db=6.0, integrators=0)))
+    assert told["outcome"] == verdict.outcome == "passed"
+    assert 'alt="Block diagram; tuned is block C1"' in page
+    assert "Inner loop C2" in page
+    (inner,), (outer,) = met.inner["C2"].margins.values(), verdict.margins.values()
+    for m in (inner, outer):
+        assert f"{m.phase_margin_deg:.4g}" in page
+        assert f"{m.sensitivity_peak_db:.4g}" in page
+    assert DIAGRAM.splitlines()[1] in page  # verbatim, under provenance
+    assert "has no frequency response" not in page
+
+
+def test_a_diagram_s_report_fails_with_a_loop_within(run: Path) -> None:
+    """The outcome of the whole counts a requirement of a loop within that is missed."""
+    made = gather(run, run.parent / "c.toml", None, "today", diagram=run.parent / "diagram.toml")
+    assert made.outcome == "none"
+    asked = replace(made.inner["C2"], lines=(Line("phase_margin_deg", "deg", 60.0, 10.0, -50.0, "failed", "r", None),))
+    assert replace(made, inner={"C2": asked}).outcome == "failed"

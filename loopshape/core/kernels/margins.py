@@ -15,9 +15,14 @@ GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONT
 LN_BANDWIDTH_HZ, LN_DISK, PROCESS_DB, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ = range(8, 13)
 #: by how much |S|, |T|, |CS|, |PS| and |L| exceed their masks, and a floor exceeds |L|, in the order of the masks' rows
 MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L = range(13, 19)
-COLUMNS = 19
+#: the largest root of the sum of squared weighted |S|, |T|, |CS| and |PS|
+LN_WEIGHTED = 19
+COLUMNS = 20
 #: columns that are the largest of squared magnitudes, and in the end in dB
-LARGEST = (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L)
+LARGEST = (
+    COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L,
+    LN_WEIGHTED,
+)  # fmt: skip
 _DB = 10.0 / np.log(10.0)  # of a squared magnitude
 _DEG = 180.0 / np.pi
 _TINY = 1e-300
@@ -95,7 +100,8 @@ def _over_masks(
 ) -> None:
     """Squared excess of |S|, |T|, |CS|, |PS| and |L| over their masks at one frequency, and of the floor over |L|.
 
-    `weights` (6,) are 1 over squared limits, 0 where there is none, and the squared floor; `least2` is the least |L|².
+    `weights` (10,) are 1 over squared limits, 0 where there is none, the squared floor, and the squared weights of |S|,
+    |T|, |CS| and |PS|, which are summed; `least2` is the least |L|².
     """
     _masked(MASK_S, s2, weights[0], f, found, at)
     _masked(MASK_T, t2, weights[1], f, found, at)
@@ -104,6 +110,9 @@ def _over_masks(
     _masked(MASK_L, l2, weights[4], f, found, at)
     if weights[5] > 0.0:
         _note(found, at, FLOOR_L, weights[5] / max(least2, _TINY), f, True)
+    total = weights[6] * s2 + weights[7] * t2 + weights[8] * c2 * s2 + weights[9] * t2 / max(c2, _TINY)
+    if total > 0.0:
+        _note(found, at, LN_WEIGHTED, total, f, True)
 
 
 @compiled
@@ -158,6 +167,7 @@ def _finish(found: Array) -> None:
     """From squared magnitudes to dB and logarithms."""
     for column in LARGEST:
         found[column] = _DB * np.log(found[column]) if found[column] > 0.0 else -np.inf
+    found[LN_WEIGHTED] *= 0.5 / _DB
     found[LN_MODULUS] = 0.5 * np.log(found[LN_MODULUS]) if found[LN_MODULUS] > 0.0 else -np.inf
     found[LN_DISK] = np.log(2.0) + 0.5 * np.log(found[LN_DISK]) if found[LN_DISK] > 0.0 else -np.inf
 
@@ -177,9 +187,9 @@ def read_margins(
     """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
 
     `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
-    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (6, nf)
-    and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where there is no mask. +-inf where the
-    loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
+    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (10,
+    nf) and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where nothing is weighed. +-inf where
+    the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
     """
     loops, lines = L.shape
     found, at = np.empty((loops, COLUMNS)), np.full((loops, COLUMNS), np.nan)
