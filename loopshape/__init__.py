@@ -66,11 +66,8 @@ if TYPE_CHECKING:
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
-<<<<<<< HEAD
-    from loopshape.data.wired import Wired as Wired
-=======
     from loopshape.data.weight import Weight as Weight
->>>>>>> main
+    from loopshape.data.wired import Wired as Wired
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.feedforward import feedforward as feedforward
