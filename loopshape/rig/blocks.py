@@ -50,8 +50,8 @@ def blocks(wired: Wired, loops: Sequence[LoopSetup], rate_hz: float) -> tuple[tu
     outputs = {}
     for loop, signal in given.items():
         terms = signals.terms(signal)
-        if list(terms.values()) == [1.0] and (name := next(iter(terms))) not in signals.source:
-            outputs[loop] = number[name] - 2 * len(loops)
+        if list(terms.values()) == [1.0] and (only := next(iter(terms))) not in signals.source:
+            outputs[loop] = number[only] - 2 * len(loops)
         else:
             outputs[loop] = len(made)
             made.append(Block(_weights(terms, number), np.zeros((0, 5)), 0, every))

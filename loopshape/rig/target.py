@@ -43,8 +43,9 @@ def configuration(
 ) -> Configuration:
     """What the target is to do under a study. Refuses what the target cannot do, and anything without a limit."""
     made, given = blocks(diagram, loops, rate_hz) if diagram else ((), {})
+    _takes(identity, loops, made)
     _fits(identity, loops, settings, rate_hz)
-    _takes(identity, loops, made, given)
+    _holds(identity, loops, made, given)
     columns = identity.sensors + identity.commands
     return Configuration(
         outputs=np.array([[float(s in sum_terms(loop.output)) for s in identity.sensors] for loop in loops]),
@@ -106,13 +107,17 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
         _known(f"loops of {column}", parts, [loop.name for loop in loops])
 
 
-def _takes(identity: Identity, loops: Sequence[LoopSetup], made: Sequence[Block], given: Mapping[str, int]) -> None:
-    """Refuse controllers that the target does not take, or has no room for."""
+def _takes(identity: Identity, loops: Sequence[LoopSetup], made: Sequence[Block]) -> None:
+    """Refuse kinds of controllers that the target does not take."""
     build = "build the target anew from this version's sources, or give plain controllers"
     if made and not identity.blocks:
         raise WrongUseError("the target takes no block diagram", f"{len(made)} blocks", build)
     if (scheduled := [loop.name for loop in loops if loop.schedule is not None]) and not identity.schedules:
         raise WrongUseError("the target takes no schedule", ", ".join(scheduled), build)
+
+
+def _holds(identity: Identity, loops: Sequence[LoopSetup], made: Sequence[Block], given: Mapping[str, int]) -> None:
+    """Refuse more loops or blocks than the target has room for, and a loop without a controller."""
     each = [1 if loop.name in given else _blocks(loop) for loop in loops]
     if len(loops) > identity.most_loops or not all(each):
         raise WrongUseError(
