@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from loopshape.data.wired import Wired as Wired
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
+    from loopshape.design.decoupled import decoupled as decoupled
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
     from loopshape.design.next_trial import next_trial as next_trial
@@ -160,6 +161,7 @@ _HOME = {
     "connect": "verbs.machine",
     "controller": "data.shorthand",
     "decouple": "design.decouple",
+    "decoupled": "design.decoupled",
     "disturbance_observer": "data.common_diagrams",
     "dual_stage": "data.common_diagrams",
     "emulator": "verbs.machine",

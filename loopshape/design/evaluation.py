@@ -10,8 +10,9 @@ import numpy as np
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.controller import Block, series_response
-from loopshape.design.problem import Problem, coefficients
+from loopshape.data.block import series_response
+from loopshape.design.problem import Problem
+from loopshape.design.structure import sections
 from loopshape.design.weighed import weighed
 
 
@@ -23,14 +24,14 @@ class Evaluation:
     x: Array
 
     @cached_property
-    def blocks(self) -> tuple[Block, ...]:
-        """Blocks at x."""
-        return self.p.blocks(self.x)
+    def values(self) -> list[dict[str, float]]:
+        """Parameters of each block at x."""
+        return self.p.values(self.x)
 
     @cached_property
     def sections(self) -> Array:
         """Coefficients of the blocks (blocks, 6)."""
-        return coefficients(self.blocks)
+        return sections(self.p.templates, self.values)
 
     @cached_property
     def C(self) -> ComplexArray:
@@ -38,7 +39,7 @@ class Evaluation:
         s, wide = self.p.s, self.p.wide
         every = kernel.series(self.sections, s[: wide.start])
         if self.p.f_wide.size:
-            every = np.concatenate([every, series_response(self.blocks, s[wide], bounded=True)])
+            every = np.concatenate([every, series_response(self.p.blocks(self.x), s[wide], bounded=True)])
         return every if self.p.outside is None else every * self.p.outside
 
     @cached_property

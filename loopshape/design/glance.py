@@ -93,8 +93,10 @@ def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> Sight:
     """
     e = Evaluation(p, x)
 
-    def look(shift: float) -> tuple[float, bool]:
-        return glance(q, float(np.exp(shift)), e.C, e.C[p.above], e.below)
+    C_above = e.C[p.above]
+
+    def look(shift: float, enough: float = np.inf) -> tuple[float, bool]:
+        return glance(q, float(np.exp(shift)), e.C, C_above, e.below, enough)
 
     k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
     best, shift = look(0.0)[0], 0.0
@@ -103,13 +105,13 @@ def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> Sight:
     low, high = float(p.low[k] - x[k]), float(p.high[k] - x[k])
     for _ in range(halvings):
         trial = 0.5 * (low + high)
-        merit, holds = look(trial)
+        merit, holds = look(trial, best)
         low, high = (trial, high) if holds else (low, trial)
         if merit < best:
             best, shift = merit, trial
     if np.isinf(best):
         for trial in _between_passages(e, float(p.low[k] - x[k]), float(p.high[k] - x[k])):
-            merit, _ = look(trial)
+            merit, _ = look(trial, best)
             if merit < best:
                 best, shift = merit, trial
     return Sight(best, np.where(np.arange(x.size) == k, x + shift, x))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -13,7 +13,7 @@ from loopshape.core.units import Array, rad
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.norms import EVERY, FAR, NORM, PLATEAU, norm_above
 from loopshape.design.problem import Problem
-from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, scaled, wished
+from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability import FIT_DEG
 
@@ -55,7 +55,7 @@ _ABOVE = {
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What the kernel is told of a problem's limits on magnitudes, and their levels without tightening."""
+    """What the kernel is told of a problem's limits on magnitudes."""
 
     names: tuple[str, ...]
     kinds: np.ndarray
@@ -63,7 +63,6 @@ class _Asked:
     above: np.ndarray
     masks: Array
     masked: np.ndarray
-    level: Array
 
 
 _ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
@@ -81,13 +80,14 @@ def _asked(p: Problem) -> _Asked:
             above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
             masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
             masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
-            level=_levels(p, names, {}),
         )
     return _ASKED[p]
 
 
-def _levels(p: Problem, names: Sequence[str], tighten: Tighten) -> Array:
+@once
+def _levels(p: Problem, tighten: Tighten) -> Array:
     """ln of the largest magnitudes allowed (names, points)."""
+    names = _asked(p).names
     return np.array([_level(p, x, tighten) for x in names]).reshape(len(names), p.points)
 
 
@@ -97,7 +97,7 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     They lie at local peaks and beside them, at the highest of each operating point, and on plateaus.
     """
     p, asked = e.p, _asked(e.p)
-    level = _levels(p, asked.names, tighten) if tighten else asked.level
+    level = _levels(p, tighten)
     made = kernel.magnitude_rows(
         e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, FAR, FAR - PLATEAU, EVERY
     )

@@ -41,7 +41,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     for _ in range(150):
         x = p.low + rng.random(p.low.size) * (p.high - p.low)
         e = Evaluation(p, x)
-        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below)
+        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
         measured = begin(p, x).merit
         assert np.isfinite(merit) == np.isfinite(measured)
         if np.isfinite(merit):
@@ -97,8 +97,11 @@ def test_the_count_is_that_of_the_closed_loop_s_roots() -> None:
 
 def test_sections_in_series_are_the_blocks() -> None:
     p = problem_of([frf(DELAYED, 200)], wished(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
-    e = Evaluation(p, 0.5 * (p.low + p.high))
-    np.testing.assert_allclose(series(e.sections, p.s), series_response(e.blocks, p.s), rtol=1e-13)
+    x = 0.5 * (p.low + p.high)
+    sections = [block.section() for block in p.blocks(x)]
+    plain = np.prod([np.polyval(num[::-1], p.s) / np.polyval(den[::-1], p.s) for num, den in sections], axis=0)
+    np.testing.assert_allclose(series(Evaluation(p, x).sections, p.s), plain, rtol=1e-13)
+    np.testing.assert_allclose(series_response(p.blocks(x), p.s), plain, rtol=1e-13)
 
 
 def test_peaks_are_marked_with_their_neighbours_and_the_largest_of_each_loop() -> None:

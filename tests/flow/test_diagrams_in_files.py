@@ -83,7 +83,7 @@ def test_learning_says_whether_trials_converge(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-@pytest.mark.parametrize("kind", ["parallel", "observer", "repetitive"])
+@pytest.mark.parametrize("kind", ["parallel", "observer", "repetitive", "decoupled"])
 def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     """The step in C, fed with what the simulation measured, gives what the simulation put into the plants."""
     C = ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE)
@@ -95,25 +95,38 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
         "observer": (
             ls.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
         ),
+        "decoupled": decoupled_by_filters(C),
         "repetitive": (ls.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
     }[kind]  # fmt: skip
     ls.export(D, tmp_path, "c")
-    outputs = ["u1", "u2"] if kind == "parallel" else ["u"]
+    outputs = ["u"] if kind in ("observer", "repetitive") else ["u1", "u2"]
+    inputs = ["r1", "r2", "y1", "y2"] if kind == "decoupled" else ["r", "y"]
+    read = " ".join(["%lf"] * len(inputs))
     show = " ".join(["%.17g"] * len(outputs))
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "diagram.h"\nint main(void) {\n'
         "  diagram_state s; diagram_inputs in; diagram_outputs out; diagram_reset(&s);\n"
-        '  while (scanf("%lf %lf", &in.r, &in.y) == 2) { diagram_step(&s, &in, &out);\n'
+        f'  while (scanf("{read}", {", ".join(f"&in.{n}" for n in inputs)}) == {len(inputs)}) {{\n'
+        "    diagram_step(&s, &in, &out);\n"
         f'    printf("{show}\\n", {", ".join(f"out.{n}" for n in outputs)}); }}\n  return 0; }}\n'
     )
     command = ["cc", "-std=c99", "-Wall", "-Werror", "-ffp-contract=off", "main.c", "-o", "main"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    signals = ls.simulate(D, models, {"r": np.sin(0.02 * np.arange(300))})
-    lines = "\n".join(f"{r!r} {y!r}" for r, y in zip(signals["r"].tolist(), signals["y"].tolist(), strict=True))
+    signals = ls.simulate(D, models, {r: np.sin((0.02 + 0.01 * k) * np.arange(300)) for k, r in enumerate(D.external)})
+    rows = np.stack([signals[name] for name in inputs], axis=1).tolist()
+    lines = "\n".join(" ".join(map(repr, row)) for row in rows)
     done = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=True, timeout=60)
     found = np.array([row.split() for row in done.stdout.splitlines()], dtype=float).T
     for name, values in zip(outputs, found, strict=True):
         np.testing.assert_allclose(values, signals[name], atol=1e-9 * np.abs(signals[name]).max())
+
+
+def decoupled_by_filters(C: ls.Controller) -> tuple[ls.Diagram, dict[str, control.StateSpace]]:
+    """Two loops that share an actuator's lag, behind filters of second order, and the plant's model."""
+    both = control.append(MODELS["P1"], MODELS["P2"])
+    mixed = control.ss(both.A, both.B, np.array([[1.0, 0.4], [0.3, 1.0]]) @ both.C, both.D, both.dt)
+    P = ls.FRF.from_control(mixed, F, relative_std=0.01, inputs=("a_v", "b_v"))
+    return ls.decoupled(P, ls.decouple(P, (2.0, 100.0), 2), {"a_v": C, "b_v": C}), {"P": mixed}
 
 
 def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:

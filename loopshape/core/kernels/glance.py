@@ -51,10 +51,13 @@ class Glanced(NamedTuple):
 
 
 @compiled
-def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray) -> tuple[float, bool]:
+def glance(
+    q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray, enough: float
+) -> tuple[float, bool]:
     """-(objective) + penalty (worst miss) of `gain` C, inf where a loop is unstable, and whether all limits hold.
 
-    `C` on the columns, `above` (f_above,) beyond the last lines, `below` L under the first ones without the gain.
+    `C` on the columns, `above` (f_above,) beyond the last lines, `below` L under the first ones without the gain. Inf
+    too where some operating points alone miss a limit and make it no less than `enough`.
     """
     L = np.empty(q.P.size, dtype=np.complex128)
     for k in range(L.size):
@@ -64,7 +67,7 @@ def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below:
             return np.inf, False
     if not all_stable(L, q.first, gain * below, q.first_below, q.fitted, q.integrators, q.unstable):
         return np.inf, False
-    room, slowest, least, largest = np.inf, np.inf, np.inf, -np.inf
+    room, slowest, least, largest, merit = np.inf, np.inf, np.inf, -np.inf, np.inf
     for p in range(q.first.size - 1):
         a, b, start = q.first[p], q.first[p + 1], q.first_above[p]
         mine, own = L[a:b], np.empty(b - a, dtype=np.complex128)
@@ -78,10 +81,12 @@ def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below:
         slowest = min(slowest, _bandwidth(q, p, mine, found[0, LN_BANDWIDTH_HZ]))
         least = min(least, _rejection(q.low[a:b], mine))
         largest = max(largest, found[0, LN_WEIGHTED])
-    objective = q.bandwidth * slowest + q.disturbance * least
-    if q.weighted_norm > 0.0:
-        objective -= q.weighted_norm * largest
-    return -objective + q.penalty * max(0.0, -room), room >= 0.0
+        merit = q.penalty * max(0.0, -room) - q.bandwidth * slowest - q.disturbance * least
+        if q.weighted_norm > 0.0:
+            merit += q.weighted_norm * largest
+        if room < 0.0 and merit >= enough:
+            return np.inf, False
+    return merit, room >= 0.0
 
 
 @compiled

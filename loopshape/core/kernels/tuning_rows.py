@@ -300,7 +300,8 @@ def crossing_rows(
         j = min(at + 1, lines - 1)
         wide_at[p, 0], wide_at[p, 1], wide_at[p, 2], wide_at[p, 3] = at, p, x.line[at], x.line[j]
         wide_ab[p, 0], wide_ab[p, 1] = (1.0 - share) * move, share * move
-    return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy(), wide, wide_at, wide_ab
+    order = np.argsort(out.places[:n, 0], kind="mergesort")  # by quantity, as they came
+    return out.places[order], out.value[order], out.ab[order], wide, wide_at, wide_ab
 
 
 @compiled
