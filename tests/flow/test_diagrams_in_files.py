@@ -187,7 +187,7 @@ def test_a_diagram_s_report_fails_with_a_loop_within(run: Path) -> None:
 
 
 def test_decoupling_filters_run_on_a_target_as_they_are_drawn() -> None:
-    """The target's blocks, evaluated one after the other at 7 Hz, give what the diagram says of z by setpoints and outputs."""
+    """The target's blocks, evaluated one after the other at 7 Hz, give z as the diagram has it."""
     D, _ = decoupled_by_filters(ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE))
     columns = {"y1": "a_rad", "y2": "b_rad", "u1": "z_a_v", "u2": "z_b_v", "r1": "r_a_rad", "r2": "r_b_rad"}
     loops = [LoopSetup(n, f"r_{n}_rad", f"n_{n}_rad", f"z_{n}_v", f"{n}_rad", None) for n in ("a", "b")]
