@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
+    from loopshape.verbs.chain import reach as reach
     from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
@@ -145,6 +146,7 @@ _HOME = {
     "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
+    "reach": "verbs.chain",
     "campaign": "verbs.campaign",
     "cascade": "data.common_diagrams",
     "check": "verbs.chain",
