@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from loopshape.data.machine import Output as Output
     from loopshape.data.machine import Port as Port
     from loopshape.data.model import Fit as Fit
+    from loopshape.data.objective import Objective as Objective
     from loopshape.data.prediction import Comparison as Comparison
     from loopshape.data.prediction import Prediction as Prediction
     from loopshape.data.recording import Recording as Recording
@@ -65,11 +66,14 @@ if TYPE_CHECKING:
     from loopshape.data.study import Study as Study
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
+    from loopshape.data.weight import Weight as Weight
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
+    from loopshape.design.decoupled import decoupled as decoupled
     from loopshape.design.feedforward import feedforward as feedforward
     from loopshape.design.learning import learning as learning
     from loopshape.design.next_trial import next_trial as next_trial
+    from loopshape.design.repetitive import repetitive as repetitive
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.loop.diagram_run import simulate as simulate
     from loopshape.loop.equivalent import Equivalent as Equivalent
@@ -81,12 +85,12 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import gap as gap
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import reach as reach
     from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
+    from loopshape.verbs.diagnosis import gap as gap
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
@@ -131,6 +135,7 @@ _HOME = {
     "Mask": "data.limits_over",
     "Model": "data.machine",
     "ModelParameter": "data.machine",
+    "Objective": "data.objective",
     "Outcome": "data.verdict",
     "Output": "data.machine",
     "Part": "data.diagram",
@@ -143,6 +148,7 @@ _HOME = {
     "Study": "data.study",
     "Tuning": "design.tune",
     "Verdict": "data.verdict",
+    "Weight": "data.weight",
     "axis": "data.axis",
     "biquad": "data.shorthand",
     "bound": "verbs.chain",
@@ -155,6 +161,7 @@ _HOME = {
     "connect": "verbs.machine",
     "controller": "data.shorthand",
     "decouple": "design.decouple",
+    "decoupled": "design.decoupled",
     "disturbance_observer": "data.common_diagrams",
     "dual_stage": "data.common_diagrams",
     "emulator": "verbs.machine",
@@ -169,7 +176,7 @@ _HOME = {
     "from_control": "data.control_frd",
     "gain": "data.shorthand",
     "gain_scheduled": "data.gain_scheduled",
-    "gap": "verbs.chain",
+    "gap": "verbs.diagnosis",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
     "learning": "design.learning",
@@ -192,6 +199,7 @@ _HOME = {
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",
+    "repetitive": "design.repetitive",
     "resonator": "data.shorthand",
     "schedule": "verbs.chain",
     "shape": "verbs.chain",

@@ -13,8 +13,9 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import Experiment
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
+from loopshape.data.objective import Objective
 from loopshape.data.recording import Recording
-from loopshape.data.requirements import Margins, Objective, Requirements
+from loopshape.data.requirements import Margins, Requirements
 from loopshape.data.study import Study
 from loopshape.design.schedule import Schedule, schedule
 from loopshape.design.tune import tune

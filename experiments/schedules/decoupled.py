@@ -26,6 +26,8 @@ POINTS = ((15.0, 1.4), (30.0, 1.2))
 #: larger than the 0.1 V of `experiments/decoupling`, with which a command stays in the dead zone behind the matrix
 AMPLITUDE_V, DRAWS = 0.3, 4
 BANDS_HZ = ((1.0, 3.0), (3.0, 6.0))
+#: a matrix, and filters of these orders
+ORDERS = (0, 1, 2, 3)
 
 
 def main() -> None:
@@ -45,6 +47,11 @@ def rows() -> Iterable[Sequence[object]]:
         for what, P in (("without", before), ("predicted", W.applied(before)), ("run behind it", after)):
             told: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0) if what == "without" else matrix_words(W)
             yield from ((theta, p, what, *told, *x, *together(P)) for x in coupled(P))
+        fresh = plant(theta, p, 11)
+        for order in ORDERS:
+            P = ls.decouple(before, (BANDS_HZ[0][0], BANDS_HZ[-1][1]), order).applied(fresh)
+            what = f"behind order {order} of both bands on another recording"
+            yield from ((theta, p, what, 0.0, 0.0, 0.0, 0.0, *x, *together(P)) for x in coupled(P))
 
 
 def matrix_words(W: object) -> tuple[float, ...]:

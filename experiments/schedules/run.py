@@ -15,6 +15,7 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
+from loopshape.data.study import expanded
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
 from loopshape.io.study import read_study
@@ -33,17 +34,19 @@ Place = tuple[float, float]
 
 
 def main() -> None:
-    """Measure nodes and cells, tune the nodes, check each frozen point, move."""
+    """Measure and tune the nodes, check each frozen point of nodes and cells on draws of its own, move."""
     places = tuple(product(SETTINGS["theta2_deg"], SETTINGS["p_ab_bar"]))
-    plants = measured((*places, *product(middles(SETTINGS["theta2_deg"]), middles(SETTINGS["p_ab_bar"]))))
+    cells = tuple(product(middles(SETTINGS["theta2_deg"]), middles(SETTINGS["p_ab_bar"])))
+    first = measured(places)
     (asked,) = read_requirements(HERE / "requirements.toml")
     wanted = asked.moved(SETTINGS["room"])
-    nodes = {place: tuned(place, plants, wanted) for place in places}
+    nodes = {place: tuned(place, first, wanted) for place in places}
     points = [{"theta2_deg": t, "p_ab_bar": p} for t, p in nodes]
     follows = {"theta2_deg": "theta2", "p_ab_bar": "p_ab"}
     scheduled = ls.gain_scheduled(list(nodes.values()), points, follows, lag_s=SETTINGS["lag_s"])
-    robust = ls.tune([plants[x] for x in nodes], wanted, starts=SETTINGS["starts"]).controller
+    robust = ls.tune(list(first.values()), wanted, starts=SETTINGS["starts"]).controller
     ls.write(scheduled, HERE / "controller.toml")
+    plants = measured((*places, *cells), **SETTINGS["checked"])
     verdicts = {
         name: ls.check(list(plants.values()), C, asked) for name, C in (("scheduled", scheduled), ("robust", robust))
     }
@@ -59,14 +62,17 @@ def middles(values: Sequence[float]) -> list[float]:
     return [0.5 * (a + b) for a, b in pairwise(values)]
 
 
-def measured(places: Sequence[Place]) -> dict[Place, ls.FRF]:
-    """The angle's FRF at each place, one recording each."""
+def measured(places: Sequence[Place], realisations: int = 1, seed: int | None = None) -> dict[Place, ls.FRF]:
+    """The angle's FRF at each place, from a draw of the multisine's phases or several; `seed` of them and the noise."""
     points = tuple({"theta2_deg": t, "p_ab_bar": p} for t, p in places)
-    study = replace(read_study(HERE / "identify.toml"), operating_points=points)
+    study = read_study(HERE / "identify.toml")
+    (one,) = study.experiments
+    if seed is not None:
+        one = replace(one, excitation=replace(one.excitation, seed=seed))  # type: ignore[type-var]
+    study = replace(study, operating_points=points, seed=seed or study.seed, experiments=expanded(one, realisations))
     arm = Arm1()
-    recordings = tuple(measure(study, arm, threads=1))
-    run = replace(header(study, arm), recordings=recordings)
-    frfs = ls.frfs(run, "theta2")
+    run = replace(header(study, arm), recordings=tuple(measure(study, arm, threads=1)))
+    frfs = ls.frfs(run, "theta2", realisations=True)
     return {(f.operating_point["theta2_deg"], f.operating_point["p_ab_bar"]): f for f in frfs}
 
 

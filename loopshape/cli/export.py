@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from loopshape.cli.measure import StudyFile
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, DiagramFile, Output, Quiet, RunFolder
+
+if TYPE_CHECKING:
+    from loopshape.data.controller import Controller
+    from loopshape.data.gain_scheduled import GainScheduled
 
 TO_CONTROLLER = "json, matlab, simulink, c, st, twincat, foton, sos, px4, ardupilot, betaflight, odrive or sercos."
 
@@ -45,16 +49,21 @@ def export_controller(
     controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
     to: Annotated[str, typer.Option(help=TO_CONTROLLER)],
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
+    diagram: DiagramFile = None,
+    run: Annotated[Path | None, typer.Option(help="With --diagram: the run that holds the FRFs of its plants.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them."""
-    from loopshape.data.controller import Controller
-    from loopshape.io.controller_export import export_controllers
-    from loopshape.io.controllers import read_loop_controllers
+    """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them.
 
-    output, found = Output(as_json, quiet), read_loop_controllers(controller)
-    written = dict(zip(found, export_controllers(out, found, to), strict=True))
+    With --diagram the file's controller is that of its tuned block, and all blocks are written with one step that leads
+    from what is measured to what enters the plants (c or json).
+    """
+    from loopshape.data.controller import Controller
+
+    output = Output(as_json, quiet)
+    written, whole = _written(controller, to, out, diagram, run)
+    found = list(written)
     controllers = [one for one in found if isinstance(one, Controller)]
     paths = [written[one] for one in controllers]
     for one in (one for one in found if not isinstance(one, Controller)):
@@ -66,6 +75,8 @@ def export_controller(
     ]
     if rows:
         output.table(f"Controllers in {out}", columns, rows)
+    if whole is not None:
+        output.say(f"the step from what is measured to what enters the plants: {whole}")
     keys = ("file", "loop", "digest", "precision", "sections", "moved_by_rounding_percent")
     told = [dict(zip(keys, [str(path), *row[1:]], strict=True)) for path, row in zip(paths, rows, strict=True)]
     output.json(
@@ -74,8 +85,31 @@ def export_controller(
             "format": to,
             "exported": told,
             "schedules": [written[one] for one in found if one not in controllers],
+            "diagram": whole,
         }
     )
+
+
+def _written(
+    controller: Path, to: str, out: Path, diagram: Path | None, run: Path | None
+) -> tuple[dict[Controller | GainScheduled, Path], Path | None]:
+    """Each controller's file, and that of the diagram that leads from one to the other."""
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.check_files import controller_of
+    from loopshape.io.controller_export import export_controllers
+    from loopshape.io.controllers import read_controllers, read_loop_controllers
+    from loopshape.io.diagram_c import controllers_of, export_diagram
+    from loopshape.io.diagrams import read_diagram
+
+    if (diagram is None) != (run is None):
+        raise WrongUseError("a diagram is exported with the run that holds its plants", "one of them", "give both")
+    if diagram is None or run is None:
+        found = read_loop_controllers(controller)
+        return dict(zip(found, export_controllers(out, found, to), strict=True)), None
+    D = read_diagram(diagram, run)
+    D = D.with_part(D.tuned, controller_of(read_controllers(controller), D.tuned))
+    *files, whole = export_diagram(out, D, to)
+    return dict(zip(controllers_of(D), files, strict=True)), whole
 
 
 def export_excitation(

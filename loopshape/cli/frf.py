@@ -144,7 +144,7 @@ def _estimate(
     """FRFs of single loops; a recording that ended early and gives none is a warning."""
     from loopshape.core.errors import BadSignalError
     from loopshape.identify import groups
-    from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
+    from loopshape.identify.frequency_response import estimate_together
 
     grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
     found = []
@@ -152,9 +152,7 @@ def _estimate(
         for group in grouped:
             loop = run.loop(str(group[0].info.excites))
             try:
-                found.append(
-                    estimate_realisations(group, loop) if len(group) > 1 else estimate_frf(group[0], loop, settings)
-                )
+                found.append(estimate_together(group, loop, settings))
             except BadSignalError as error:
                 info = group[0].info
                 if info.ended_early is None:

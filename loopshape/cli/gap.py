@@ -64,7 +64,7 @@ def diagnose_run(
     Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
     """
     from loopshape.io.run_folder import read_run
-    from loopshape.verbs.chain import gap as run_gap
+    from loopshape.verbs.diagnosis import gap as run_gap
 
     check_files(save_answer, report, next_study)
     run = read_run(folder)

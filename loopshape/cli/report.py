@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.cli.output import AsJson, DiagramFile, Output, Quiet, RunFolder
 
 #: no page is to carry more
 MOST_MB = 1e6
@@ -19,6 +19,7 @@ def report(
         Path | None, typer.Option(help="A controller file (TOML): draws and checks its loops.")
     ] = None,
     require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is compared with.")] = None,
+    diagram: DiagramFile = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
     date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
     figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = 0.7,
@@ -31,7 +32,7 @@ def report(
     from loopshape.verbs.files import report_page
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, data = report_page(run, controller, require, date, _bytes(figures_mb))
+    made, data = report_page(run, controller, require, diagram, date, _bytes(figures_mb))
     write_bytes_whole(path, data)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:

@@ -196,9 +196,8 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
     rejection = (
         "" if tuning.rejection_db is None else f", low-frequency disturbances down by {tuning.rejection_db:.3g} dB"
     )
-    title = (
-        f"Loop {tuning.controller.loop}: lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection} over {points} FRFs"
-    )
+    lowest = f"lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection}{_norm(tuning)}"
+    title = f"Loop {tuning.controller.loop}: {lowest} over {points} FRFs"
     output.table(title, ["block", "parameters"], rows)
     if tuning.growth:
         report_growth(tuning.growth, output)
@@ -217,6 +216,14 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
     if tuning.shortfall is not None and tuning.shortfall.stable:
         _report_shortfall(tuning.shortfall, output)
     report_verdicts([tuning.verdict], output, margins=False)
+
+
+def _norm(tuning: Tuning) -> str:
+    """The norm of the weighted loop with its interval, nothing without weights."""
+    if tuning.weighted_norm is None:
+        return ""
+    ends = tuning.weighted_norm_interval
+    return f", weighted norm {tuning.weighted_norm:.4g}" + (f" (95 %: {ends[0]:.4g} to {ends[1]:.4g})" if ends else "")
 
 
 def report_growth(steps: Sequence[Grown], output: Output) -> None:

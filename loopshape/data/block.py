@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI, ComplexArray
+from loopshape.core.kernels.flat_loops import series
+from loopshape.core.units import TWO_PI, Array, ComplexArray
 
 Polynomial = tuple[float, float, float]  # coefficients of s^0, s^1, s^2
 Section = tuple[Polynomial, Polynomial]
@@ -295,12 +296,14 @@ def _bounded_slope(section: Section, slope: Section) -> Section:
 
 
 def series_response(blocks: Sequence[Block], s: ComplexArray, *, bounded: bool = False) -> ComplexArray:
-    """Response (ns,) of blocks in series at complex frequencies s (ns,); without integral terms where `bounded`."""
-    out = np.ones_like(s)
-    for block in blocks:
-        num, den = block.bounded_section() if bounded else block.section()
-        out = out * _polyval(num, s) / _polyval(den, s)
-    return out
+    """Response (...) of blocks in series at complex frequencies s (...); without integral terms where `bounded`."""
+    return series(coefficients(blocks, bounded=bounded), s.ravel()).reshape(s.shape)
+
+
+def coefficients(blocks: Sequence[Block], *, bounded: bool = False) -> Array:
+    """Coefficients of blocks (blocks, 6): s^0, s^1, s^2 of the numerator, and of the denominator."""
+    sections = (block.bounded_section() if bounded else block.section() for block in blocks)
+    return np.array([(*num, *den) for num, den in sections], dtype=float).reshape(-1, 6)
 
 
 def refuse_too_large(kind: str, name: str, value: float) -> None:

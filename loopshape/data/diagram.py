@@ -68,6 +68,14 @@ class Part:
         """The FRFs of a plant, one an operating point; none of another block."""
         return self.what if isinstance(self.what, tuple) else ()
 
+    @property
+    def delay_samples(self) -> int:
+        """Whole samples of delay behind a controller or filter; 0 where its delay is not whole, and of other blocks."""
+        if not isinstance(self.what, Controller):
+            return 0
+        samples = self.what.computation_delay_s * self.what.rate_hz
+        return round(samples) if abs(samples - round(samples)) < 1e-6 else 0
+
     def __repr__(self) -> str:
         """One line: its name, signals and what it is."""
         what = f"{len(self.plants)} FRF{'s' * (len(self.plants) > 1)}" if self.plants else self.what or "to be tuned"

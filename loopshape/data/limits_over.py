@@ -91,10 +91,8 @@ class Mask:
 def weights(masks: Sequence[Mask], f: Array) -> Array:
     """What squared magnitudes are multiplied with to be 1 at the sharpest limit, a row for each of `MASKED` (6, nf).
 
-    0 where nothing is limited; the row of the floor is for 1/|L|². No rows (0, nf) without masks.
+    0 where nothing is limited; the row of the floor is for 1/|L|².
     """
-    if not masks:
-        return np.zeros((0, f.size))
     out = np.zeros((len(MASKED), f.size))
     for mask in masks:
         level, row = mask.level_db(f), MASKED.index(mask.quantity)

@@ -15,6 +15,8 @@ S = 1/(1 + L), T = L/(1 + L), CS = C/(1 + L), PS = P/(1 + L).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,10 +26,17 @@ from loopshape.data.frf import FRF
 from loopshape.data.model import TransferFunction
 from loopshape.data.smoothed import Scatter
 
+Values = TypeVar("Values", bound=np.ndarray)
+
 
 def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
     """Logarithmic grid above a last line, up to 0.45 times the rate; none where the line lies beyond."""
     return np.geomspace(last_hz, 0.45 * rate_hz, count)[1:] if last_hz < 0.45 * rate_hz else np.zeros(0)
+
+
+def _kept(values: Values) -> Values:
+    values.setflags(write=False)
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +64,15 @@ class Loop:
         """The FRF's lines in Hz."""
         return self.plant.frequency_hz
 
-    @property
+    @cached_property
     def C(self) -> ComplexArray:
         """Controller as it runs, discretised."""
-        return self.controller.response(self.frequency_hz)
+        return _kept(self.controller.response(self.frequency_hz))
 
-    @property
+    @cached_property
     def L(self) -> ComplexArray:
         """Open loop C P."""
-        return self.C * self.plant.siso
+        return _kept(self.C * self.plant.siso)
 
     @property
     def S(self) -> ComplexArray:
@@ -85,10 +94,15 @@ class Loop:
         """Process sensitivity."""
         return self.plant.siso * self.S
 
-    @property
+    @cached_property
     def above_hz(self) -> Array:
         """Frequencies from the last line to nine tenths of half the rate, where no line was measured."""
-        return above_hz(float(self.frequency_hz[-1]), self.controller.rate_hz)
+        return _kept(above_hz(float(self.frequency_hz[-1]), self.controller.rate_hz))
+
+    @cached_property
+    def C_above(self) -> ComplexArray:
+        """Controller on `above_hz`."""
+        return _kept(self.controller.response(self.above_hz))
 
     @property
     def below_hz(self) -> Array:

@@ -16,6 +16,8 @@ from loopshape.core.json_ready import Plain
 from loopshape.data.block import BlockTemplate
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
 from loopshape.data.limits_over import MASKED, AtPoints, Mask
+from loopshape.data.objective import Objective, is_number
+from loopshape.data.weight import Weight
 
 NEVER = "no loop whose |L| falls off has more"
 
@@ -106,6 +108,7 @@ LIMITS: tuple[Limit, ...] = (
     Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS"),
     Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
     Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
+    Limit("weighted_norm", "at_most", "1", "norm of the weighted loop", positive=True),
     Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True),
 )  # fmt: skip
 #: what all loops of a plant keep at once
@@ -119,7 +122,7 @@ SEVERAL_LIMITS: tuple[Limit, ...] = (
 )  # fmt: skip
 LIMIT_OF = {limit.name: limit for limit in (*SEVERAL_LIMITS, *LIMITS)}
 #: limits that hold for all operating points alike
-OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent")
+OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,8 @@ class Margins(Plain):
     |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
     `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
     it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
-    where there is no mask. `error_rms` is in the output's unit, nan where nothing tells what disturbs the loop.
+    where there is no mask. `weighted_norm` is the largest root of the sum of squared weighted responses, nan without
+    weights. `error_rms` is in the output's unit, nan where nothing tells what disturbs the loop.
     """
 
     gain_margin_db: float
@@ -177,55 +181,8 @@ class Margins(Plain):
     process_mask_db: float = float("nan")
     loop_mask_db: float = float("nan")
     loop_floor_db: float = float("nan")
+    weighted_norm: float = float("nan")
     error_rms: float = float("nan")
-
-
-@dataclass(frozen=True)
-class Objective:
-    """What `tune` makes large, over the operating points at their worst each: a weighted sum of two terms.
-
-    `bandwidth` weighs ln of the first 0 dB crossing of L; `disturbance` the mean of ln 1/|S| over ln f on the lines up
-    to `disturbance_below_hz`. |S| is the error with the loop over the error without it, wherever a disturbance
-    enters, so that operating points compare. Refuses weights below zero, none above, and half a disturbance term.
-    """
-
-    bandwidth: float = 1.0
-    disturbance: float = 0.0
-    disturbance_below_hz: float | None = None
-
-    def __post_init__(self) -> None:
-        weights = (self.bandwidth, self.disturbance)
-        if not all(_is_number(w) and 0.0 <= w < np.inf for w in weights) or max(weights) == 0.0:
-            raise WrongUseError(
-                "the weights of an objective must not be negative, and one must be positive", f"{weights}"
-            )
-        below = self.disturbance_below_hz
-        if (self.disturbance > 0.0) != (below is not None):
-            raise WrongUseError(
-                "disturbance and disturbance_below_hz of an objective go together", "one of them", "give both or none"
-            )
-        if below is not None and not (_is_number(below) and 0.0 < below < np.inf):
-            raise WrongUseError("disturbance_below_hz must be positive and finite", f"{below!r}")
-
-    @classmethod
-    def from_toml(cls, given: Any, below_hz: Any = None) -> Objective:
-        """Objective from "bandwidth", "disturbance" (with `disturbance_below_hz` beside it) or a table of weights."""
-        if isinstance(given, Mapping):
-            if unknown := set(given) - {f.name for f in fields(cls)}:
-                raise WrongUseError(
-                    "an objective has the keys bandwidth, disturbance and disturbance_below_hz",
-                    ", ".join(sorted(unknown)),
-                )
-            below = {} if below_hz is None else {"disturbance_below_hz": below_hz}
-            return cls(**({"bandwidth": 0.0} | below | dict(given)))
-        if given not in ("bandwidth", "disturbance"):
-            raise WrongUseError('an objective is "bandwidth", "disturbance" or a table of weights', f"{given!r}")
-        asked = given == "disturbance"
-        return cls(0.0 if asked else 1.0, 1.0 if asked else 0.0, below_hz)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,9 +194,10 @@ class Requirements:
     are looked at, and None takes the FRF's valid band. `integrators` and `unstable_poles` declare the
     plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
     `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
-    much |S| may exceed its masks) to 0. `error_rms` limits the rms of the error, in the output's unit, under what
-    disturbs the loop: `check` needs a recording of that, `tune` refuses it. Where several of `at` hold at an operating
-    point the last has its way.
+    much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
+    same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
+    rms of the error, in the output's unit, under what disturbs the loop: `check` needs a recording of that, `tune`
+    refuses it. Where several of `at` hold at an operating point the last has its way.
     Refuses values that make no sense.
     """
 
@@ -267,14 +225,16 @@ class Requirements:
     process_mask_db: float | None = None
     loop_mask_db: float | None = None
     loop_floor_db: float | None = None
+    weighted_norm: float | None = None
     error_rms: float | None = None
     masks: tuple[Mask, ...] = ()
+    weights: tuple[Weight, ...] = ()
     at: tuple[AtPoints, ...] = ()
     band_hz: tuple[float, float] | None = None
     structure: tuple[BlockTemplate, ...] = ()
     integrators: int | None = None
     unstable_poles: int | None = None
-    objective: Objective = Objective()
+    objective: Objective = Objective()  # noqa: RUF009 (frozen)
     limits: ClassVar[tuple[Limit, ...]] = LIMITS
     _least_integrators: ClassVar[int] = -2
 
@@ -294,6 +254,10 @@ class Requirements:
         self._allow_nothing_over_masks()
         for one in self.at:
             self._check_at(one)
+        if not self.weights and (self.weighted_norm is not None or self.objective.weighted_norm):
+            raise WrongUseError(
+                f"a weighted norm of loop {self.loop!r} needs weights", "none", "give weights = (ls.Weight(...), ...)"
+            )
         if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
             raise WrongUseError(
                 f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
@@ -333,7 +297,7 @@ class Requirements:
                 f"known are {', '.join(sorted(known))} and masks",
             )  # fmt: skip
         for name, value in one.limits.items():
-            if not _is_number(value):
+            if not is_number(value):
                 raise WrongUseError(f"{name} of loop {self.loop!r} must be a number", f"{value!r}")
         self._with(one)
 
@@ -391,13 +355,14 @@ class Requirements:
         structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
         band = given.pop("band_hz", None)
         masks = tuple(Mask.from_table(t) for t in given.pop("masks", ()))
+        weights = tuple(Weight.from_table(t) for t in given.pop("weights", ()))
         at = tuple(AtPoints.from_table(t) for t in given.pop("at", ()))
         objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
                 raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
         band = tuple(band) if isinstance(band, list) else band
-        return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, at=at)
+        return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, weights=weights, at=at)
 
 
 @dataclass(frozen=True, repr=False)

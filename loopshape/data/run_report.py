@@ -11,6 +11,7 @@ import numpy as np
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Estimate, Fit
@@ -91,7 +92,12 @@ class CheckedLoop:
     @property
     def outcome(self) -> str:
         """The verdict's, but "none" for a stable loop of which nothing was asked: that passes nothing."""
-        return "none" if self.verdict.outcome == "passed" and not self.verdict.lines else self.verdict.outcome
+        return asked_outcome(self.verdict)
+
+
+def asked_outcome(verdict: Verdict) -> str:
+    """The outcome of a verdict, but "none" where nothing was asked and nothing failed."""
+    return "none" if verdict.outcome == "passed" and not verdict.lines else verdict.outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,8 @@ class RunReport:
 
     `checked` holds the loops that have FRFs and a controller, `unchecked` those that requirements name and that could
     not be compared with them; `frfs` all FRFs, `matrices` those of several channels. `figures_left_out` says of each
-    picture that is not embedded why. `files` lists every input.
+    picture that is not embedded why. `files` lists every input. With a `diagram` the plants of `checked` are what its
+    tuned block meets, and `inner` holds the verdicts on the loops that are closed within.
     """
 
     name: str
@@ -136,9 +143,12 @@ class RunReport:
     figures_left_out: Mapping[str, str] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
     texts: tuple[GivenText, ...] = ()
+    diagram: Diagram | None = None
+    inner: Mapping[str, Verdict] = field(default_factory=dict)
 
     @property
     def outcome(self) -> str:
         """Outcome over all loops: "failed", "undecided", "passed", or "none" where nothing was asked of any loop."""
-        found = {one.outcome for one in self.checked} | ({"undecided"} if self.unchecked else set())
+        found = {one.outcome for one in self.checked} | {asked_outcome(one) for one in self.inner.values()}
+        found |= {"undecided"} if self.unchecked else set()
         return next((word for word in ("failed", "undecided", "passed") if word in found), "none")

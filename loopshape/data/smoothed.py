@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from loopshape.core.kernels import draws as kernel
 from loopshape.core.units import Array, ComplexArray
 
 #: deviation of what lies between lines, as a share of how far a spline lies off straight lines there; and its seed
@@ -15,6 +17,18 @@ BETWEEN, SEED = 0.5, 20072
 FEWEST = 6
 #: the slope of the lowest lines is taken up to so many times the first frequency, four lines at least; and its most
 LOWEST, STEEPEST = 2.0, 4.0
+
+
+def by_draw(draws: ComplexArray) -> ComplexArray:
+    """Draws (draws, ...) in the order in which kernels go through them, read-only."""
+    own = np.ascontiguousarray(draws).view()
+    own.setflags(write=False)
+    return own
+
+
+def spread(draws: ComplexArray) -> tuple[Array, Array, Array]:
+    """Root mean square (n,), standard deviation (n,) and neighbours' correlation (n - 1,) of draws (draws, n)."""
+    return kernel.spread(by_draw(draws))
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +43,14 @@ class Dense:
     reference: ComplexArray
     deviations: ComplexArray
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "deviations", by_draw(self.deviations))
+
+    @cached_property
+    def spread(self) -> tuple[Array, Array, Array]:
+        """What `spread` tells of the draws of a response that is none of a matrix."""
+        return spread(self.deviations)
+
     def at(self, frequency_hz: Array) -> Dense:
         """The same at other frequencies (m,) within these, by cubic splines; draws go straight from line to line.
 
@@ -36,34 +58,34 @@ class Dense:
         business. Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all
         places; it lies off it by no more than half of how far the response moves from line to line about there.
         """
-        here = np.isin(frequency_hz, self.frequency_hz)
-        if not here.any():
-            return self._between(frequency_hz)
-        own, new = np.searchsorted(self.frequency_hz, frequency_hz[here]), self._between(frequency_hz[~here])
-        made = [np.empty((here.size, *self.response.shape[1:]), dtype=complex) for _ in range(2)]
-        deviations = np.empty((len(self.deviations), *made[0].shape), dtype=complex)
-        for one, known, between in zip(
-            made, (self.response, self.reference), (new.response, new.reference), strict=True
-        ):
-            one[here], one[~here] = known[own], between
-        deviations[:, here], deviations[:, ~here] = self.deviations[:, own], new.deviations
-        return Dense(frequency_hz, made[0], made[1], deviations)
-
-    def _between(self, at: Array) -> Dense:
-        """`at` frequencies that are none of its own."""
-        f = self.frequency_hz
-        each = (-1, *[1] * (self.response.ndim - 1))
-        k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 2)
-        share, power = ((at - f[k]) / (f[k + 1] - f[k])).reshape(each), _power(f, self.response)
-        own, back = ((f / f[0]) ** -power).reshape(each), ((at / f[0]) ** power).reshape(each)
-        straight, off = _curved(f, self.response * own, at, k, share)
+        f, at = self.frequency_hz, frequency_hz
+        k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 1)
+        new = f[k] != at
+        k[new] = np.minimum(k[new], f.size - 2)
+        response, reference = self.response[k], self.reference[k]
+        before, after, off = np.ones(at.size, dtype=complex), np.zeros(at.size, dtype=complex), np.zeros_like(response)
+        if new.any():
+            response[new], reference[new], before[new], after[new], off[new] = self._between(at[new], k[new])
         sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
         sides *= np.sqrt(2.0 / np.mean(np.abs(sides) ** 2))
-        deviations = self.deviations[:, k] * (back * own[k] * (1.0 - share))
-        deviations += self.deviations[:, k + 1] * (back * own[k + 1] * share)
-        deviations += sides.reshape(-1, *[1] * self.response.ndim) * (np.sqrt(0.5) * BETWEEN * back * off)
-        again = _curved(f, self.reference * own, at, k, share)
-        return Dense(at, back * (straight + off), back * (again[0] + again[1]), deviations)
+        deviations = kernel.straight(
+            self.deviations.reshape(len(sides), f.size, -1), k, before, after, sides, off.reshape(at.size, -1)
+        )
+        return Dense(at, response, reference, deviations.reshape(len(sides), *response.shape))
+
+    def _between(
+        self, at: Array, k: np.ndarray
+    ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Response and reference `at` places (n,) in the gaps k (n,); of draws the lines' weights and the deviation."""
+        f = self.frequency_hz
+        each = (-1, *[1] * (self.response.ndim - 1))
+        share, power = (at - f[k]) / (f[k + 1] - f[k]), _power(f, self.response)
+        own, back = (f / f[0]) ** -power, (at / f[0]) ** power
+        flat = [x * own.reshape(each) for x in (self.response, self.reference)]
+        one, two = (_curved(f, x, at, k, share.reshape(each)) for x in flat)
+        response, reference = (back.reshape(each) * (line + off) for line, off in (one, two))
+        side = np.sqrt(0.5) * BETWEEN * back.reshape(each) * one[1]
+        return response, reference, back * own[k] * (1.0 - share), back * own[k + 1] * share, side
 
     def between(self, moved: Array, room: Array, step: float, most: int) -> Dense:
         """The same with places between lines that move by more than a `step` of the `room` there; (n - 1,) each."""
@@ -130,6 +152,6 @@ class Scatter:
 
     def __post_init__(self) -> None:
         for name in ("reference", "deviations", "pole_hz", "residue"):
-            copy = np.array(getattr(self, name))
+            copy = np.array(getattr(self, name), order="C")
             copy.setflags(write=False)
             object.__setattr__(self, name, copy)

@@ -12,7 +12,8 @@ import numpy as np
 from loopshape.core.kernels import tuning_rows as kernel
 from loopshape.core.units import Array, ComplexArray
 from loopshape.design.evaluation import Evaluation
-from loopshape.design.rows import DIP, Rows, Tighten, of_kernel, scaled, wished
+from loopshape.design.problem import Problem
+from loopshape.design.rows import DIP, Rows, Tighten, of_kernel, once, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
 
 #: dips of |L| below the bandwidth are watched where |L| is below this
@@ -29,12 +30,7 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
     jumps, and the search gives up.
     """
     p, limits = e.p, e.p.limits
-    phase, delay, gain, reduction = (
-        scaled(x, wished(p, x, tighten)) if x in limits else np.full(p.points, np.nan) for x in _MARGINS
-    )
-    dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
-    shallow = float(np.log(SHALLOW)) if p.requirements.objective.bandwidth else 0.0
-    *made, value, at, ab = kernel.crossing_rows(e.flat, phase, delay, gain, reduction, dip, shallow, p.integrators)
+    *made, value, at, ab = kernel.crossing_rows(e.flat, *_levels(p, tighten), p.integrators)
     bandwidths = Rows("", value, at[:, 0], at[:, 1], at[:, 2], ab[:, 0], at[:, 3], ab[:, 1])
     out = list(of_kernel((*_MARGINS, DIP), *made))
     if "bandwidth_hz" in limits:
@@ -44,6 +40,16 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
     if "complementary_bandwidth_hz" in limits:
         out.append(_at_least(_complementary_bandwidth(e, tighten), "complementary_bandwidth_hz", e, tighten))
     return out, bandwidths
+
+
+@once
+def _levels(p: Problem, tighten: Tighten) -> tuple[Array, Array, Array, Array, Array, float]:
+    """Limits of the margins and of dips (points,) as the kernel counts them, and below what |L| dips are watched."""
+    phase, delay, gain, reduction = (
+        scaled(x, wished(p, x, tighten)) if x in p.limits else np.full(p.points, np.nan) for x in _MARGINS
+    )
+    dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
+    return phase, delay, gain, reduction, dip, float(np.log(SHALLOW)) if p.requirements.objective.bandwidth else 0.0
 
 
 def _at_least(rows: Rows, name: str, e: Evaluation, tighten: Tighten) -> Rows:

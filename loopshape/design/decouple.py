@@ -8,6 +8,7 @@ real number does not cancel (Maciejowski, Multivariable Feedback Design, 1989, o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, overload
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.frf import FRF
+from loopshape.design.decouple_filters import DynamicDecoupling, decoupling_filters
 from loopshape.identify.interaction import square_part
 
 
@@ -63,26 +65,41 @@ class Decoupling(Plain):
         )
 
 
-def decouple(P: FRF, at_hz: float | tuple[float, float]) -> Decoupling:
+@overload
+def decouple(P: FRF, at_hz: float | tuple[float, float], order: Literal[0] = 0) -> Decoupling: ...
+@overload
+def decouple(P: FRF, at_hz: float | tuple[float, float], order: int) -> Decoupling | DynamicDecoupling: ...
+def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Decoupling | DynamicDecoupling:
     """The constant matrix that decouples a measured plant best at a frequency, or over a band, with its error.
+
+    With an `order` of 1 to 8 filters of that order stand in the place of the numbers off the diagonal, fitted over the
+    band: a `DynamicDecoupling`.
 
     `P` is a square matrix FRF (`ls.frf_matrices`). The result's `applied(P)` is the plant behind the matrix, for
     `ls.interaction` and `ls.check`; its `weights` make a simulated arm or a target run it (`ls.measure`). Of the
-    frequencies in a band each counts alike; of a single one the nearest that was measured is taken. `std` follows from
-    the FRF's covariance to first order. Raises WrongUseError for a FRF of a single loop and for a band without lines.
+    frequencies in a band each counts alike; of a single one the nearest that was measured is taken. For filters they
+    count by their variance, those known better than 1 % of the coupling alike. `std` follows from the FRF's covariance
+    to first order. Raises WrongUseError for a FRF of a single loop, for a band without lines, and for filters with too
+    few of them, without a rate or up to half of it.
 
-    Misleads where the coupling turns with frequency: a constant matrix cancels its real part alone.
+    Misleads where the coupling turns with frequency: a constant matrix cancels its real part alone. Filters are stable
+    and proper; a coupling whose inverse is neither (a delay less in the coupling than in the loop) they follow as far
+    as they can, and above and below the band nothing holds them: look at `response` there.
 
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(0.5, 20.0, 60)
     >>> g = 1.0 / (1.0 + 1j * f_hz / 3.0)
     >>> H = np.stack([[g, 0.4 * g], [-0.2 * g, 2.0 * g]]).transpose(2, 0, 1)
-    >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01)
+    >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
     >>> ls.decouple(P, at_hz=1.0).matrix.round(3).tolist()
     [[1.0, -0.4], [0.1, 1.0]]
+    >>> ls.decouple(P, at_hz=(1.0, 10.0), order=1).filters["u2_1"]["u1_1"]
+    Controller u2_1 of u1_1: section at 1000 Hz
     """
     plant, loops = square_part(P)
     used = _lines(plant, at_hz)
+    if order:
+        return decoupling_filters(plant, loops, used, order)
     n = len(loops)
     matrix, std = np.eye(n), np.zeros((n, n))
     for j in range(n):

@@ -10,8 +10,10 @@ import numpy as np
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.controller import Block, series_response
-from loopshape.design.problem import Problem, coefficients
+from loopshape.data.block import series_response
+from loopshape.design.problem import Problem
+from loopshape.design.structure import sections
+from loopshape.design.weighed import weighed
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,14 +24,14 @@ class Evaluation:
     x: Array
 
     @cached_property
-    def blocks(self) -> tuple[Block, ...]:
-        """Blocks at x."""
-        return self.p.blocks(self.x)
+    def values(self) -> list[dict[str, float]]:
+        """Parameters of each block at x."""
+        return self.p.values(self.x)
 
     @cached_property
     def sections(self) -> Array:
         """Coefficients of the blocks (blocks, 6)."""
-        return coefficients(self.blocks)
+        return sections(self.p.templates, self.values)
 
     @cached_property
     def C(self) -> ComplexArray:
@@ -37,7 +39,7 @@ class Evaluation:
         s, wide = self.p.s, self.p.wide
         every = kernel.series(self.sections, s[: wide.start])
         if self.p.f_wide.size:
-            every = np.concatenate([every, series_response(self.blocks, s[wide], bounded=True)])
+            every = np.concatenate([every, series_response(self.p.blocks(self.x), s[wide], bounded=True)])
         return every if self.p.outside is None else every * self.p.outside
 
     @cached_property
@@ -70,12 +72,19 @@ class Evaluation:
         return self._loops[2]
 
     @cached_property
+    def ln_norm(self) -> Array:
+        """ln of the norm of the weighted loop on the flat lines."""
+        weights = weighed(self.p)
+        with np.errstate(divide="ignore"):
+            return self.ln_S + 0.5 * np.log(weights.own + weights.by_C * np.exp(2.0 * self.ln_C[self.p.line]))
+
+    @cached_property
     def flat(self) -> Flat:
         """The lines as the kernels of rows take them."""
-        p = self.p
+        p, weights = self.p, weighed(self.p)
         return Flat(
             p.f, p.ln_f, self.L, self.ln_L, self.ln_S, p.ln_P, self.ln_C, p.ln_reach, p.line, p.first, p.led, p.f_above,
-            p.above.start,
+            p.above.start, weights.own, weights.by_C,
         )  # fmt: skip
 
     @cached_property

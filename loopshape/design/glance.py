@@ -12,8 +12,8 @@ import numpy as np
 from loopshape.core.kernels import margins as columns
 from loopshape.core.kernels.glance import Glanced, glance
 from loopshape.core.units import Array
-from loopshape.data.limits_over import MASKED, weights
-from loopshape.data.requirements import LIMIT_OF, Requirements
+from loopshape.data.requirements import LIMIT_OF
+from loopshape.data.weight import over
 from loopshape.design.evaluation import Evaluation
 from loopshape.design.measures import low_weights
 from loopshape.design.problem import Problem
@@ -37,8 +37,9 @@ def glanced(p: Problem) -> Glanced:
     """A problem's plants and limits as the kernel takes them."""
     level, sign, factor = _limits(p)
     last = p.f[p.first[1:] - 1]
-    masks = [_weights(one, p.f[a:b]) for one, a, b in zip(p.each, p.first[:-1], p.first[1:], strict=True)]
-    masked = any(one.masks for one in p.each)
+    cut = zip(p.each, p.first[:-1], p.first[1:], strict=True)
+    masks = [over(one.masks, one.weights, p.f[a:b]) for one, a, b in cut]
+    weighed = any(one.masks or one.weights for one in p.each)
     wish = p.requirements.objective
     return Glanced(
         f=p.f,
@@ -54,21 +55,17 @@ def glanced(p: Problem) -> Glanced:
         f_above=p.f_above,
         first_above=np.searchsorted(p.f_above, last),
         from_hz=p.requirements.control_high_frequency_from_hz or np.inf,
-        masks=np.concatenate(masks, axis=1) if masked else np.zeros((0, p.f.size)),
-        masks_above=np.stack([_weights(one, p.f_above) for one in p.each]),
+        masks=np.concatenate(masks, axis=1)[: None if weighed else 0],
+        masks_above=np.stack([over(one.masks, one.weights, p.f_above) for one in p.each]),
         level=level,
         sign=sign,
         factor=factor,
         low=low_weights(p) if wish.disturbance else np.zeros(p.f.size),
         bandwidth=float(wish.bandwidth),
         disturbance=float(wish.disturbance),
+        weighted_norm=float(wish.weighted_norm),
         penalty=PENALTY,
     )
-
-
-def _weights(requirements: Requirements, f: Array) -> Array:
-    """Weights of masks (6, nf), zero where there is none."""
-    return weights(requirements.masks, f) if requirements.masks else np.zeros((len(MASKED), f.size))
 
 
 def _limits(p: Problem) -> tuple[Array, Array, Array]:
@@ -81,6 +78,7 @@ def _limits(p: Problem) -> tuple[Array, Array, Array]:
         elif name in LOGARITHMS:
             k = LOGARITHMS[name]
             level[:, k] = np.fmax(level[:, k], scaled(name, limit))
+            sign[k] = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
         elif name in PLAIN:
             k = PLAIN[name]
             level[:, k], factor[k] = limit, scaled(name, np.array(2.0)) - scaled(name, np.array(1.0))
@@ -95,8 +93,10 @@ def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> Sight:
     """
     e = Evaluation(p, x)
 
-    def look(shift: float) -> tuple[float, bool]:
-        return glance(q, float(np.exp(shift)), e.C, e.C[p.above], e.below)
+    C_above = e.C[p.above]
+
+    def look(shift: float, enough: float = np.inf) -> tuple[float, bool]:
+        return glance(q, float(np.exp(shift)), e.C, C_above, e.below, enough)
 
     k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
     best, shift = look(0.0)[0], 0.0
@@ -105,13 +105,13 @@ def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> Sight:
     low, high = float(p.low[k] - x[k]), float(p.high[k] - x[k])
     for _ in range(halvings):
         trial = 0.5 * (low + high)
-        merit, holds = look(trial)
+        merit, holds = look(trial, best)
         low, high = (trial, high) if holds else (low, trial)
         if merit < best:
             best, shift = merit, trial
     if np.isinf(best):
         for trial in _between_passages(e, float(p.low[k] - x[k]), float(p.high[k] - x[k])):
-            merit, _ = look(trial)
+            merit, _ = look(trial, best)
             if merit < best:
                 best, shift = merit, trial
     return Sight(best, np.where(np.arange(x.size) == k, x + shift, x))

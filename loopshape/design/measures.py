@@ -13,6 +13,7 @@ import numpy as np
 from loopshape.core.units import Array
 from loopshape.design.crossings import crossing_rows
 from loopshape.design.evaluation import Evaluation
+from loopshape.design.norms import norm_rows
 from loopshape.design.peaks import peak_rows
 from loopshape.design.problem import Problem
 from loopshape.design.rows import Rows, Tighten
@@ -24,11 +25,13 @@ class Measures:
 
     `what` (m,) are names of `Margins`' fields, or "stability" for what keeps the count of encirclements sure; `at`
     (m,) the flat line nearest to each, or a column above them; `point` (m,) its operating point, -1 for C alone.
+    `norms` are rows of ln of one over the norm of the weighted loop at its peaks, where the objective has one.
     """
 
     evaluation: Evaluation
     rows: tuple[Rows, ...]
     bandwidths: Rows
+    norms: tuple[Rows, ...] = ()
 
     @property
     def ln_bandwidth(self) -> Array:
@@ -51,6 +54,16 @@ class Measures:
         return rejection_slopes(self.evaluation)
 
     @cached_property
+    def smallness(self) -> Array:
+        """ln of one over the norm of the weighted loop at its peaks (k,); none where the objective has no norm."""
+        return np.concatenate([np.zeros(0), *(r.value for r in self.norms)])
+
+    @property
+    def smallness_slopes(self) -> Array:
+        """d smallness/d x (k, n)."""
+        return self._slopes[self.bandwidths.value.size :][: self.smallness.size]
+
+    @cached_property
     def room(self) -> Array:
         """Room of each row (m,)."""
         return np.concatenate([np.zeros(0), *(r.value for r in self.rows)])
@@ -58,12 +71,12 @@ class Measures:
     @cached_property
     def room_slopes(self) -> Array:
         """d room/d x (m, n)."""
-        return self._slopes[self.bandwidths.value.size :]
+        return self._slopes[self.bandwidths.value.size + self.smallness.size :]
 
     @cached_property
     def _slopes(self) -> Array:
-        """Slopes of the bandwidths and of all rows, from C's on the columns that they name."""
-        return _slopes(self.evaluation, [self.bandwidths, *self.rows])
+        """Slopes of the bandwidths, of the norm and of all rows, from C's on the columns that they name."""
+        return _slopes(self.evaluation, [self.bandwidths, *self.norms, *self.rows])
 
     @cached_property
     def what(self) -> list[str]:
@@ -94,21 +107,22 @@ class Measures:
         """The objective's weighted sum, each term at its worst operating point."""
         wish = self.evaluation.p.requirements.objective
         value = wish.bandwidth * float(self.ln_bandwidth.min()) if wish.bandwidth else 0.0
-        return value + (wish.disturbance * float(self.rejection.min()) if wish.disturbance else 0.0)
+        value += wish.disturbance * float(self.rejection.min()) if wish.disturbance else 0.0
+        return value + (wish.weighted_norm * float(self.smallness.min()) if wish.weighted_norm else 0.0)
 
 
 def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
     e = Evaluation(p, x)
     crossing, bandwidths = crossing_rows(e, tighten)
-    return Measures(e, (*peak_rows(e, tighten), *crossing), bandwidths)
+    return Measures(e, (*peak_rows(e, tighten), *crossing), bandwidths, norm_rows(e))
 
 
 def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
     """Slopes (m, n) of rows by x."""
     i, j = (np.concatenate([getattr(r, name) for r in rows]) for name in ("i", "j"))
     a, b = (np.concatenate([getattr(r, name) for r in rows]) for name in ("a", "b"))
-    return e.p.row_slopes(e.blocks, i, a, j, b)
+    return e.p.row_slopes(e.values, i, a, j, b)
 
 
 def rejection(e: Evaluation) -> Array:
@@ -131,7 +145,7 @@ def rejection_slopes(e: Evaluation) -> Array:
     weights = low_weights(p)
     k = np.flatnonzero(weights)
     T = e.L[k] / (1.0 + e.L[k])
-    each = np.real(weights[k] * T * p.slopes(e.blocks, p.line[k]))
+    each = np.real(weights[k] * T * p.slopes(e.values, p.line[k]))
     return np.array([np.bincount(p.owner[k], weights=row, minlength=p.points) for row in each]).T
 
 

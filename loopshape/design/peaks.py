@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -11,15 +11,12 @@ import numpy as np
 from loopshape.core.kernels import tuning_rows as kernel
 from loopshape.core.units import Array, rad
 from loopshape.design.evaluation import Evaluation
+from loopshape.design.norms import EVERY, FAR, NORM, PLATEAU, norm_above
 from loopshape.design.problem import Problem
-from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, scaled, wished
+from loopshape.design.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
 from loopshape.loop.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability import FIT_DEG
 
-#: local peaks this far below their limit (in ln) are left out, save the highest of each operating point
-FAR = 0.7
-#: of lines this near to their limit (in ln) every fourth counts too: on a plateau the peak goes where a step tilts it
-PLATEAU, EVERY = 0.1, 4
 _OF_C = "controller_bandwidth_hz"
 
 
@@ -38,6 +35,7 @@ _KINDS = {
     "process_mask_db": kernel.PS,
     "loop_mask_db": kernel.LOOP,
     "loop_floor_db": kernel.FLOOR,
+    NORM: kernel.NORM,
     SURE: kernel.SURE,
 }
 #: quantities that go on above the last line, where |L| stays below its last value
@@ -57,7 +55,7 @@ _ABOVE = {
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What the kernel is told of a problem's limits on magnitudes, and their levels without tightening."""
+    """What the kernel is told of a problem's limits on magnitudes."""
 
     names: tuple[str, ...]
     kinds: np.ndarray
@@ -65,7 +63,6 @@ class _Asked:
     above: np.ndarray
     masks: Array
     masked: np.ndarray
-    level: Array
 
 
 _ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
@@ -83,13 +80,14 @@ def _asked(p: Problem) -> _Asked:
             above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
             masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
             masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
-            level=_levels(p, names, {}),
         )
     return _ASKED[p]
 
 
-def _levels(p: Problem, names: Sequence[str], tighten: Tighten) -> Array:
+@once
+def _levels(p: Problem, tighten: Tighten) -> Array:
     """ln of the largest magnitudes allowed (names, points)."""
+    names = _asked(p).names
     return np.array([_level(p, x, tighten) for x in names]).reshape(len(names), p.points)
 
 
@@ -99,7 +97,7 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     They lie at local peaks and beside them, at the highest of each operating point, and on plateaus.
     """
     p, asked = e.p, _asked(e.p)
-    level = _levels(p, asked.names, tighten) if tighten else asked.level
+    level = _levels(p, tighten)
     made = kernel.magnitude_rows(
         e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, FAR, FAR - PLATEAU, EVERY
     )
@@ -107,6 +105,8 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
         if name in _ABOVE:
             yield _mask_above(e, name, mine)
+        if name == NORM:
+            yield from norm_above(e, mine)
     yield from _beyond(e)
     blind = np.diff(p.first_below) == 0
     ends = kernel.end_rows(e.flat, 0, blind, ~p.fitted, p.integrators, p.unstable, float(rad(FIT_DEG)))

@@ -15,13 +15,14 @@ import numpy as np
 
 from loopshape.core.kernels import flat_loops as kernel
 from loopshape.core.kernels import tuning_rows as rows
-from loopshape.core.units import Array, ComplexArray
-from loopshape.data.block import BLOCK_KINDS, BlockTemplate
+from loopshape.core.units import Array, ComplexArray, from_db
+from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Block, Controller
 from loopshape.data.limits_over import MASKED, weights
 from loopshape.data.loop import Loop, above_hz
 from loopshape.data.requirements import LIMIT_OF, Requirements
-from loopshape.design.structure import Variable, refuse, variables_of
+from loopshape.design import structure
+from loopshape.design.structure import Variable
 from loopshape.loop.between import between_lines
 from loopshape.loop.controller_bandwidth import controller_grid_hz
 from loopshape.loop.low_end import low_hz, low_models
@@ -172,12 +173,13 @@ class Problem:
         """Columns on which the bandwidth of C is read; none where it is not limited."""
         return slice(self.beyond.stop, self.s.size)
 
+    def values(self, x: Array) -> list[dict[str, float]]:
+        """Parameters of each block at x."""
+        return structure.values_at(self.templates, self.variables, x)
+
     def blocks(self, x: Array) -> tuple[Block, ...]:
         """Blocks at x."""
-        values: list[dict[str, float]] = [{} for _ in self.templates]
-        for v, value in zip(self.variables, np.exp(x), strict=True):
-            values[v.block][v.name] = min(max(float(value), v.low), v.high)
-        return tuple(t.block(values[k]) for k, t in enumerate(self.templates))
+        return tuple(Block(t.kind, own) for t, own in zip(self.templates, self.values(x), strict=True))
 
     def controller(self, x: Array) -> Controller:
         """Controller at x."""
@@ -194,40 +196,29 @@ class Problem:
             return name, float(self.f[at])
         return name, float(np.concatenate([self.f_above, self.f_beyond, self.f_wide])[at - self.f.size])
 
-    def slopes(self, blocks: Sequence[Block], columns: np.ndarray) -> ComplexArray:
-        """d ln C/d x (variables, columns), exact; without integral terms on the wide columns."""
-        out = kernel.log_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s[columns])
+    def slopes(self, values: Sequence[Mapping[str, float]], columns: np.ndarray) -> ComplexArray:
+        """d ln C/d x (variables, columns) at blocks' parameters, exact; without integral terms on the wide columns."""
+        changes = structure.section_changes(self.templates, self.variables, values)
+        out = kernel.log_slopes(structure.sections(self.templates, values), changes, self._block_of, self.s[columns])
         wide = np.flatnonzero(columns >= self.wide.start)
         if wide.size:
-            s = self.s[columns[wide]]
-            by_block = {k: blocks[k].log_slopes(s, bounded=True) for k in {v.block for v in self.variables}}
+            blocks = {k: Block(self.templates[k].kind, values[k]) for k in {v.block for v in self.variables}}
+            by_block = {k: block.log_slopes(self.s[columns[wide]], bounded=True) for k, block in blocks.items()}
             for row, v in zip(out, self.variables, strict=True):
-                names = _moved_with(self.templates[v.block], v.name)
-                row[wide] = blocks[v.block].parameters[v.name] * sum(by_block[v.block][name] for name in names)
+                names = structure.moved_with(self.templates[v.block], v.name)
+                row[wide] = values[v.block][v.name] * sum(by_block[v.block][name] for name in names)
         return out
 
     def row_slopes(
-        self, blocks: Sequence[Block], i: np.ndarray, a: ComplexArray, j: np.ndarray, b: ComplexArray
+        self, values: Sequence[Mapping[str, float]], i: np.ndarray, a: ComplexArray, j: np.ndarray, b: ComplexArray
     ) -> Array:
         """Re(a d ln C_i/d x + b d ln C_j/d x), (m, variables), of columns i and j (m,)."""
         if max(i.max(initial=0), j.max(initial=0)) >= self.wide.start:
-            D = self.slopes(blocks, np.concatenate([i, j]))
+            D = self.slopes(values, np.concatenate([i, j]))
             return np.real(a * D[:, : i.size] + b * D[:, i.size :]).T
+        changes = structure.section_changes(self.templates, self.variables, values)
         places, ab = np.stack([i, j], axis=1), np.stack([a, b], axis=1)
-        return rows.row_slopes(coefficients(blocks), self._changes(blocks), self._block_of, self.s, places, ab)
-
-    def _changes(self, blocks: Sequence[Block]) -> Array:
-        """d section/d x (variables, 6), of each variable's block."""
-        slopes = {
-            k: BLOCK_KINDS[blocks[k].kind].slopes(blocks[k].parameters) for k in {v.block for v in self.variables}
-        }
-        out = []
-        for v in self.variables:
-            parts = [slopes[v.block][name] for name in _moved_with(self.templates[v.block], v.name)]
-            value = blocks[v.block].parameters[v.name]
-            moved = np.array([(*num, *den) for num, den in parts])
-            out.append(value * (moved[0] if len(parts) == 1 else moved.sum(axis=0)))
-        return np.array(out)
+        return rows.row_slopes(structure.sections(self.templates, values), changes, self._block_of, self.s, places, ab)
 
     @cached_property
     def _block_of(self) -> np.ndarray:
@@ -279,7 +270,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold. Searches look at
     coefficients in double precision; controllers are made in `precision`.
     """
-    refuse(loops, requirements)
+    structure.refuse(loops, requirements)
     lines = [_lines(loop) for loop in loops]
     below = [_below(loop) for loop in loops]
     f = np.concatenate([one.f for one in lines])
@@ -291,7 +282,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     return Problem(
         requirements=requirements,
         templates=requirements.structure,
-        variables=variables_of(requirements),
+        variables=structure.variables_of(requirements),
         unit=unit,
         precision=precision,
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
@@ -319,26 +310,16 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
     )
 
 
-def _moved_with(template: BlockTemplate, name: str) -> list[str]:
-    """Parameters of a block that a free one moves: itself and those tied to it."""
-    return [name, *(k for k, target in template.tie.items() if target == name)]
-
-
-def coefficients(blocks: Sequence[Block]) -> Array:
-    """Coefficients of blocks (blocks, 6): s^0, s^1, s^2 of the numerator, and of the denominator."""
-    return np.array([(*num, *den) for num, den in (block.section() for block in blocks)])
-
-
 def _none(name: str) -> float:
     """A limit in its own unit that nothing misses."""
-    return 0.0 if LIMIT_OF[name].sense == "at_least" else NONE_DB
+    limit = LIMIT_OF[name]
+    return 0.0 if limit.sense == "at_least" else NONE_DB if limit.unit == "dB" else float(from_db(NONE_DB))
 
 
 def _ln_masks(requirements: Requirements, f: Array) -> Array:
     """ln of the sharpest masks (6, nf) at frequencies in Hz, +inf where there is none, of the floor -inf."""
-    over = weights(requirements.masks, f) if requirements.masks else np.zeros((len(MASKED), f.size))
     with np.errstate(divide="ignore"):
-        level = -0.5 * np.log(over)
+        level = -0.5 * np.log(weights(requirements.masks, f))
     level[MASKED.index("loop_floor_db")] *= -1.0
     return level
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -42,14 +44,28 @@ class Rows:
 
 
 def of_kernel(names: Sequence[str], places: np.ndarray, value: Array, ab: ComplexArray) -> Iterator[Rows]:
-    """Rows as a kernel of `core.kernels.tuning_rows` writes them, by quantity."""
-    order = np.argsort(places[:, 0], kind="stable")
-    places, value, ab = places[order], value[order], ab[order]
-    cut = np.searchsorted(places[:, 0], np.arange(len(names) + 1))
-    for name, a, b in zip(names, cut[:-1], cut[1:], strict=True):
-        if a < b:
-            mine, by = places[a:b], ab[a:b]
-            yield Rows(name, value[a:b], mine[:, 1], mine[:, 2], mine[:, 3], by[:, 0], mine[:, 4], by[:, 1])
+    """Rows as a kernel of `core.kernels.tuning_rows` writes them, in the order of their quantities."""
+    cut = np.searchsorted(places[:, 0], np.arange(len(names) + 1)).tolist()
+    at, point, i, j, a, b = *places.T[1:], *ab.T
+    for name, m, n in zip(names, cut[:-1], cut[1:], strict=True):
+        if m < n:
+            yield Rows(name, value[m:n], at[m:n], point[m:n], i[m:n], a[m:n], j[m:n], b[m:n])
+
+
+Made = TypeVar("Made")
+
+
+def once(make: Callable[[Problem, Tighten], Made]) -> Callable[[Problem, Tighten], Made]:
+    """What is made of a problem and a tightening, kept while the same tightening is asked for."""
+    done: WeakKeyDictionary[Problem, tuple[Tighten, Made]] = WeakKeyDictionary()
+
+    def known(p: Problem, tighten: Tighten) -> Made:
+        kept = done.get(p)
+        if kept is None or kept[0] is not tighten:
+            kept = done[p] = tighten, make(p, tighten)
+        return kept[1]
+
+    return known
 
 
 def wished(p: Problem, name: str, tighten: Tighten) -> Array:

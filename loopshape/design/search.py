@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from loopshape.core.kernels.small_lp import OPTIMAL, boxed_lp
+from loopshape.core.kernels.small_lp import OPTIMAL, boxed_lp, linearised
 from loopshape.core.units import Array
 from loopshape.design.measures import Measures, measure
 from loopshape.design.problem import Problem
@@ -34,12 +34,14 @@ class Goal:
     soft: frozenset[str] | None = frozenset()
 
     def terms(self, m: Measures) -> list[tuple[float, Array, Array]]:
-        """Weight, values (points,) and slopes (points, n) of the objective's terms that count."""
+        """Weight, values (k,) and slopes (k, n) of the objective's terms that count: each is its least value."""
         wish, found = m.evaluation.p.requirements.objective, []
         if self.objective and wish.bandwidth:
             found.append((wish.bandwidth, m.ln_bandwidth, m.bandwidth_slopes))
         if self.objective and wish.disturbance:
             found.append((wish.disturbance, m.rejection, m.rejection_slopes))
+        if self.objective and wish.weighted_norm:
+            found.append((wish.weighted_norm, m.smallness, m.smallness_slopes))
         return found
 
     def softs(self, m: Measures) -> np.ndarray:
@@ -55,9 +57,12 @@ class Goal:
 
     def bare_merit(self, m: Measures) -> float:
         """The merit as if every loop were stable."""
+        own = -m.objective() if self.objective else 0.0
+        if self.soft is not None and not self.soft:
+            return own + PENALTY * max(-m.worst, 0.0)
         soft = self.softs(m)
         missed = [float(np.max(-m.room[rows], initial=0.0)) for rows in (soft, ~soft)]
-        return -(m.objective() if self.objective else 0.0) + missed[0] + PENALTY * missed[1]
+        return own + missed[0] + PENALTY * missed[1]
 
 
 #: the largest objective within all requirements
@@ -142,29 +147,10 @@ def step_within(p: Problem, x: Array, m: Measures, radius: float, goal: Goal) ->
 
 
 def linear(m: Measures, goal: Goal, low: Array, high: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Cost, A, b, low and high of the linearised problem in y = (dx, the objective's terms, soft miss, hard miss).
-
-    Rows that cannot bind for dx between `low` and `high` are left out; rooms come last, as `may_bind` picks them.
-    """
-    n, terms, (rows, deepest) = low.size, goal.terms(m), may_bind(m, low, high)
-    size = n + len(terms) + 2
-    A = np.zeros((sum(value.size for _, value, _ in terms) + rows.size, size))
-    ends, first = [(0.0, 1.0 - deepest)] * 2, 0
-    for k, (_, value, slopes) in enumerate(terms):
-        mine = A[first : first + value.size]
-        mine[:, :n], mine[:, n + k] = -slopes, 1.0
-        reach = float(np.abs(slopes).sum(axis=1).max() * max(-low.min(), high.max())) + 1.0
-        ends.insert(k, (float(value.min()) - reach, float(value.max()) + reach))
-        first += value.size
-    A[first:, :n] = -m.room_slopes[rows]
-    A[np.arange(first, len(A)), np.where(goal.softs(m)[rows], size - 2, size - 1)] = -1.0
-    cost = np.concatenate([np.zeros(n), [-weight for weight, _, _ in terms], [1.0, PENALTY]])
-    limits = np.array(ends).T
-    b = np.concatenate([*(value for _, value, _ in terms), m.room[rows]])
-    return cost, A, b, np.concatenate([low, limits[0]]), np.concatenate([high, limits[1]])
-
-
-def may_bind(m: Measures, low: Array, high: Array) -> tuple[np.ndarray, float]:
-    """Rows whose room may fall below zero for some dx between `low` and `high`, to first order, and the least room."""
-    lowest = m.room + np.minimum(m.room_slopes * low, m.room_slopes * high).sum(axis=1)
-    return np.flatnonzero(lowest < 0.0), float(lowest.min(initial=0.0))
+    """The linearised problem in y = (dx, the objective's terms, soft miss, hard miss), as `boxed_lp` takes it."""
+    terms = goal.terms(m)
+    term = np.repeat(np.arange(len(terms)), [value.size for _, value, _ in terms])
+    values = np.concatenate([np.zeros(0), *(value for _, value, _ in terms)])
+    slopes = np.concatenate([np.zeros((0, low.size)), *(slopes for *_, slopes in terms)])
+    weights = np.array([weight for weight, *_ in terms], dtype=float)
+    return linearised(values, slopes, term, weights, m.room, m.room_slopes, goal.softs(m), low, high, PENALTY)

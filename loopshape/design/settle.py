@@ -28,6 +28,10 @@ class Judge(Protocol):
 
 #: limits with less room than this (ln or rad), and bandwidths so near the lowest, are asked about before all others
 WATCHED = 0.1
+#: limits with less room than this bind; those points alone are asked about so many times between two rounds of all
+CLOSE, CLOSER = 0.002, 2
+#: what those points ask changes a little from one search to the next: so much of it is given on top
+STEADY = 0.05
 #: rounds of checking and searching on at most; from this one on limits are never loosened again
 ROUNDS, FIRM = 8, 3
 #: a result is settled where the limits that bind were tightened by no more than this (ln or rad) beyond what was needed
@@ -56,11 +60,13 @@ class Settled:
 
     @property
     def objective(self) -> float:
-        """The objective with the bandwidth that the check reads where that is less."""
+        """The objective with the bandwidth that the check reads where that is less, and the norm where it is more."""
         m = self.found.measures
-        read, weight = bandwidths(self.verdict), m.evaluation.p.requirements.objective.bandwidth
-        less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if weight and np.isfinite(read).any() else 0.0
-        return m.objective() + weight * min(less, 0.0)
+        read, wish = bandwidths(self.verdict), m.evaluation.p.requirements.objective
+        known = wish.bandwidth and np.isfinite(read).any()
+        less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if known else 0.0
+        more = float(np.log(norm(self.verdict)[0]) + m.smallness.min()) if wish.weighted_norm else 0.0
+        return m.objective() + wish.bandwidth * min(less, 0.0) - wish.weighted_norm * max(more, 0.0)
 
     @property
     def dipped(self) -> np.ndarray:
@@ -75,6 +81,16 @@ def bandwidths(verdict: Verdict) -> Array:
     """First 0 dB crossings (points,) in Hz; nan where there is none."""
     read = np.array([m.bandwidth_hz for m in verdict.margins.values()])
     return np.where((read > 0.0) & np.isfinite(read), read, np.nan)
+
+
+def norm(verdict: Verdict) -> tuple[float, tuple[float, float] | None]:
+    """Largest norm of the weighted loop over the operating points, and its interval: from their largest low end to
+    their largest high end. None where no covariance is known.
+    """
+    every = list(verdict.margins.values())
+    ends = [m.intervals["weighted_norm"] for m in every if "weighted_norm" in m.intervals]
+    interval = (max(low for low, _ in ends), max(high for _, high in ends)) if len(ends) == len(every) else None
+    return max(m.weighted_norm for m in every), interval
 
 
 def miss(verdict: Verdict) -> float:
@@ -100,8 +116,7 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
         if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
             break
         tighten = _tightened(p, tighten, asked, tried[-1], firm=k >= FIRM)
-        goal = Goal(tighten)
-        best = search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
+        best, tighten = _nearer(p, _searched_on(p, best, tighten), tighten, judge, firm=k >= FIRM)
     return min(tried, key=lambda one: one.rank)
 
 
@@ -111,17 +126,50 @@ def _foreseen(p: Problem, best: Found, judge: Judge) -> tuple[Found, Tighten]:
     The others, which have room, are then read once, at the end.
     """
     m = best.measures
-    room = np.full(p.points, np.inf)
-    seen = (m.point >= 0) & (m.at < p.f.size)  # above the last lines both read alike
-    np.minimum.at(room, m.point[seen], m.room[seen])
-    binding = np.flatnonzero((room < WATCHED) | (m.ln_bandwidth < m.ln_bandwidth.min() + WATCHED))
+    binding = np.flatnonzero((_rooms(p, m) < WATCHED) | (m.ln_bandwidth < m.ln_bandwidth.min() + WATCHED))
     if 2 * binding.size > p.points or not m.stable:
         return best, {}
     verdict = judge(p.controller(best.x), binding.tolist())
     asked = allowances(p, best.x, verdict, binding)
     tighten = {name: _a_little_more(p, name, needed, needed) for name, needed in asked.items()}
+    return _searched_on(p, best, tighten), tighten
+
+
+def _nearer(p: Problem, best: Found, tighten: Tighten, judge: Judge, *, firm: bool) -> tuple[Found, Tighten]:
+    """The search taken on by what `judge` still asks for at the operating points that bind, where these are a minority.
+
+    What it asks changes with x, and there it counts: so fewer rounds read all points. `firm` as in `_tightened`.
+    """
+    for _ in range(CLOSER):
+        binding = np.flatnonzero(_rooms(p, best.measures) < CLOSE)
+        if 2 * binding.size > p.points or not best.measures.stable:
+            break
+        asked = allowances(p, best.x, judge(p.controller(best.x), binding.tolist()), binding)
+        given = {name: np.broadcast_to(np.asarray(tighten.get(name, 0.0)), p.points) for name in asked}
+        if all(np.all(needed <= given[name]) for name, needed in asked.items()):
+            break
+        there = np.isin(np.arange(p.points), binding)
+        rises = {name: np.maximum(needed - given[name], 0.0) for name, needed in asked.items()}
+        more = {name: _a_little_more(p, name, asked[name], rise) + STEADY * asked[name] for name, rise in rises.items()}
+        if firm:
+            more = {name: np.maximum(given[name], own) for name, own in more.items()}
+        tighten = {**tighten, **{name: np.where(there, own, given[name]) for name, own in more.items()}}
+        best = _searched_on(p, best, tighten)
+    return best, tighten
+
+
+def _searched_on(p: Problem, best: Found, tighten: Tighten) -> Found:
+    """The search taken on from where it ended, under limits tightened otherwise."""
     goal = Goal(tighten)
-    return search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60), tighten
+    return search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
+
+
+def _rooms(p: Problem, m: Measures) -> Array:
+    """Least room at each operating point (points,) on its lines: above the last ones tuner and check read alike."""
+    room = np.full(p.points, np.inf)
+    seen = (m.point >= 0) & (m.at < p.f.size)
+    np.minimum.at(room, m.point[seen], m.room[seen])
+    return room
 
 
 def _a_little_more(p: Problem, name: str, needed: Array, rise: Array) -> Array:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from loopshape.core.errors import WrongUseError
-from loopshape.data.block import Free
+from loopshape.core.units import Array
+from loopshape.data.block import BLOCK_KINDS, BlockTemplate, Free
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import LIMITS, Requirements
 
@@ -39,7 +42,8 @@ def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
             f"{requirements.error_rms}",
             'tune with objective = "disturbance" or a mask on S, then check with --disturbance RUN',
         )
-    if all(getattr(requirements, name) is None for name in NEAR):
+    weighted = requirements.weighted_norm is not None or requirements.objective.weighted_norm > 0.0
+    if not weighted and all(getattr(requirements, name) is None for name in NEAR):
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} let the loop come as near to -1 as it likes",
             "no limit on a margin or on |S|",
@@ -80,3 +84,38 @@ def variables_of(requirements: Requirements) -> tuple[Variable, ...]:
         for name, value in template.parameters.items()
         if isinstance(value, Free)
     )
+
+
+def moved_with(template: BlockTemplate, name: str) -> list[str]:
+    """Parameters of a block that a free one moves: itself and those tied to it."""
+    return [name, *(k for k, target in template.tie.items() if target == name)]
+
+
+def values_at(templates: Sequence[BlockTemplate], variables: Sequence[Variable], x: Array) -> list[dict[str, float]]:
+    """Parameters of each block where ln of the free ones is x (n,), within their bounds."""
+    made = [{k: v for k, v in t.parameters.items() if not isinstance(v, Free)} for t in templates]
+    for v, value in zip(variables, np.exp(x).tolist(), strict=True):
+        made[v.block][v.name] = min(max(value, v.low), v.high)
+    for own, template in zip(made, templates, strict=True):
+        own |= {name: own[target] for name, target in template.tie.items()}
+    return made
+
+
+def sections(templates: Sequence[BlockTemplate], values: Sequence[Mapping[str, float]]) -> Array:
+    """Coefficients (blocks, 6) of blocks with these parameters, as `data.block.coefficients` has them."""
+    parts = (BLOCK_KINDS[t.kind].section(own) for t, own in zip(templates, values, strict=True))
+    return np.array([(*num, *den) for num, den in parts], dtype=float)
+
+
+def section_changes(
+    templates: Sequence[BlockTemplate], variables: Sequence[Variable], values: Sequence[Mapping[str, float]]
+) -> Array:
+    """d section/d x (variables, 6), of each variable's block."""
+    slopes = {k: BLOCK_KINDS[templates[k].kind].slopes(values[k]) for k in {v.block for v in variables}}
+    out = []
+    for v in variables:
+        parts = [slopes[v.block][name] for name in moved_with(templates[v.block], v.name)]
+        moved = [(*num, *den) for num, den in parts]
+        every = moved[0] if len(moved) == 1 else [sum(one) for one in zip(*moved, strict=True)]
+        out.append([values[v.block][v.name] * c for c in every])
+    return np.array(out, dtype=float)

@@ -18,10 +18,12 @@ from loopshape.data.verdict import Verdict
 from loopshape.design.contained import raced, settled
 from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, pays, step_of
 from loopshape.design.lifted import lifted
+from loopshape.design.measures import Measures
+from loopshape.design.norms import NORM
 from loopshape.design.problem import Problem, bounds_reached
 from loopshape.design.relax import Shortfall, shortfall
 from loopshape.design.search import Found, begin
-from loopshape.design.settle import Judge, Settled
+from loopshape.design.settle import Judge, Settled, norm
 from loopshape.design.shifts import copies_for
 from loopshape.design.starts import random_starts
 from loopshape.design.warm import warm_start
@@ -45,12 +47,15 @@ class Tuning(Plain):
     95 % intervals, "failed". Where no start came to meet every requirement `feasible` is False, the controller is the
     one that misses least, and `shortfall` says what keeps it so and what to relax. `converged` is False where the
     search ran out of steps. `objective` is what was made large; `rejection_db` the mean of 1/|S| in dB on the
-    objective's low lines at the worst operating point, None where it was not asked. `moved` says what a warm start
+    objective's low lines at the worst operating point, None where it was not asked. `weighted_norm` is the norm of the
+    weighted loop that `check` reads, at the worst operating point, and `weighted_norm_interval` its 95 % interval; None
+    without weights. `moved` says what a warm start
     had to leave. `growth` holds what was reached before and after each block that was added.
     """
 
     IN_JSON = keys(
-        "feasible", "outcome", "converged", "bandwidth_hz", "rejection_db", "bounds_reached", "moved",
+        "feasible", "outcome", "converged", "bandwidth_hz", "rejection_db", "weighted_norm", "weighted_norm_interval",
+        "bounds_reached", "moved",
         loop="controller.loop", blocks="controller.blocks", binding="binding", growth="growth", shortfall="shortfall",
         verdict="verdict",
     )  # fmt: skip
@@ -66,6 +71,8 @@ class Tuning(Plain):
     bounds_reached: tuple[str, ...]
     objective: float = float("nan")
     rejection_db: float | None = None
+    weighted_norm: float | None = None
+    weighted_norm_interval: tuple[float, float] | None = None
     shortfall: Shortfall | None = None
     moved: tuple[str, ...] = ()
     growth: tuple[Grown, ...] = ()
@@ -202,6 +209,7 @@ def _tuning(
 ) -> Tuning:
     p, best, verdict = stage.p, stage.best, stage.verdict
     m, wish = best.found.measures, p.requirements.objective
+    reached, interval = norm(verdict) if p.requirements.weights else (None, None)
     return Tuning(
         controller=p.controller(best.found.x),
         verdict=verdict,
@@ -214,10 +222,22 @@ def _tuning(
         bounds_reached=bounds_reached(p, best.found.x),
         objective=best.objective,
         rejection_db=float(db(np.exp(m.rejection.min()))) if wish.disturbance else None,
+        weighted_norm=reached,
+        weighted_norm_interval=interval,
         shortfall=why,
         moved=moved,
         growth=growth,
     )
+
+
+def _largest(p: Problem, m: Measures, tolerance: float) -> list[tuple[str, float]]:
+    """Operating points whose norm is the largest, each with the frequency where it is."""
+    found: dict[int, tuple[float, int]] = {}
+    for row in m.norms:
+        for value, at, point in zip(row.value.tolist(), row.at.tolist(), row.point.tolist(), strict=True):
+            found[point] = min(found.get(point, (np.inf, 0)), (value, at))
+    least = min((value for value, _ in found.values()), default=0.0)
+    return [p.place(at, point) for point, (value, at) in found.items() if value <= least + tolerance]
 
 
 def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding, ...]:
@@ -230,6 +250,7 @@ def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding
     if wish.disturbance_below_hz is not None:
         lowest = np.flatnonzero(m.rejection <= m.rejection.min() + tolerance)
         out += [Binding("disturbance", p.names[i], wish.disturbance_below_hz) for i in lowest]
+    out += [Binding(NORM, *place) for place in _largest(p, m, tolerance)]
     seen = {(b.quantity, b.recording) for b in out}
     for k in np.argsort(m.room):
         if m.room[k] > min(m.worst, 0.0) + tolerance:

@@ -70,6 +70,12 @@ def estimate_frf(recording: Recording, loop: LoopSetup, settings: Settings | Non
     return _loop_frf([recording], loop, s, answers, settings, notes)
 
 
+def estimate_together(recordings: Sequence[Recording], loop: LoopSetup, settings: Settings) -> FRF:
+    """FRF (1 x 1) of a loop from one recording, or from several realisations at once."""
+    several = len(recordings) > 1
+    return estimate_realisations(recordings, loop) if several else estimate_frf(recordings[0], loop, settings)
+
+
 def estimate_realisations(recordings: Sequence[Recording], loop: LoopSetup) -> FRF:
     """FRF (1 x 1) of a loop from several multisines with phases drawn anew, made alike at one operating point.
 

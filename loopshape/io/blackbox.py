@@ -30,6 +30,7 @@ _SIGNED_VB, _UNSIGNED_VB, _NEG_14BIT, _TAG8_8SVB, _TAG2_3S32, _TAG8_4S16, _NULL,
 )  # fmt: skip
 _TERMS = "PIDFS"
 _LAST_EVENT = 255
+_LONGEST_INTERVAL = 4096  # loops between whole frames
 _LONGEST_JUMP = 10_000_000  # microseconds between frames of one stretch
 
 
@@ -127,7 +128,6 @@ class _Log:
     rows: list[list[int]] = field(default_factory=list)
     previous: list[int] | None = None
     before: list[int] | None = None
-    lost: int = 0
 
     def numbers(self, key: str) -> list[int]:
         """A header of whole numbers, empty where there is none."""
@@ -137,16 +137,31 @@ class _Log:
         """The first number of a header."""
         return (self.numbers(key) or [default])[0]
 
-    def skipped(self, iteration: int) -> int:
-        """How many loops the firmware passes over behind this one, by its intervals."""
+    @property
+    def interval(self) -> int:
+        """Loops from one whole frame to the next."""
+        return self.number("I interval", 32)
+
+    @property
+    def share(self) -> tuple[int, int]:
+        """How many of how many loops are logged."""
         share = re.match(r"(\d+)(?:/(\d+))?", self.headers.get("P interval", "1/1"))
         one, two = (share[1], share[2]) if share else ("1", "1")
-        num, every = (int(one), int(two)) if two else (1, int(one))
-        whole, count = max(self.number("I interval", 32), 1), 0
+        return (int(one), int(two)) if two else (1, int(one))
+
+    @property
+    def gyro_scale(self) -> float:
+        """Rate of one count of the gyro in deg/s: a float32 in hexadecimal digits."""
+        bits = int(self.headers.get("gyro_scale", "0x3f800000"), 16)
+        return float(struct.unpack(">f", struct.pack(">I", bits))[0])
+
+    def skipped(self, iteration: int) -> int:
+        """How many loops the firmware passes over behind this one, by its intervals."""
+        (num, every), whole, count = self.share, self.interval, 0
         while (
             count < whole
             and (iteration + 1 + count) % whole
-            and not (((iteration + 1 + count) % whole + num - 1) % max(every, 1) < num)
+            and not (((iteration + 1 + count) % whole + num - 1) % every < num)
         ):
             count += 1
         return count
@@ -161,9 +176,9 @@ def read_blackbox(path: Path) -> dict[str, np.ndarray]:
         logs = [log for log in logs if len(log.rows) > 1]
         if not logs:
             raise ValueError("no log of two frames in it")
-    found: dict[str, np.ndarray] = {}
-    for k, log in enumerate(logs, start=1):
-        found |= _signals(log, f"log{k}", f"log{k}." if len(logs) > 1 else "")
+        found: dict[str, np.ndarray] = {}
+        for k, log in enumerate(logs, start=1):
+            found |= _signals(log, f"log{k}", f"log{k}." if len(logs) > 1 else "")
     return found
 
 
@@ -172,8 +187,7 @@ def _signals(log: _Log, title: str, before: str) -> dict[str, np.ndarray]:
     table = np.array(log.rows, dtype=float)
     columns = dict(zip(log.names, table.T, strict=True))
     time = columns.pop("time")
-    scale = struct.unpack(">f", bytes.fromhex(log.headers.get("gyro_scale", "0x3f800000")[2:].zfill(8)))[0]
-    columns = {name: values * (scale if name.startswith("gyro") else 1.0) for name, values in columns.items()}
+    columns = {name: values * (log.gyro_scale if name.startswith("gyro") else 1.0) for name, values in columns.items()}
     found = {f"{before}{name}": values for name, values in columns.items()}
     for axis in range(3):
         terms = [columns[name] for term in _TERMS if (name := f"axis{term}[{axis}]") in columns]
@@ -195,11 +209,23 @@ def _read(data: bytes) -> _Log:
         name, _, value = data[raw.at + 2 : end].decode("latin-1").partition(":")
         headers[name], raw.at = value.strip(), end + 1
     log = _Log(headers, [name.strip() for name in headers.get("Field I name", "").split(",")])
-    if "time" not in log.names:
-        raise ValueError("its headers name no fields of time")
+    _refuse_headers(log)
     while raw.at < len(data) and _frame(log, raw):
         pass
     return log
+
+
+def _refuse_headers(log: _Log) -> None:
+    """Refuse headers by which no frame can be read."""
+    if "time" not in log.names or len(set(log.names)) < len(log.names):
+        raise ValueError("its headers name no field of time, or a field twice")
+    for key in ("I predictor", "I encoding", "P predictor", "P encoding"):
+        if (count := len(log.numbers(f"Field {key}"))) != len(log.names):
+            raise ValueError(f"header Field {key}: {count} numbers for {len(log.names)} fields")
+    if not 1 <= log.interval <= _LONGEST_INTERVAL or min(log.share) < 1:
+        raise ValueError(f"an I interval of {log.interval}, a P interval of {log.share[0]}/{log.share[1]}")
+    if not np.isfinite(log.gyro_scale):
+        raise ValueError(f"a gyro_scale of {log.gyro_scale}")
 
 
 def _frame(log: _Log, raw: _Bytes) -> bool:
@@ -219,7 +245,7 @@ def _frame(log: _Log, raw: _Bytes) -> bool:
         if values is not None and not _follows(log, raw, values):
             raise ValueError("the frame is damaged")
     except (ValueError, IndexError):
-        log.lost, raw.at, log.previous = log.lost + 1, begin + 1, None
+        raw.at, log.previous = begin + 1, None
         return True
     if values is not None:
         log.before = values if kind == "I" else log.previous

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Controller
-from loopshape.data.diagram import Diagram
+from loopshape.data.diagram import Diagram, Part
 from loopshape.io.controller_export import export_controllers
 from loopshape.io.controller_words import identifier
 from loopshape.io.files import write_json, write_text_whole
@@ -17,14 +17,15 @@ def export_diagram(folder: Path, D: Diagram, to: str) -> tuple[Path, ...]:
     """Write a diagram's controllers and, as `diagram.h` or `diagram.json`, what leads from one to the other.
 
     The step takes what is measured (plants' outputs, or sums of nothing else) and what comes from outside, taps of a
-    feedforward included, for they look ahead; it gives what enters the plants. Refuses other formats, blocks without a
-    controller, circles of controllers alone, and numbers in fixed point.
+    feedforward included, for they look ahead; it gives what enters the plants. A delay of whole samples
+    (`Part.delay_samples`) runs as a delay line behind its block, as in `ls.simulate`; any other is left to the target.
+    Refuses other formats, blocks without a controller, circles of controllers alone, and numbers in fixed point.
     """
     if to not in ("c", "json"):
         raise WrongUseError("a diagram is exported in C or JSON", repr(to), "use c or json, or export its controllers")
     if empty := [p.name for p in D.parts if p.what is None]:
         raise WrongUseError("a block of the diagram has no controller yet", ", ".join(empty), "D.with_part(name, C)")
-    own = [replace(p.what, loop=p.name) for p in D.parts if isinstance(p.what, Controller)]
+    own = controllers_of(D)
     if any(c.number_format.fixed for c in own):
         raise WrongUseError("a diagram is exported in floating point", "fixed point", "export its controllers alone")
     text = _header(D) if to == "c" else ""
@@ -37,24 +38,39 @@ def export_diagram(folder: Path, D: Diagram, to: str) -> tuple[Path, ...]:
     return (*made, path)
 
 
+def controllers_of(D: Diagram) -> tuple[Controller, ...]:
+    """The controllers of a diagram under the names of their blocks."""
+    return tuple(replace(p.what, loop=p.name) for p in D.parts if isinstance(p.what, Controller))
+
+
 def _header(D: Diagram) -> str:
     steps = _Steps(D)
     outputs = list(dict.fromkeys(name for p in D.parts if p.plants for name in p.inputs))
     for name in outputs:
         steps.value(name)
+    steps.fill()
     loops = [p.name for p in D.parts if isinstance(p.what, Controller)]
+    delays = {identifier(p.name): p.delay_samples for p in D.parts if p.delay_samples}
     lines = [f'#include "{identifier(name)}.h"' for name in loops]
     lines += [
         "",
         "typedef struct {",
         *(f"    {identifier(n)}_state {identifier(n)};" for n in loops),
+        *(
+            f"    double {n}_line[{many}];  /* a delay of {many} samples */\n    int {n}_at;"
+            for n, many in delays.items()
+        ),
         "} diagram_state;",
     ]
     lines += ["", "typedef struct {", *(f"    double {n};" for n in steps.inputs), "} diagram_inputs;"]
     lines += ["", "typedef struct {", *(f"    double {n};" for n in outputs), "} diagram_outputs;"]
     lines += ["", "/* To rest: the states of all controllers become zero. */"]
     lines += ["static inline void diagram_reset(diagram_state *state)", "{"]
-    lines += [*(f"    {identifier(n)}_reset(&state->{identifier(n)});" for n in loops), "}"]
+    lines += [*(f"    {identifier(n)}_reset(&state->{identifier(n)});" for n in loops)]
+    lines += [
+        f"    for (state->{n}_at = {many}; state->{n}_at > 0; state->{n}_line[--state->{n}_at] = 0.0) {{\n    }}"
+        for n, many in delays.items()
+    ] + ["}"]
     lines += ["", "/* One sample: what is measured and comes from outside in, what enters the plants out. */"]
     lines += ["static inline void diagram_step(diagram_state *state, const diagram_inputs *in, diagram_outputs *out)"]
     lines += ["{", *steps.lines, *(f"    out->{n} = {steps.value(n)};" for n in outputs), "}"]
@@ -70,6 +86,7 @@ class _Steps:
         self.inputs: list[str] = []
         self.known: dict[str, str] = {}
         self.under_way: set[str] = set()
+        self.delays: list[Part] = []
 
     def value(self, signal: str) -> str:
         """How a signal is written, after the lines that make it."""
@@ -83,7 +100,11 @@ class _Steps:
             self.inputs.append(signal)
             self.known[signal] = f"in->{signal}"
             return self.known[signal]
-        if maker is not None:
+        if maker is not None and maker.delay_samples:
+            name = identifier(maker.name)
+            self.lines.append(f"    const double s_{signal} = state->{name}_line[state->{name}_at];")
+            self.delays.append(maker)
+        elif maker is not None:
             name, into = identifier(maker.name), self.value(maker.inputs[0])
             self.lines.append(f"    const double s_{signal} = {name}_step(&state->{name}, {into});")
         else:
@@ -92,6 +113,15 @@ class _Steps:
             self.lines.append(f"    const double s_{signal} = {text};")
         self.known[signal] = f"s_{signal}"
         return self.known[signal]
+
+    def fill(self) -> None:
+        """Lines that put this sample into each delay line that was read; what fills one may read another."""
+        for one in self.delays:  # grows on the way
+            self.value(one.inputs[0])
+        for one in self.delays:
+            name, into = identifier(one.name), self.value(one.inputs[0])
+            self.lines.append(f"    state->{name}_line[state->{name}_at] = {name}_step(&state->{name}, {into});")
+            self.lines.append(f"    state->{name}_at = (state->{name}_at + 1) % {one.delay_samples};")
 
     def _measured(self, signal: str) -> bool:
         """Whether it is a plant's output or a sum of nothing else."""

@@ -20,32 +20,43 @@ from loopshape.data.run_report import CheckedLoop, Envelope, FittedModel, Missin
 from loopshape.identify.fit.fit import modes
 from loopshape.io.check_files import fits_of
 from loopshape.io.controllers import read_controllers
+from loopshape.io.diagrams import read_diagram
 from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
 from loopshape.io.requirements import read_requirements
 from loopshape.io.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run_inputs import given_text, input_files, stored_figures
+from loopshape.loop.equivalent import Equivalent, equivalent
 from loopshape.loop.verdict import check_loops
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries, together
 
 
 def gather(
-    folder: Path, controller: Path | None, require: Path | None, date: str, figures_bytes: int = FIGURES_BYTES
+    folder: Path,
+    controller: Path | None,
+    require: Path | None,
+    date: str,
+    figures_bytes: int = FIGURES_BYTES,
+    diagram: Path | None = None,
 ) -> RunReport:
-    """All that is known of a run and of a controller checked on its FRFs.
+    """All that is known of a run and of a controller checked on its FRFs, or on what a diagram's tuned block meets.
 
-    Refuses a folder without recordings and FRFs, FRFs that are not those of the recordings, and damaged files.
+    Refuses a folder without recordings and FRFs, FRFs that are not those of the recordings, damaged files, and what
+    `read_diagram` and `equivalent` refuse.
     """
     run, frfs, matrices = _measured(folder)
     fits = fits_of(folder)
     controllers = read_controllers(controller) if controller is not None else ()
     requirements = read_requirements(require) if require is not None else ()
-    checked = _checked(frfs, controllers, requirements, fits)
+    drawn = read_diagram(diagram, folder) if diagram is not None else None
+    met = None if drawn is None else equivalent(drawn)
+    checked = _checked(frfs, controllers, requirements, fits, met)
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()
     pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
     figures, left = stored_figures(folder, figures_bytes, lambda name: name.rsplit(".", 1)[0] in pages)
-    given = [("controller", controller), ("requirements", require)]
+    given = [("controller", controller), ("requirements", require), ("diagram", diagram)]
+    further = [path for _, path in given if path is not None]
     given += [("run", folder / "run.toml")] if run is not None else []
     return RunReport(
         name=folder.resolve().name,
@@ -60,11 +71,13 @@ def gather(
         checked=checked,
         unchecked=tuple(required.loop for required in requirements if required.loop not in done),
         controllers=controllers,
-        missing=_missing(run, frfs, matrices, fits, controllers, requirements),
+        missing=_missing(run, frfs if met is None else met.plants, matrices, fits, controllers, requirements),
         figures=figures,
         figures_left_out=left,
-        files=input_files(folder, [path for path in (controller, require) if path is not None]),
+        files=input_files(folder, further),
         texts=tuple(given_text(what, path) for what, path in given if path is not None),
+        diagram=drawn,
+        inner={} if met is None else met.inner,
     )
 
 
@@ -82,16 +95,25 @@ def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...
 
 
 def _checked(
-    frfs: Sequence[FRF], controllers: Sequence[Controller], requirements: Sequence[Requirements], fits: Sequence[Fit]
+    frfs: Sequence[FRF],
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+    fits: Sequence[Fit],
+    met: Equivalent | None = None,
 ) -> tuple[CheckedLoop, ...]:
-    """Each controller whose loop was measured, compared with its requirements (against none where none are given)."""
+    """Each controller whose loop was measured, compared with its requirements (against none where none are given).
+
+    With a diagram (`met`) that is the tuned block's.
+    """
     found = []
+    frfs, fits = (frfs, fits) if met is None else (met.plants, ())
     for own in controllers:
         mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
         if not mine:
             continue
         required = next((w for w in requirements if w.loop == own.loop), None)
         asked = required or Requirements(own.loop)
+        asked = asked if met is None else met.asked(asked)
         verdict, loops = check_loops(mine, own, asked, fits)
         found.append(CheckedLoop(mine, loops, own, required, verdict))
     return tuple(found)

@@ -47,6 +47,10 @@ def _read(words: Words) -> Requirements:
         _check_block(block)
     for mask in words.tables("masks"):
         mask.only("response", "points", "sense")
+    for weight in words.tables("weights"):
+        weight.only("response", "points", "blocks")
+        for block in weight.tables("blocks"):
+            _check_block(block)
     for one in words.tables("at"):
         for mask in one.tables("masks"):
             mask.only("response", "points", "sense")

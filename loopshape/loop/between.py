@@ -16,7 +16,7 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray, hz
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
-from loopshape.data.smoothed import Dense
+from loopshape.data.smoothed import Dense, Scatter
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.smoothing import SEED, drawn_errors
 from loopshape.loop.crossings import chords_to_minus_one
@@ -42,25 +42,28 @@ WIDE = 16
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """L (n,) at f (n,) in Hz, on lines and on places between them where 1 + L moves far; draws (draws, n) of its error.
+    """L (n,) at f (n,) in Hz, on lines and on places between them where 1 + L moves far.
 
+    `std` (n,) is the deviation sqrt E|d|² of its error, `alike` (n - 1,) the correlation of neighbours' errors.
     `line` (n,) is true on lines.
     """
 
     f: Array
     L: ComplexArray
-    errors: ComplexArray
+    std: Array
+    alike: Array
     line: np.ndarray
 
 
 _DONE: WeakKeyDictionary[Loop, tuple[Dense, ComplexArray]] = WeakKeyDictionary()
+_RESTS: WeakKeyDictionary[FRF, tuple[Scatter, ComplexArray]] = WeakKeyDictionary()
 
 
 def path_of(loop: Loop) -> Path:
     """L of a loop between its lines."""
     dense, C = followed(loop)
-    f = dense.frequency_hz
-    return Path(f, C * dense.response, C * dense.deviations, np.isin(f, loop.frequency_hz))
+    f, (rms, _, alike) = dense.frequency_hz, dense.spread
+    return Path(f, C * dense.response, np.abs(C) * rms, alike, np.isin(f, loop.frequency_hz))
 
 
 def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
@@ -101,12 +104,14 @@ def _controller_places(controller: Controller, f: Array) -> Array:
     """Frequencies in Hz over the narrow resonances of the controller as it runs, within lines f (nf,)."""
     places = [np.zeros(0)]
     for *_, a1, a2 in controller.biquads():
-        for z in np.roots([1.0, a1, a2]):
-            s = controller.rate_hz * np.log(z) if z.imag > 0.0 else 0j
-            centre, width = hz(s.imag), max(hz(abs(s.real)), SHARPEST * hz(s.imag))
-            k = int(np.searchsorted(f, centre))
-            if 0 < k < f.size and width < WIDE * (f[k] - f[k - 1]):
-                places.append(centre + width * PLACES)
+        square = a2 - 0.25 * a1**2
+        if not square > 0.0:  # real poles
+            continue
+        s = controller.rate_hz * np.log(complex(-0.5 * a1, np.sqrt(square)))
+        centre, width = hz(s.imag), max(hz(abs(s.real)), SHARPEST * hz(s.imag))
+        k = int(np.searchsorted(f, centre))
+        if 0 < k < f.size and width < WIDE * (f[k] - f[k - 1]):
+            places.append(centre + width * PLACES)
     every = np.concatenate(places)
     return every[(every > f[0]) & (every < f[-1])]
 
@@ -118,10 +123,16 @@ def measured(loop: Loop) -> FRF:
 
 def without_narrow(loop: Loop) -> ComplexArray:
     """The measured lines (nf,) without the resonances that the path follows."""
-    lines = measured(loop)
-    if loop.scatter is None:
+    return _rest(measured(loop), loop.scatter)
+
+
+def _rest(lines: FRF, scatter: Scatter | None) -> ComplexArray:
+    if scatter is None or not scatter.pole_hz.size:
         return lines.siso
-    return np.asarray(lines.siso - loop.scatter.narrow(lines.frequency_hz))
+    known = _RESTS.get(lines)
+    if known is None or known[0] is not scatter:
+        known = _RESTS[lines] = scatter, lines.siso - scatter.narrow(lines.frequency_hz)
+    return known[1]
 
 
 def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int, int, bool]:
@@ -130,21 +141,34 @@ def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int,
     Of all the poles that the loop's lines allow. What is smooth of P runs straight between lines, and where it bends so
     much that the likeliest path might pass -1 on the other side the last answer is False.
     """
-    f, P = loop.frequency_hz, without_narrow(loop)
+    first, last, at, P, smooth = _past(pole, measured(loop), loop.scatter)
+    own = loop.frequency_hz[first : last + 1]
+    past = 1.0 + loop.controller.response(at) * P
+    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
+    turns = np.rint((turn(past) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
+    gap = np.clip(np.searchsorted(own, at[0, :-1], side="right") - 1, 0, own.size - 2)
+    bulge = bulges(own, loop.controller.response(own) * smooth)[gap]
+    sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
+    return first, last, int(turns.min()), int(turns.max()), sure
+
+
+@lru_cache(maxsize=64)
+def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, int, Array, ComplexArray, ComplexArray]:
+    """Lines `first`, `last` about a hidden pole, frequencies (nz, n) in Hz along them and P there, of no controller.
+
+    One for each of the poles that the lines allow; last what is smooth of P on the lines, for the likeliest.
+    """
+    f, P = lines.frequency_hz, _rest(lines, scatter)
     first, last = _lines_about(f, pole.low_hz, pole.high_hz)
     first, last = max(first - ASIDE, 0), min(last + ASIDE, f.size - 1)
     own, P_own = f[first : last + 1], P[first : last + 1]
     z, r = (pole.centre_hz + 1j * pole.half_width_hz)[:, None], pole.residue[:, None]
     at = _places(own, z)
     smooth = P_own - r / (1j * (own - z))
-    known = 0.0 if loop.scatter is None else loop.scatter.narrow(at)
-    past = 1.0 + loop.controller.response(at) * (r / (1j * (at - z)) + _straight(at, own, smooth) + known)
-    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
-    turns = np.rint((turn(past) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
-    gap = np.clip(np.searchsorted(own, at[0, :-1], side="right") - 1, 0, own.size - 2)
-    bulge = bulges(own, loop.controller.response(own) * smooth[0])[gap]
-    sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
-    return first, last, int(turns.min()), int(turns.max()), sure
+    made = r / (1j * (at - z)) + _straight(at, own, smooth) + (0.0 if scatter is None else scatter.narrow(at))
+    for kept in (at, made):
+        kept.setflags(write=False)
+    return first, last, at, made, smooth[0]
 
 
 def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:

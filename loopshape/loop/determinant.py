@@ -17,7 +17,7 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.loop_matrix import LoopMatrix, responses, sensitivity
-from loopshape.data.smoothed import Dense
+from loopshape.data.smoothed import Dense, spread
 from loopshape.identify.smoothing_matrix import smoothed_matrix
 from loopshape.loop.between import Path
 from loopshape.loop.crossings import chords_to_minus_one
@@ -150,7 +150,8 @@ def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
     if stood is not None:
         before, moved_before = _determinant(stood, dense)
         D, moved = D / before, moved - moved_before
-    return Path(dense.frequency_hz, D - 1.0, D * moved, np.isin(dense.frequency_hz, loops.frequency_hz))
+    rms, _, alike = spread(moved)
+    return Path(dense.frequency_hz, D - 1.0, np.abs(D) * rms, alike, np.isin(dense.frequency_hz, loops.frequency_hz))
 
 
 def _determinant(loops: LoopMatrix, dense: Dense) -> tuple[ComplexArray, ComplexArray]:

@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
 from loopshape.data.diagram import Diagram, Part
 from loopshape.data.feedforward import Feedforward
+
+#: more states than this are those of delay lines: their matrices are nearly empty
+MANY = 100
 
 
 class States(NamedTuple):
@@ -51,10 +55,12 @@ def simulate(D: Diagram, models: Mapping[str, Any], signals: Mapping[str, ArrayL
     n = next(iter(given.values())).size
     added = np.stack([given.get(name, np.zeros(n)) for name in D.signals], axis=1)
     system = states(D, models)
+    many = len(system.A) > MANY
+    A, B, c, d = (csr_array(m) if many else m for m in system)
     x, out = np.zeros(len(system.A)), np.empty((n, len(D.signals)))
     for k, w in enumerate(added):
-        out[k] = system.C @ x + system.D @ w
-        x = system.A @ x + system.B @ w
+        out[k] = c @ x + d @ w
+        x = A @ x + B @ w
     return dict(zip(D.signals, out.T, strict=True))
 
 
@@ -135,7 +141,15 @@ def _of_controller(C: Controller) -> tuple[Array, Array, Array, Array]:
         into = np.array([[b1 - a1 * b0], [b2 - a2 * b0]])
         A = np.block([[A, np.zeros((len(A), 2))], [into @ c, own]])
         B, c, d = np.vstack([B, into @ d]), np.hstack([b0 * c, [[1.0, 0.0]]]), b0 * d
-    for _ in range(round(delay)):
-        A = np.block([[A, np.zeros((len(A), 1))], [c, np.zeros((1, 1))]])
-        B, c, d = np.vstack([B, d]), np.hstack([0.0 * c, [[1.0]]]), np.zeros((1, 1))
-    return A, B, c, d
+    return _delayed(A, B, c, d, round(delay)) if round(delay) else (A, B, c, d)
+
+
+def _delayed(A: Array, B: Array, c: Array, d: Array, samples: int) -> tuple[Array, Array, Array, Array]:
+    """A state space with a delay line behind its output."""
+    n = len(A)
+    line, into = np.zeros((n + samples, n + samples)), np.zeros((n + samples, 1))
+    line[:n, :n], line[n, :n], into[:n], into[n] = A, c, B, d
+    line[range(n + 1, n + samples), range(n, n + samples - 1)] = 1.0
+    last = np.zeros((1, n + samples))
+    last[0, -1] = 1.0
+    return line, into, last, np.zeros((1, 1))

@@ -48,7 +48,7 @@ class Equivalent:
 
     def asked(self, R: Requirements) -> Requirements:
         """Requirements with the number of unstable poles; refuses another one declared, and too few integrators."""
-        if R.integrators is not None and R.integrators < self.integrators:
+        if R.integrators is not None and max(R.integrators, 0) < self.integrators:
             raise _hidden(self.integrators, R.integrators, R.loop)
         if self.unstable_poles is None or R.unstable_poles == self.unstable_poles:
             return R

@@ -13,6 +13,8 @@ from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Margins
+from loopshape.data.smoothed import by_draw, spread
+from loopshape.data.weight import Weight
 from loopshape.loop.between import followed
 from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
 from loopshape.loop.crossings import axis_crossings, unit_crossings
@@ -50,6 +52,7 @@ LOGARITHMS = {
     "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+    "weighted_norm": kernel.LN_WEIGHTED,
 }
 #: where L is read below its first line, as shares of its frequency
 DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
@@ -58,6 +61,8 @@ _BANDWIDTHS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
 }
+#: nothing without weights
+_WEIGHTED = "weighted_norm"
 #: what these lie between, from 0
 _MOST = {
     "gain_margin_db": np.inf,
@@ -69,25 +74,39 @@ _MOST = {
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """Lines that margins are read from, with the loop's scatter carried along."""
+    """Lines that margins are read from, with the loop's scatter: draws of L are `reference` + `factor` `deviations`."""
 
     f: Array
     L: ComplexArray
     C: ComplexArray
-    reference: ComplexArray | None
-    deviations: ComplexArray | None
+    reference: ComplexArray | None = None
+    factor: ComplexArray | None = None
+    deviations: ComplexArray | None = None
 
     @cached_property
     def drowned(self) -> bool:
         """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
-        if self.deviations is None:
+        if self.deviations is None or self.factor is None:
             return False
-        large = np.abs(self.L) > 0.1
-        relative = np.std(self.deviations[:, large], axis=0) / np.abs(self.L[large])
+        size = np.abs(self.L)
+        large = size > 0.1
+        relative = (np.abs(self.factor) * spread(self.deviations)[1])[large] / size[large]
         return bool(relative.size and np.mean(relative > 0.7) > 0.1)
 
+    def drawn_at(self, k: np.ndarray) -> ComplexArray:
+        """What draws (draws, m) do to L on some lines k (m,); none where no scatter is known."""
+        if self.factor is None or self.deviations is None:
+            return np.zeros((0, k.size), dtype=complex)
+        return np.asarray(self.factor[k] * self.deviations[:, k])
 
-def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: Sequence[Mask] = ()) -> Margins:
+
+def margins(
+    loop: Loop,
+    *,
+    high_frequency_from_hz: float | None = None,
+    masks: Sequence[Mask] = (),
+    weights: Sequence[Weight] = (),
+) -> Margins:
     """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
 
     - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
@@ -107,6 +126,8 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
       -3 dB (0 where it never reaches it, the last line where it does not fall);
     - masks: by how much each response exceeds its mask at the worst frequency, on the lines and above the last one as
       far as what was stated of it goes; below the first line nothing is judged;
+    - norm of the weighted loop: the largest root of the sum of squared weighted responses, on the same lines; above the
+      last one each response counts with the most that it may be there;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
       starts below 1 a fit's model leads to it, at most an octave below the first line.
 
@@ -119,7 +140,7 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
     `stable` says "stable".
     """
     j = _judged(loop)
-    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks))
+    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
     first, *others = _readings_from_zero(loop, j)
     found, at = _read(loop, first, first.L[None], reader)
     value, low, high = _with_intervals(loop, first, found[0], reader)
@@ -155,17 +176,17 @@ def margins(loop: Loop, *, high_frequency_from_hz: float | None = None, masks: S
 def _judged(loop: Loop) -> _Judged:
     f, L, C = judged_lines(loop) or (loop.frequency_hz, loop.L, loop.C)
     if loop.scatter is None:
-        return _Judged(f, L, C, None, None)
+        return _Judged(f, L, C)
     led = f.size - loop.frequency_hz.size  # below the first line a model leads, and errs as the first line does
     dense, own = followed(loop)
-    reference, deviations = own * dense.reference, own * dense.deviations
+    reference, deviations = own * dense.reference, dense.deviations
+    factor = np.concatenate([C[:led], own])
     if led:
         share = loop.scatter.reference[0] / loop.plant.siso[0], loop.scatter.deviations[:, :1] / loop.plant.siso[0]
         reference = np.concatenate([L[:led] * share[0], reference])
-        deviations = np.concatenate([L[:led] * share[1], deviations], axis=1)
+        deviations = by_draw(np.concatenate([L[:led] / C[:led] * share[1], deviations], axis=1))
     f = np.concatenate([f[:led], dense.frequency_hz])
-    L, C = np.concatenate([L[:led], own * dense.response]), np.concatenate([C[:led], own])
-    return _Judged(f, L, C, reference, deviations)
+    return _Judged(f, np.concatenate([L[:led], own * dense.response]), factor, reference, factor, deviations)
 
 
 def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
@@ -180,16 +201,18 @@ def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
         return j
     start = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0))
     L = np.concatenate([[start], L[1:]])
-    reference = deviations = None
-    if j.deviations is not None and j.reference is not None:
+    reference = factor = deviations = None
+    if j.deviations is not None and j.reference is not None and j.factor is not None:
         if isinstance(model, LowModel) and loop.scatter is not None:
             moved = C * model.deviations(f, loop.scatter.deviations)
         else:
-            moved = L * (j.deviations[:, :1] / j.L[0])
+            moved = L * (j.drawn_at(np.zeros(1, dtype=int)) / j.L[0])
         moved[:, 0] = moved[:, 0].real
         reference = np.concatenate([L, j.reference])
-        deviations = np.concatenate([moved, j.deviations], axis=1)
-    return _Judged(np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C]), reference, deviations)
+        factor = np.concatenate([np.ones(f.size), j.factor])
+        deviations = by_draw(np.concatenate([moved, j.deviations], axis=1))
+    f, L, C = np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C])
+    return _Judged(f, L, C, reference, factor, deviations)
 
 
 def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
@@ -203,8 +226,7 @@ def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
 
 
 def _read(loop: Loop, j: _Judged, L: ComplexArray, reader: Reader, *, bounded: bool = True) -> tuple[Array, Array]:
-    above = loop.above_hz
-    return reader.read(j.f, L, j.C, above, loop.controller.response(above), bounded=bounded)
+    return reader.read(j.f, L, j.C, loop.above_hz, loop.C_above, bounded=bounded)
 
 
 def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, float]:
@@ -227,9 +249,11 @@ def _with_intervals(
     loop: Loop, j: _Judged, found: Array, reader: Reader, *, bounded: bool = True
 ) -> tuple[Array, Array, Array]:
     """Each column freed of its bias, with the ends of its interval."""
-    if j.deviations is None or j.reference is None:
+    if j.deviations is None or j.reference is None or j.factor is None:
         return found, found, found
-    drawn, _ = _read(loop, j, j.reference + j.deviations, reader, bounded=bounded)
+    drawn = reader.read_drawn(
+        j.f, j.reference, j.factor, j.deviations, j.C, loop.above_hz, loop.C_above, bounded=bounded
+    )
     reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
     if j.drowned:
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
@@ -260,7 +284,8 @@ def _fields(columns: Array) -> dict[str, float]:
     """Fields of `Margins` from the kernel's columns."""
     asked = {name: k for name, k in PLAIN.items() if name not in MASKED or columns[k] > -np.inf}
     out = {name: float(columns[k]) for name, k in asked.items()}
-    out |= {name: float(np.exp(columns[k])) for name, k in LOGARITHMS.items()}
+    logarithms = {name: k for name, k in LOGARITHMS.items() if name != _WEIGHTED or columns[k] > -np.inf}
+    out |= {name: float(np.exp(columns[k])) for name, k in logarithms.items()}
     with np.errstate(over="ignore"):
         out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
     for name, most in _MOST.items():  # a bias taken off may lead out of what can be
@@ -286,10 +311,10 @@ def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Inte
         return tuple(f.tolist()), ()
     k = np.clip(np.searchsorted(j.f, f) - 1, 0, max(j.f.size - 2, 0))
     if unit:
-        error = np.std((j.deviations[:, k] / j.L[k]).real, axis=0)
+        error = np.std((j.drawn_at(k) / j.L[k]).real, axis=0)
         rise = np.abs(np.log(np.abs(j.L[k + 1] / j.L[k])) / np.log(j.f[k + 1] / j.f[k]))
     else:
-        error = np.std(j.deviations[:, k].imag, axis=0)
+        error = np.std(j.drawn_at(k).imag, axis=0)
         rise = np.abs((j.L[k + 1] - j.L[k]).imag / np.log(j.f[k + 1] / j.f[k]))
     reach = np.exp(np.minimum(REACH * error / np.maximum(rise, 1e-12), 50.0))
     return tuple(f.tolist()), tuple(zip((f / reach).tolist(), (f * reach).tolist(), strict=True))

@@ -274,7 +274,7 @@ def doubt(
 
     Where L starts on the real axis, at `before` - 1, that start is as unsure as the first line.
     """
-    std = np.sqrt(np.mean(np.abs(path.errors) ** 2, axis=0))
+    std = path.std
     chord = np.concatenate([[np.inf], chords_to_minus_one(path.L)[0], [np.inf]])
     near = np.minimum(np.abs(1.0 + path.L), np.minimum(chord[1:], chord[:-1]))
     reach = np.where(between.past(path), np.inf, reach_of(near, std, freedom))
@@ -290,7 +290,7 @@ def doubt(
             return Obstacle(f"{reason}: measure finer there", (low, high))
         reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
         return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
-    chance, share = chance_of_error(reach, path.errors)
+    chance, share = chance_of_error(reach, path.alike)
     if chance <= WRONG:
         return None
     reason = (

@@ -8,21 +8,24 @@ import numpy as np
 
 from loopshape.core.kernels import margins as kernel
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.limits_over import Mask, weights
+from loopshape.data.limits_over import Mask
 from loopshape.data.requirements import Requirements
+from loopshape.data.weight import Weight, over
 
 
 @dataclass(frozen=True)
 class Reader:
-    """Reads margins off lines: |CS| counts as high from `from_hz` on, and responses are compared with `masks`."""
+    """Reads margins off lines: |CS| counts as high from `from_hz` on, responses are compared with `masks`,
+    and their norm is that of `weights`."""
 
     from_hz: float = np.inf
     masks: tuple[Mask, ...] = ()
+    weights: tuple[Weight, ...] = ()
 
     @classmethod
     def of(cls, requirements: Requirements) -> Reader:
         """A reader for the requirements at one operating point."""
-        return cls(requirements.control_high_frequency_from_hz or np.inf, requirements.masks)
+        return cls(requirements.control_high_frequency_from_hz or np.inf, requirements.masks, requirements.weights)
 
     def read(
         self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray,
@@ -32,5 +35,31 @@ class Reader:
 
         What |L| may do above the last line counts where `bounded`.
         """
-        over, over_above = weights(self.masks, f), weights(self.masks, above_hz)
+        f, L, C, above_hz, C_above = _seen(f, L, C, above_hz, C_above)
+        over, over_above = self._over(f, above_hz)
         return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above)
+
+    def read_drawn(
+        self, f: Array, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, C: ComplexArray,
+        above_hz: Array, C_above: ComplexArray, *, bounded: bool = True,
+    ) -> Array:  # fmt: skip
+        """Columns (draws, columns) for `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
+        f, reference, factor, draws, C = _seen(f, reference, factor, draws, C)
+        over, over_above = self._over(f, above_hz)
+        above_hz, C_above = _seen(above_hz, C_above)
+        return kernel.read_drawn(
+            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above
+        )
+
+    def _over(self, f: Array, above_hz: Array) -> list[Array]:
+        """What weighs squared magnitudes on the lines and above them; no rows where nothing does."""
+        rows = None if self.masks or self.weights else 0
+        return _seen(*(over(self.masks, self.weights, x)[:rows] for x in (f, above_hz)))
+
+
+def _seen(*arrays: np.ndarray) -> list[np.ndarray]:
+    """Arrays as the kernels are compiled for them, read-only."""
+    views = [x.view() for x in arrays]
+    for x in views:
+        x.setflags(write=False)
+    return views

@@ -353,7 +353,8 @@ def verdict_on(
     asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
     from_hz = requirements.control_high_frequency_from_hz
     found = {
-        name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks) for name, loop in loops.items()
+        name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks, weights=asked[name].weights)
+        for name, loop in loops.items()
     }
     for name, one in (disturbances or {}).items():
         found[name] = with_error_rms(loops[name], found[name], one)

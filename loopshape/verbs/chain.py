@@ -7,7 +7,7 @@ the plant that `ls.equivalent` finds; python-control's systems with data
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -30,9 +30,6 @@ from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.disturbance import Disturbance
-    from loopshape.data.gap_report import GapReport
-    from loopshape.data.machine import Model
-    from loopshape.data.plant import Followable
     from loopshape.data.prediction import Prediction
     from loopshape.design.bound import Bound
     from loopshape.design.schedule import Schedule
@@ -43,20 +40,27 @@ if TYPE_CHECKING:
 Plants = FRF | Sequence[FRF] | Diagram
 
 
-def frfs(run: Run | str | Path, loop: str | None = None, **settings: Any) -> tuple[FRF, ...]:
+def frfs(
+    run: Run | str | Path, loop: str | None = None, *, realisations: bool = False, **settings: Any
+) -> tuple[FRF, ...]:
     """FRFs of all recordings of a run that excite one loop (or `loop`), in order, with variance and valid band.
 
-    `settings` are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1", "h2", "hv"), method,
-    resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop without recording, and
-    BadSignalError for a record without excitation.
+    With `realisations` multisines that are alike but for their phases give one FRF, whose variance holds what a
+    nonlinear plant answers differently to each draw; a single one tells noise alone. They are taken by periods.
+
+    `settings` of single recordings are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1",
+    "h2", "hv"), method, resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop
+    without recording, and BadSignalError for a record without excitation.
     """
-    from loopshape.identify.frequency_response import estimate_frf, excited_recordings
+    from loopshape.identify import groups
+    from loopshape.identify.frequency_response import estimate_together, excited_recordings
 
     whole = run if isinstance(run, Run) else read(run)
     chosen = Settings(**settings)
     names = None if loop is None else whole.loop(loop).name
     mine = [r for r in excited_recordings(whole) if r.info.alone and names in (None, r.info.excites)]
-    return tuple(estimate_frf(r, whole.loop(str(r.info.excites)), chosen) for r in mine)
+    grouped = groups.realisations(mine) if realisations else [[r] for r in mine]
+    return tuple(estimate_together(group, whole.loop(str(group[0].info.excites)), chosen) for group in grouped)
 
 
 def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None = None, **settings: Any) -> FRF:
@@ -434,54 +438,6 @@ def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, toleran
     from loopshape.loop.remeasured import remeasure
 
     return remeasure(run if isinstance(run, Run) else read(run), tuple(predictions), tolerance_db=tolerance_db)
-
-
-def gap(
-    run: Run | str | Path,
-    *,
-    model: Model | str | Path | None = None,
-    table: bool = True,
-    name: str | None = None,
-    say: Callable[[str], None] = lambda step: None,
-) -> GapReport:
-    """Where a simulation leaves the machine, which effect causes it, and how far the gap shrinks with it added.
-
-    `model` is a machine of your own, or the path of its `model.toml`, whose Python file is run (or whose MuJoCo model
-    or FMU is read). Without it the run names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none"
-    and "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest. Raises
-    WrongUseError for a run without a plant, and for a model whose channels are mapped with a wrong sign or unit.
-    """
-    from loopshape.diagnose.diagnose import diagnose
-
-    whole = run if isinstance(run, Run) else read(run)
-    plant = _followable(whole, model)
-    return diagnose(plant, whole, name or ("run" if isinstance(run, Run) else Path(run).name), table=table, say=say)
-
-
-def _followable(run: Run, model: Model | str | Path | None) -> Followable:
-    """The user's machine, or the plant that the run names."""
-    from loopshape.data.machine import Mechanism, Unit
-    from loopshape.io.machine import read_model
-    from loopshape.model.own.kinds import with_kinds
-    from loopshape.model.own.mechanism import machine
-    from loopshape.model.own.mockup import machine_of
-    from loopshape.model.own.plant import OwnMachine
-    from loopshape.model.registry import diagnosable
-
-    if model is not None:
-        own = read_model(Path(model)) if isinstance(model, str | Path) else model
-        kinds = own.kinds
-        if isinstance(own, Unit):
-            own = machine_of(own)
-        return OwnMachine(with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds))
-    if run.plant is None:
-        raise WrongUseError(
-            "the run names no plant, so there is no model to compare with",
-            "no key plant in run.toml",
-            "name one (plant = ...), give a model of your own (--model model.toml), "
-            "or a second run: loopshape gap RUN_REAL RUN_SIM",
-        )
-    return diagnosable(run.plant)
 
 
 def _met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:

@@ -179,30 +179,37 @@ def report(
     *,
     controllers: str | Path | None = None,
     requirements: str | Path | None = None,
+    diagram: str | Path | None = None,
     date: str | None = None,
     figures_mb: float = FIGURES_MB,
 ) -> Path:
     """Write all that is known of a run folder as one HTML page that opens offline (default: report.html in it).
 
-    With the files of `controllers` and `requirements` the page holds loops, margins and verdict. Raises
+    With the files of `controllers` and `requirements` the page holds loops, margins and verdict; with that of a
+    `diagram` its picture too, and the controller stands on what its tuned block meets. Raises
     UnreadableInputError for a folder with neither recordings nor FRFs.
     """
     from loopshape.io.files import write_bytes_whole
 
     folder = Path(run_folder)
-    given = [None if x is None else Path(x) for x in (controllers, requirements)]
+    given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
     path = Path(out or folder / "report.html")
-    write_bytes_whole(path, report_page(folder, given[0], given[1], date, int(1e6 * figures_mb))[1])
+    write_bytes_whole(path, report_page(folder, given[0], given[1], given[2], date, int(1e6 * figures_mb))[1])
     return path
 
 
 def report_page(
-    folder: Path, controllers: Path | None, requirements: Path | None, date: str | None, figures_bytes: int
+    folder: Path,
+    controllers: Path | None,
+    requirements: Path | None,
+    diagram: Path | None,
+    date: str | None,
+    figures_bytes: int,
 ) -> tuple[RunReport, bytes]:
     """What a report holds, and its page; the date is now where none is given."""
     from loopshape.io.gathered import gather
     from loopshape.view.html.page import page
 
     day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    made = gather(folder, controllers, requirements, day, figures_bytes)
+    made = gather(folder, controllers, requirements, day, figures_bytes, diagram)
     return made, page(made).encode("utf-8")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.blackbox import _Bytes, _four, _three
+from loopshape.io.blackbox import _Bytes, _four, _three, read_blackbox
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.draft_map import draft_map, write_draft
 from loopshape.io.import_file import import_file
@@ -158,6 +158,40 @@ def test_what_holds_no_frames_is_refused(tmp_path):
         (tmp_path / "a.bbl").write_bytes(content)
         with pytest.raises(LoopshapeError, match="blackbox log"):
             open_source(tmp_path / "a.bbl", CsvShape())
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b"Field P encoding:9,", b"Field P encoding:"), (b"Field I predictor:0,", b"Field I predictor:0,0,"),
+        (b"I interval:32", b"I interval:3232323232"), (b"P interval:1/1", b"P interval:0/9"),
+        (b"gyro_scale:0x3f8", b"gyro_scale:0x3g8"), (b"gyro_scale:0x3f8", b"gyro_scale:0x7f8"),
+        (b",time,", b",axisP[0],"),
+    ],
+)  # fmt: skip
+def test_headers_by_which_no_frame_can_be_read_are_refused(old, new, tmp_path):
+    data = log_of(frames()[:100])[0]
+    assert old in data
+    (tmp_path / "a.bbl").write_bytes(data.replace(old, new, 1))
+    with pytest.raises(LoopshapeError, match="blackbox log"):
+        read_blackbox(tmp_path / "a.bbl")
+
+
+@pytest.mark.timeout(60)  # s; a header can make a reader run for ever
+def test_a_damaged_header_ends_in_a_sentence_or_in_signals_of_one_length(tmp_path):
+    rng, data = np.random.default_rng(4), log_of(frames()[:100])[0]
+    heads, refused = data.index(b"H Field S signed"), 0
+    for _ in range(150):
+        damaged = bytearray(data)
+        at = rng.integers(heads)
+        damaged[at : at + rng.integers(0, 3)] = bytes(rng.choice(list(b"0123456789,-/xaH:\n"), rng.integers(1, 4)))
+        (tmp_path / "a.bbl").write_bytes(bytes(damaged))
+        try:
+            found = read_blackbox(tmp_path / "a.bbl")
+            assert len({values.shape for values in found.values()}) == 1
+        except LoopshapeError:
+            refused += 1
+    assert 0 < refused < 150
 
 
 def test_groups_of_every_size():

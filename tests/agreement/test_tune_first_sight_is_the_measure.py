@@ -21,7 +21,19 @@ LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db"
 MASKED = LIMITS | {"masks": [{"response": "S", "points": [[0.6, -20.0], [6.0, 3.0]]}]}
 
 
-@pytest.mark.parametrize("limits", [LIMITS, MASKED, {"disk_margin": 0.6, "complementary_peak_db": 5.0}])
+WEIGHTED = {
+    "weights": [
+        {"response": "S", "points": [[0.6, 20.0], [60.0, -6.0]]},
+        {"response": "T", "points": [[1.0, -20.0], [300.0, 10.0]]},
+        {"response": "CS", "points": [[1.0, -40.0], [300.0, 0.0]]},
+        {"response": "PS", "points": [[1.0, -30.0], [300.0, -20.0]]},
+    ],
+    "objective": "weighted_norm",
+}
+DISK = {"disk_margin": 0.6, "complementary_peak_db": 5.0}
+
+
+@pytest.mark.parametrize("limits", [LIMITS, MASKED, WEIGHTED, WEIGHTED | {"weighted_norm": 2.0}, DISK])
 def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     p = problem_of(servos(0.01, 300), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
     q, rng = glanced(p), np.random.default_rng(3)
@@ -29,7 +41,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     for _ in range(150):
         x = p.low + rng.random(p.low.size) * (p.high - p.low)
         e = Evaluation(p, x)
-        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below)
+        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
         measured = begin(p, x).merit
         assert np.isfinite(merit) == np.isfinite(measured)
         if np.isfinite(merit):
@@ -85,8 +97,11 @@ def test_the_count_is_that_of_the_closed_loop_s_roots() -> None:
 
 def test_sections_in_series_are_the_blocks() -> None:
     p = problem_of([frf(DELAYED, 200)], wished(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
-    e = Evaluation(p, 0.5 * (p.low + p.high))
-    np.testing.assert_allclose(series(e.sections, p.s), series_response(e.blocks, p.s), rtol=1e-13)
+    x = 0.5 * (p.low + p.high)
+    sections = [block.section() for block in p.blocks(x)]
+    plain = np.prod([np.polyval(num[::-1], p.s) / np.polyval(den[::-1], p.s) for num, den in sections], axis=0)
+    np.testing.assert_allclose(series(Evaluation(p, x).sections, p.s), plain, rtol=1e-13)
+    np.testing.assert_allclose(series_response(p.blocks(x), p.s), plain, rtol=1e-13)
 
 
 def test_peaks_are_marked_with_their_neighbours_and_the_largest_of_each_loop() -> None:

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -12,7 +13,10 @@ from commands import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
+from loopshape.data.verdict import Line
+from loopshape.io.diagrams import read_diagram
 from loopshape.io.frfs import write_frfs
+from loopshape.io.gathered import gather
 
 RATE = 2000.0
 F = np.geomspace(0.1, 800.0, 90)
@@ -79,7 +83,7 @@ def test_learning_says_whether_trials_converge(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-@pytest.mark.parametrize("kind", ["parallel", "observer"])
+@pytest.mark.parametrize("kind", ["parallel", "observer", "repetitive", "decoupled"])
 def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     """The step in C, fed with what the simulation measured, gives what the simulation put into the plants."""
     C = ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE)
@@ -91,24 +95,38 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
         "observer": (
             ls.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
         ),
+        "decoupled": decoupled_by_filters(C),
+        "repetitive": (ls.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
     }[kind]  # fmt: skip
     ls.export(D, tmp_path, "c")
-    outputs = ["u1", "u2"] if kind == "parallel" else ["u"]
+    outputs = ["u"] if kind in ("observer", "repetitive") else ["u1", "u2"]
+    inputs = ["r1", "r2", "y1", "y2"] if kind == "decoupled" else ["r", "y"]
+    read = " ".join(["%lf"] * len(inputs))
     show = " ".join(["%.17g"] * len(outputs))
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "diagram.h"\nint main(void) {\n'
         "  diagram_state s; diagram_inputs in; diagram_outputs out; diagram_reset(&s);\n"
-        '  while (scanf("%lf %lf", &in.r, &in.y) == 2) { diagram_step(&s, &in, &out);\n'
+        f'  while (scanf("{read}", {", ".join(f"&in.{n}" for n in inputs)}) == {len(inputs)}) {{\n'
+        "    diagram_step(&s, &in, &out);\n"
         f'    printf("{show}\\n", {", ".join(f"out.{n}" for n in outputs)}); }}\n  return 0; }}\n'
     )
     command = ["cc", "-std=c99", "-Wall", "-Werror", "-ffp-contract=off", "main.c", "-o", "main"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    signals = ls.simulate(D, models, {"r": np.sin(0.02 * np.arange(300))})
-    lines = "\n".join(f"{r!r} {y!r}" for r, y in zip(signals["r"].tolist(), signals["y"].tolist(), strict=True))
+    signals = ls.simulate(D, models, {r: np.sin((0.02 + 0.01 * k) * np.arange(300)) for k, r in enumerate(D.external)})
+    rows = np.stack([signals[name] for name in inputs], axis=1).tolist()
+    lines = "\n".join(" ".join(map(repr, row)) for row in rows)
     done = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=True, timeout=60)
     found = np.array([row.split() for row in done.stdout.splitlines()], dtype=float).T
     for name, values in zip(outputs, found, strict=True):
         np.testing.assert_allclose(values, signals[name], atol=1e-9 * np.abs(signals[name]).max())
+
+
+def decoupled_by_filters(C: ls.Controller) -> tuple[ls.Diagram, dict[str, control.StateSpace]]:
+    """Two loops that share an actuator's lag, behind filters of second order, and the plant's model."""
+    both = control.append(MODELS["P1"], MODELS["P2"])
+    mixed = control.ss(both.A, both.B, np.array([[1.0, 0.4], [0.3, 1.0]]) @ both.C, both.D, both.dt)
+    P = ls.FRF.from_control(mixed, F, relative_std=0.01, inputs=("a_v", "b_v"))
+    return ls.decoupled(P, ls.decouple(P, (2.0, 100.0), 2), {"a_v": C, "b_v": C}), {"P": mixed}
 
 
 def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
@@ -116,3 +134,51 @@ def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
     D = ls.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
     with pytest.raises(WrongUseError, match="no controller yet"):
         ls.export(D, tmp_path, "c")
+
+
+def test_a_diagram_is_exported_by_the_command_as_by_the_function(run: Path) -> None:
+    words = ("--diagram", run.parent / "diagram.toml", "--run", run)
+    for to, name in (("c", "diagram.h"), ("json", "diagram.json")):
+        out = run.parent / to
+        done = loopshape("export-controller", run.parent / "c.toml", "--to", to, "--out", out, *words, "--json")
+        told = json.loads(done.stdout)
+        assert [one["loop"] for one in told["exported"]] == ["C1", "C2"]
+        assert told["diagram"] == str(out / name)
+        D = read_diagram(run.parent / "diagram.toml", run)
+        (C1,) = ls.read_controllers(run.parent / "c.toml")
+        for path in ls.export(D.with_part("C1", C1), run.parent / f"{to}2", to):
+            assert path.read_bytes() == (out / path.name).read_bytes()
+    for half in (words[:2], words[2:]):
+        done = loopshape("export-controller", run.parent / "c.toml", "--to", "c", "--out", run.parent / "x", *half)
+        assert done.returncode == 2
+        assert "give both" in done.stderr
+
+
+def test_a_report_shows_the_diagram_and_the_loops_within(run: Path) -> None:
+    """Picture, inner loop and the tuned loop on what its block meets, with the margins of `check`."""
+    (run.parent / "r.toml").write_text(REQUIRE.split("structure")[0])
+    words = ["--controller", run.parent / "c.toml", "--require", run.parent / "r.toml"]
+    words += ["--diagram", run.parent / "diagram.toml", "--json"]
+    told = json.loads(loopshape("report", run, *words).stdout)
+    page = (run / "report.html").read_text()
+    D = read_diagram(run.parent / "diagram.toml", run)
+    (C1,) = ls.read_controllers(run.parent / "c.toml")
+    met = ls.equivalent(D)
+    verdict = ls.check(met.plants, C1, met.asked(ls.Requirements("C1", sensitivity_peak_db=6.0, integrators=0)))
+    assert told["outcome"] == verdict.outcome == "passed"
+    assert 'alt="Block diagram; tuned is block C1"' in page
+    assert "Inner loop C2" in page
+    (inner,), (outer,) = met.inner["C2"].margins.values(), verdict.margins.values()
+    for m in (inner, outer):
+        assert f"{m.phase_margin_deg:.4g}" in page
+        assert f"{m.sensitivity_peak_db:.4g}" in page
+    assert DIAGRAM.splitlines()[1] in page  # verbatim, under provenance
+    assert "has no frequency response" not in page
+
+
+def test_a_diagram_s_report_fails_with_a_loop_within(run: Path) -> None:
+    """The outcome of the whole counts a requirement of a loop within that is missed."""
+    made = gather(run, run.parent / "c.toml", None, "today", diagram=run.parent / "diagram.toml")
+    assert made.outcome == "none"
+    asked = replace(made.inner["C2"], lines=(Line("phase_margin_deg", "deg", 60.0, 10.0, -50.0, "failed", "r", None),))
+    assert replace(made, inner={"C2": asked}).outcome == "failed"

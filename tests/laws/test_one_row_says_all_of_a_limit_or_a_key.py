@@ -15,6 +15,7 @@ from loopshape.data.limits_over import MASKED, Mask
 from loopshape.data.recording import RecordingInfo
 from loopshape.data.requirements import LIMITS, Margins, Requirements
 from loopshape.data.verdict import Line, Verdict
+from loopshape.data.weight import Weight
 from loopshape.design.bound_nodes import COUNTED, counted
 from loopshape.design.structure import NEAR
 from loopshape.io.run_tables import INFO, TOLD, read_recording, recording_table
@@ -38,13 +39,19 @@ def asked(name, value=0.9):
         response = ("S", "T", "CS", "PS", "L", "L")[MASKED.index(name)]
         sense = "at_least" if name == "loop_floor_db" else "at_most"
         also = {"masks": (Mask(response, ((1.0, 0.0), (2.0, 0.0)), sense),)}
+    if name == "weighted_norm":
+        also = {"weights": (Weight("S", ((1.0, 0.0), (2.0, 0.0))),)}
     return {name: value} | also
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_limit_is_asked_for_and_found_under_one_name(name):
     assert name in {f.name for f in fields(Requirements)} & {f.name for f in fields(Margins)}
-    table = {key: [vars(one) for one in value] if key == "masks" else value for key, value in asked(name).items()}
+    words = {
+        "masks": lambda mask: vars(mask),
+        "weights": lambda weight: {"response": weight.response, "points": weight.size},
+    }
+    table = {k: [words[k](one) for one in value] if k in words else value for k, value in asked(name).items()}
     assert Requirements.from_table({"name": "axis", **table}) is not None
     assert name in margins().to_dict()
     assert f"{name} at" in repr(Requirements("axis", **asked(name)))

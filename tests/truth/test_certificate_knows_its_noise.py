@@ -5,6 +5,7 @@ import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
 
 from loopshape.core.units import TWO_PI
+from loopshape.data.smoothed import spread
 from loopshape.loop.doubt import chance_of_error, reach_of
 from loopshape.loop.obstacles import WRONG
 from loopshape.loop.stability import closed_loop_stability
@@ -100,12 +101,12 @@ def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std
         white = errors(rng, 60 + shared - 1)
         return std * np.convolve(white, np.ones(shared), "valid") / np.sqrt(shared)
 
-    draws = np.array([drawn() for _ in range(200)])
+    *_, alike = spread(np.array([drawn() for _ in range(200)]))
     for _ in range(1000):
         g = path + drawn()
         whole = np.concatenate([ends[:1], g, ends[1:]])
         wrong.append(abs(np.sum(np.angle(whole[1:] / whole[:-1])) - np.angle(ends[1] / ends[0])) > 1.0)
-        chances.append(chance_of_error(np.abs(g) / std, draws)[0])
+        chances.append(chance_of_error(np.abs(g) / std, alike)[0])
     assert np.mean(chances) >= np.mean(wrong)
     sure = np.array(chances) < WRONG
     assert not np.any(np.array(wrong)[sure])
@@ -118,7 +119,7 @@ def test_the_chance_of_all_lines_together_is_the_normal_one():
     rng = np.random.default_rng(12)
     path, draws = 0.2 + 1j * np.linspace(-3.0, 3.0, 2001), 0.1 * errors(rng, 20_000)
     other_side = np.mean(0.2 + draws.real < 0.0)
-    chance, _ = chance_of_error(np.abs(path) / 0.1, np.tile(draws[:200, None], path.size))
+    chance, _ = chance_of_error(np.abs(path) / 0.1, spread(np.tile(draws[:200, None], path.size))[2])
     assert chance == pytest.approx(other_side, rel=0.4)
 
 

@@ -1,9 +1,13 @@
 """Realisations of multisines: noise between periods, distortion between draws, blocks that solve a matrix exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import f as f_distribution
 
+import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.data.excitation import Multisine
 from loopshape.data.excitation_sets import orthogonal
@@ -79,6 +83,24 @@ def test_the_total_is_the_scatter_about_the_best_linear_approximation():
     frfs = [estimate_realisations(some, LOOP) for some in sets(30, 0.3)]
     error = np.mean([np.abs(x.siso - best) ** 2 for x in frfs])
     assert np.mean([x.covariance[:, 0, 0].real for x in frfs]) == pytest.approx(error, rel=0.1)
+
+
+def test_the_public_verb_takes_draws_together_where_asked_to():
+    """With 300 other draws as the truth 95 % of lines lie within the interval of four draws, and fewer of one's."""
+    best = estimate_realisations(draws(300, 0.3, level=0.0, seed=10_000), LOOP).siso
+    run = Run(RATE, (LOOP,), draws(40, 0.3))
+    each = ls.frfs(run)
+    fours = [ls.frfs(replace(run, recordings=run.recordings[k : k + 4]), realisations=True) for k in range(0, 40, 4)]
+    assert (len(each), {len(one) for one in fours}) == (40, {1})
+    shares = [np.mean([within(one, best) for one in some]) for some in (each, [f for (f,) in fours])]
+    assert shares[1] == pytest.approx(0.95, abs=0.03)
+    assert shares[0] < 0.8
+
+
+def within(frf, best):
+    """Share of lines whose 95 % circle holds the truth."""
+    reach = f_distribution.isf(0.05, 2, frf.variance_freedom)
+    return np.mean(np.abs(frf.siso - best) ** 2 < reach * frf.covariance[:, 0, 0].real)
 
 
 def test_a_period_stated_one_sample_wrong_is_found_and_said():

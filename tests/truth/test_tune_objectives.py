@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from loopshape.data.controller import Block, Controller
-from loopshape.data.requirements import Objective, Requirements
+from loopshape.data.objective import Objective
+from loopshape.data.requirements import Requirements
 from loopshape.design.measures import measure
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check

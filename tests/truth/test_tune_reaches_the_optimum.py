@@ -1,6 +1,8 @@
 """Tuning: known optimum in, known optimum out; all limits hold as `check` reads them; slopes are exact."""
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,13 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.model import TransferFunction
 from loopshape.data.requirements import Requirements
+from loopshape.data.verdict import Verdict
 from loopshape.design.measures import measure
 from loopshape.design.problem import problem
+from loopshape.design.search import LARGEST, begin, search
+from loopshape.design.settle import settle
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import check, loops_of, verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "speed"))
 from tune_workload import frfs as arm_frfs
@@ -228,3 +233,24 @@ def test_l_that_only_touches_one_at_the_first_frequency_does_not_do(size: float,
     frf = plant(TransferFunction([1.0], np.polymul([0.1, 1.0], [0.2, 1.0])))
     p = problem(loops_of([frf], Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4)
     assert (measure(p, np.log([size / abs(frf.siso[0])]), {}).worst >= 0.0) is holds
+
+
+def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
+    plants, limits = arm_frfs(100), arm_requirements()
+    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    loops, _ = loops_of(plants, unit, limits)
+    p = problem(loops, limits, 1000.0)
+    read = np.zeros(24, dtype=int)
+
+    def judge(controller: Controller, points: Sequence[int] | None = None) -> Verdict:
+        chosen = list(range(24) if points is None else points)
+        read[chosen] += 1
+        named = {plants[k].recording: replace(loops[k], controller=controller) for k in chosen}
+        return verdict_on(named, limits, detuned=False)
+
+    begun = begin(p, np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55]))
+    found = settle(p, search(p, begun, LARGEST, 300), judge)
+    assert found.verdict.passed
+    assert len(found.verdict.margins) == 24
+    assert read.min() <= 2
+    assert read.max() > read.min()

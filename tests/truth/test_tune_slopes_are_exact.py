@@ -12,6 +12,10 @@ from loopshape.design.measures import measure
 sys.path.insert(0, str(Path(__file__).parent))
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, problem_of, servos, wished
 
+WEIGHTS = [
+    {"response": name, "points": [[1.0, a], [30.0, b], [4000.0, c]]}
+    for name, a, b, c in (("S", 20.0, -6.0, -6.0), ("T", -20.0, 0.0, 20.0), ("CS", -30.0, -20.0, 0.0))
+] + [{"response": "PS", "points": [[1.0, -40.0], [4000.0, -30.0]]}]
 LIMITS = {
     "gain_margin_db": 6.0,
     "gain_reduction_margin_db": 3.0,
@@ -29,13 +33,15 @@ LIMITS = {
     "sensitivity_bandwidth_hz": 6.0,
     "complementary_bandwidth_hz": 15.0,
     "controller_bandwidth_hz": 300.0,
+    "weighted_norm": 2.0,
     "masks": [
         {"response": name, "points": [[1.0, -20.0], [30.0, 3.0], [4000.0, -10.0]]}
         for name in ("S", "T", "CS", "PS", "L")
     ]
     + [{"response": "L", "sense": "at_least", "points": [[1.0, 20.0], [10.0, 3.0]]}],
+    "weights": WEIGHTS,
 }
-OBJECTIVE = {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 3.0}
+OBJECTIVE = {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 3.0, "weighted_norm": 1.0}
 LAG = {"kind": "low_pass", "order": 1, "f_hz": {"min": 50.0, "max": 4000.0}}
 FIXED = {"kind": "notch", "f1_hz": 150.0, "f2_hz": {"min": 60.0, "max": 400.0}, "damping1": 0.4, "damping2": "damping1"}
 PID = {
@@ -48,14 +54,16 @@ AT = [0.6, 9.0, 160.0, 15.0, 75.0, 0.3, 0.9, 900.0, 170.0, 30.0, 70.0, 300.0, 0.
 
 
 def differences(p, x, k, step=1e-6):
-    """Central differences of bandwidths, rejections and rooms by the k-th parameter."""
+    """Central differences of bandwidths, rejections, rooms and of one over the norm by the k-th parameter."""
     ahead, behind = x.copy(), x.copy()
     ahead[k] += step
     behind[k] -= step
     one, two = measure(p, ahead, {}), measure(p, behind, {})
     assert one.what == two.what
     np.testing.assert_array_equal(one.at, two.at)
-    return [(getattr(one, n) - getattr(two, n)) / (2.0 * step) for n in ("ln_bandwidth", "rejection", "room")]
+    return [
+        (getattr(one, n) - getattr(two, n)) / (2.0 * step) for n in ("ln_bandwidth", "rejection", "room", "smallness")
+    ]
 
 
 @pytest.mark.parametrize("runs", [{}, {"prewarp_hz": 70.0, "computation_delay_s": 1e-4, "added_hold": True}])
@@ -63,17 +71,31 @@ def test_slopes_agree_with_finite_differences(runs):
     p = problem_of(servos(), wished(*STRUCTURE, **LIMITS, objective=OBJECTIVE), **runs)
     x = np.log(AT)
     here = measure(p, x, {})
-    assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz", "masks"}
+    assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz", "masks", "weights"}
     every = {limit.name for limit in requirements.LIMITS}
     assert every - set(here.what) == {
         "detuning_percent",
         "error_rms",
     }  # by shifted copies (design/shifts.py); not tuned to
     for k in range(x.size):
-        bandwidth, rejection, room = differences(p, x, k)
+        bandwidth, rejection, room, smallness = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(here.rejection_slopes[:, k], rejection, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)
+        np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
+
+
+@pytest.mark.parametrize("response", ["S", "T", "CS", "PS"])
+def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
+    rising = [{"response": response, "points": [[1.0, -60.0], [1400.0, -60.0], [3000.0, 140.0]]}]
+    asked = wished(GAIN, LEAD, LOW_PASS, weights=[*WEIGHTS, *rising], objective="weighted_norm")
+    p, x = problem_of(servos(), asked), np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
+    here = measure(p, x, {})
+    assert here.norms[-1].at[here.norms[-1].value.argmin()] >= p.f.size
+    assert here.norms[-1].value.min() == here.smallness.min()
+    for k in range(x.size):
+        *_, smallness = differences(p, x, k)
+        np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
 
 
 def test_slopes_of_a_pid_agree_with_finite_differences():
@@ -81,7 +103,7 @@ def test_slopes_of_a_pid_agree_with_finite_differences():
     x = np.log([0.4, 0.3, 60.0, 700.0, 500.0, 0.7])
     here = measure(p, x, {})
     for k in range(x.size):
-        bandwidth, _, room = differences(p, x, k)
+        bandwidth, _, room, _ = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)
 
@@ -103,7 +125,7 @@ def test_bandwidths_of_s_and_t_out_of_sight_still_have_slopes():
         rows = np.array([what == name for what in here.what])
         assert np.all(here.room[rows] < 0.0)
         assert name.startswith("s") or np.all(here.room_slopes[rows, 1] > 0.0)
-    _, _, room = differences(p, np.log([0.1, 0.02]), 1)
+    _, _, room, _ = differences(p, np.log([0.1, 0.02]), 1)
     np.testing.assert_allclose(here.room_slopes[:, 1], room, rtol=1e-4, atol=2e-5)
 
 

@@ -20,6 +20,19 @@ def _angle(z: complex) -> float:
 
 
 @compiled
+def whole_turn(before: complex, now: complex) -> float:
+    """The whole turn in rad, with its sign, by which the angle jumps where a chord crosses the negative real axis."""
+    if (before.imag >= 0.0) == (now.imag >= 0.0):
+        return 0.0
+    left = before.real * now.imag - before.imag * now.real
+    if before.imag >= 0.0 and left > 0.0:
+        return 2.0 * np.pi
+    if before.imag < 0.0 and left < 0.0:
+        return -2.0 * np.pi
+    return 0.0
+
+
+@compiled
 def turn_along(L: ComplexArray, turn: float, before: complex) -> tuple[float, complex]:
     """`turn` and the whole turns that 1 + L makes along L (n,) from `before`, with the last value of 1 + L.
 
@@ -27,12 +40,7 @@ def turn_along(L: ComplexArray, turn: float, before: complex) -> tuple[float, co
     """
     for k in range(L.size):
         now = 1.0 + L[k]
-        if (before.imag >= 0.0) != (now.imag >= 0.0):
-            left = before.real * now.imag - before.imag * now.real
-            if before.imag >= 0.0 and left > 0.0:
-                turn += 2.0 * np.pi
-            elif before.imag < 0.0 and left < 0.0:
-                turn -= 2.0 * np.pi
+        turn += whole_turn(before, now)
         before = now
     return turn, before
 
@@ -49,12 +57,8 @@ def turns(paths: ComplexArray) -> Array:
                 continue
             if before == 0.0:
                 first = now
-            elif (before.imag >= 0.0) != (now.imag >= 0.0):
-                left = before.real * now.imag - before.imag * now.real
-                if before.imag >= 0.0 and left > 0.0:
-                    turn += 2.0 * np.pi
-                elif before.imag < 0.0 and left < 0.0:
-                    turn -= 2.0 * np.pi
+            else:
+                turn += whole_turn(before, now)
             before = now
         out[m] = turn + _angle(before) - _angle(first)
     return out

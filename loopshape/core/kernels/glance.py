@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.kernels.flat_loops import all_stable
-from loopshape.core.kernels.margins import COLUMNS, LN_BANDWIDTH_HZ, read_margins
+from loopshape.core.kernels.margins import COLUMNS, LN_BANDWIDTH_HZ, LN_WEIGHTED, read_margins
 from loopshape.core.kernels.types import Array, ComplexArray
 
 #: a bound that is missed by more than this (ln or rad) is missed by so much
@@ -20,9 +20,9 @@ class Glanced(NamedTuple):
 
     `measured` (points,) are the first lines that were measured, `reach` (nf,) the radii of P's 95 % circles, `fitted`
     (points,) whether a fit leads below the first line. Of each column of `read_margins` the room is `sign` (found -
-    `level`) `factor`, level (points, COLUMNS) being nan without a limit. `masks` (6, nf) and `masks_above` (points, 6,
-    above) weigh as there. `low` (nf,) are the weights of ln 1/|S| in the objective, `bandwidth` and `disturbance` those
-    of its terms, `penalty` that of a miss.
+    `level`) `factor`, level (points, COLUMNS) being nan without a limit. `masks` (10, nf) and `masks_above` (points,
+    10, above) weigh as there. `low` (nf,) are the weights of ln 1/|S| in the objective, `bandwidth`, `disturbance` and
+    `weighted_norm` those of its terms, `penalty` that of a miss.
     """
 
     f: Array
@@ -46,14 +46,18 @@ class Glanced(NamedTuple):
     low: Array
     bandwidth: float
     disturbance: float
+    weighted_norm: float
     penalty: float
 
 
 @compiled
-def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray) -> tuple[float, bool]:
+def glance(
+    q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray, enough: float
+) -> tuple[float, bool]:
     """-(objective) + penalty (worst miss) of `gain` C, inf where a loop is unstable, and whether all limits hold.
 
-    `C` on the columns, `above` (f_above,) beyond the last lines, `below` L under the first ones without the gain.
+    `C` on the columns, `above` (f_above,) beyond the last lines, `below` L under the first ones without the gain. Inf
+    too where some operating points alone miss a limit and make it no less than `enough`.
     """
     L = np.empty(q.P.size, dtype=np.complex128)
     for k in range(L.size):
@@ -63,7 +67,7 @@ def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below:
             return np.inf, False
     if not all_stable(L, q.first, gain * below, q.first_below, q.fitted, q.integrators, q.unstable):
         return np.inf, False
-    room, slowest, least = np.inf, np.inf, np.inf
+    room, slowest, least, largest, merit = np.inf, np.inf, np.inf, -np.inf, np.inf
     for p in range(q.first.size - 1):
         a, b, start = q.first[p], q.first[p + 1], q.first_above[p]
         mine, own = L[a:b], np.empty(b - a, dtype=np.complex128)
@@ -76,8 +80,13 @@ def glance(q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below:
         room = min(room, _room(q, p, found[0]), _sure(q, p, mine, own))
         slowest = min(slowest, _bandwidth(q, p, mine, found[0, LN_BANDWIDTH_HZ]))
         least = min(least, _rejection(q.low[a:b], mine))
-    objective = q.bandwidth * slowest + q.disturbance * least
-    return -objective + q.penalty * max(0.0, -room), room >= 0.0
+        largest = max(largest, found[0, LN_WEIGHTED])
+        merit = q.penalty * max(0.0, -room) - q.bandwidth * slowest - q.disturbance * least
+        if q.weighted_norm > 0.0:
+            merit += q.weighted_norm * largest
+        if room < 0.0 and merit >= enough:
+            return np.inf, False
+    return merit, room >= 0.0
 
 
 @compiled

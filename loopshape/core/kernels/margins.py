@@ -15,9 +15,14 @@ GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONT
 LN_BANDWIDTH_HZ, LN_DISK, PROCESS_DB, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ = range(8, 13)
 #: by how much |S|, |T|, |CS|, |PS| and |L| exceed their masks, and a floor exceeds |L|, in the order of the masks' rows
 MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L = range(13, 19)
-COLUMNS = 19
+#: the largest root of the sum of squared weighted |S|, |T|, |CS| and |PS|
+LN_WEIGHTED = 19
+COLUMNS = 20
 #: columns that are the largest of squared magnitudes, and in the end in dB
-LARGEST = (COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L)
+LARGEST = (
+    COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L,
+    LN_WEIGHTED,
+)  # fmt: skip
 _DB = 10.0 / np.log(10.0)  # of a squared magnitude
 _DEG = 180.0 / np.pi
 _TINY = 1e-300
@@ -76,17 +81,20 @@ def _chord(f0: float, f1: float, one: complex, two: complex, found: Array, at: A
 
 
 @compiled
-def _line(f: float, L: complex, c2: float, high: bool, found: Array, at: Array) -> tuple[float, float]:
-    """What one line shows by itself; squared |S| and |T|."""
-    l2 = L.real**2 + L.imag**2
+def _line(
+    f: float, L: complex, size2: float, c2: float, over_c2: float, high: bool, found: Array, at: Array
+) -> tuple[float, float]:
+    """What one line shows by itself, given |L|², |C|² and its inverse; squared |S| and |T|."""
     d2 = max((1.0 + L.real) ** 2 + L.imag**2, _TINY)
-    _note(found, at, COMPLEMENTARY_DB, l2 / d2, f, True)
-    _note(found, at, CONTROL_DB, c2 / d2, f, True)
+    s2 = 1.0 / d2
+    t2 = size2 * s2
+    _note(found, at, COMPLEMENTARY_DB, t2, f, True)
+    _note(found, at, CONTROL_DB, c2 * s2, f, True)
     if high:
-        _note(found, at, CONTROL_HIGH_DB, c2 / d2, f, True)
-    _note(found, at, PROCESS_DB, l2 / c2 / d2, f, True)
+        _note(found, at, CONTROL_HIGH_DB, c2 * s2, f, True)
+    _note(found, at, PROCESS_DB, t2 * over_c2, f, True)
     _note(found, at, LN_DISK, d2 / max((1.0 - L.real) ** 2 + L.imag**2, _TINY), f, False)
-    return 1.0 / d2, l2 / d2
+    return s2, t2
 
 
 @compiled
@@ -95,7 +103,8 @@ def _over_masks(
 ) -> None:
     """Squared excess of |S|, |T|, |CS|, |PS| and |L| over their masks at one frequency, and of the floor over |L|.
 
-    `weights` (6,) are 1 over squared limits, 0 where there is none, and the squared floor; `least2` is the least |L|².
+    `weights` (10,) are 1 over squared limits, 0 where there is none, the squared floor, and the squared weights of |S|,
+    |T|, |CS| and |PS|, which are summed; `least2` is the least |L|².
     """
     _masked(MASK_S, s2, weights[0], f, found, at)
     _masked(MASK_T, t2, weights[1], f, found, at)
@@ -104,6 +113,9 @@ def _over_masks(
     _masked(MASK_L, l2, weights[4], f, found, at)
     if weights[5] > 0.0:
         _note(found, at, FLOOR_L, weights[5] / max(least2, _TINY), f, True)
+    total = weights[6] * s2 + weights[7] * t2 + weights[8] * c2 * s2 + weights[9] * t2 / max(c2, _TINY)
+    if total > 0.0:
+        _note(found, at, LN_WEIGHTED, total, f, True)
 
 
 @compiled
@@ -158,6 +170,7 @@ def _finish(found: Array) -> None:
     """From squared magnitudes to dB and logarithms."""
     for column in LARGEST:
         found[column] = _DB * np.log(found[column]) if found[column] > 0.0 else -np.inf
+    found[LN_WEIGHTED] *= 0.5 / _DB
     found[LN_MODULUS] = 0.5 * np.log(found[LN_MODULUS]) if found[LN_MODULUS] > 0.0 else -np.inf
     found[LN_DISK] = np.log(2.0) + 0.5 * np.log(found[LN_DISK]) if found[LN_DISK] > 0.0 else -np.inf
 
@@ -177,59 +190,104 @@ def read_margins(
     """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
 
     `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
-    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (6, nf)
-    and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where there is no mask. +-inf where the
-    loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
+    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (10,
+    nf) and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where nothing is weighed. +-inf where
+    the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
     """
-    loops, lines = L.shape
-    found, at = np.empty((loops, COLUMNS)), np.full((loops, COLUMNS), np.nan)
+    found, at = np.empty((len(L), COLUMNS)), np.full((len(L), COLUMNS), np.nan)
     c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
-    for b in range(loops):
-        found[b, :] = np.inf
-        for column in LARGEST:
-            found[b, column] = -np.inf
-        found[b, LN_BANDWIDTH_HZ] = found[b, LN_SENSITIVITY_HZ] = found[b, LN_COMPLEMENTARY_HZ] = -np.inf
-        before_s = before_t = before_size = 0.0
-        crossed = sensed = False
-        for k in range(lines):
-            now = L[b, k]
-            s2, t2 = _line(f[k], now, c2[k], f[k] >= from_hz, found[b], at[b])
-            size = now.real**2 + now.imag**2
-            if masks.shape[0]:
-                _over_masks(f[k], s2, t2, c2[k], size, size, masks[:, k], found[b], at[b])
-            if k > 0:
-                last = L[b, k - 1]
-                _chord(f[k - 1], f[k], last, now, found[b], at[b])
-                if (before_size >= 1.0) != (size >= 1.0):
-                    _unit_crossing(f[k - 1], f[k], last, now, found[b], at[b])
-                    if not crossed and abs(L[b, 0]) >= 1.0:
-                        found[b, LN_BANDWIDTH_HZ] = _between(f[k - 1], f[k], before_size, size, 1.0)
-                        at[b, LN_BANDWIDTH_HZ] = np.exp(found[b, LN_BANDWIDTH_HZ])
-                    crossed = True
-                if (last.imag >= 0.0) != (now.imag >= 0.0):
-                    _axis_crossing(f[k - 1], f[k], last, now, found[b], at[b])
-                if not sensed and before_s < 0.5 <= s2:
-                    found[b, LN_SENSITIVITY_HZ] = _between(f[k - 1], f[k], before_s, s2, 0.5)
-                    sensed = True
-                if before_t >= 0.5 > t2:
-                    found[b, LN_COMPLEMENTARY_HZ] = _between(f[k - 1], f[k], before_t, t2, 0.5)
-            elif s2 >= 0.5:
-                sensed = True
-            before_s, before_t, before_size = s2, t2, size
-        if lines == 1:
-            _note(found[b], at[b], LN_MODULUS, abs(1.0 + L[b, 0]) ** 2, f[0], False)
-        if not sensed:
-            found[b, LN_SENSITIVITY_HZ] = np.log(f[lines - 1])
-        if before_t >= 0.5:
-            found[b, LN_COMPLEMENTARY_HZ] = np.log(f[lines - 1])
-        size = np.sqrt(before_size)
-        if bounded and size >= 1.0:
-            found[b, PHASE_DEG], found[b, LN_DELAY_S] = 0.0, -np.inf
-        if bounded:
-            _above(f[lines - 1], size, f_above, c2_above, from_hz, found[b], at[b])
-        else:
-            _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found[b], at[b])
-        if masks.shape[0]:
-            _masks_above(size if bounded else min(size, 1.0), f_above, c2_above, masks_above, bounded, found[b], at[b])
-        _finish(found[b])
+    over_c2 = 1.0 / c2
+    for b in range(len(L)):
+        _read(f, L[b], c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at[b])
     return found, at
+
+
+@compiled
+def read_drawn(
+    f: Array,
+    reference: ComplexArray,
+    factor: ComplexArray,
+    draws: ComplexArray,
+    C: ComplexArray,
+    f_above: Array,
+    C_above: ComplexArray,
+    from_hz: float,
+    bounded: bool,
+    masks: Array,
+    masks_above: Array,
+) -> Array:
+    """Margins (draws, COLUMNS) of `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
+    found, at, L = np.empty((len(draws), COLUMNS)), np.empty(COLUMNS), np.empty(f.size, dtype=np.complex128)
+    c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
+    over_c2 = 1.0 / c2
+    for b in range(len(draws)):
+        mine = draws[b]
+        for k in range(f.size):
+            L[k] = reference[k] + factor[k] * mine[k]
+        _read(f, L, c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at)
+    return found
+
+
+@compiled
+def _read(
+    f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float,
+    bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array,
+) -> None:  # fmt: skip
+    """Margins of one loop into `found` (COLUMNS,), and where they lie into `at`; |C|² on the lines and above them."""
+    found[:] = np.inf
+    for column in LARGEST:
+        found[column] = -np.inf
+    found[LN_BANDWIDTH_HZ] = found[LN_SENSITIVITY_HZ] = found[LN_COMPLEMENTARY_HZ] = -np.inf
+    before_s = before_t = before_size = 0.0
+    crossed = sensed = False
+    for k in range(f.size):
+        now = L[k]
+        size = now.real**2 + now.imag**2
+        s2, t2 = _line(f[k], now, size, c2[k], over_c2[k], f[k] >= from_hz, found, at)
+        if masks.shape[0]:
+            _over_masks(f[k], s2, t2, c2[k], size, size, masks[:, k], found, at)
+        if k > 0:
+            _chord(f[k - 1], f[k], L[k - 1], now, found, at)
+            if (before_size >= 1.0) != (size >= 1.0):
+                _unit_crossing(f[k - 1], f[k], L[k - 1], now, found, at)
+                if not crossed and abs(L[0]) >= 1.0:
+                    found[LN_BANDWIDTH_HZ] = _between(f[k - 1], f[k], before_size, size, 1.0)
+                    at[LN_BANDWIDTH_HZ] = np.exp(found[LN_BANDWIDTH_HZ])
+                crossed = True
+            if (L[k - 1].imag >= 0.0) != (now.imag >= 0.0):
+                _axis_crossing(f[k - 1], f[k], L[k - 1], now, found, at)
+            if not sensed and before_s < 0.5 <= s2:
+                found[LN_SENSITIVITY_HZ] = _between(f[k - 1], f[k], before_s, s2, 0.5)
+                sensed = True
+            if before_t >= 0.5 > t2:
+                found[LN_COMPLEMENTARY_HZ] = _between(f[k - 1], f[k], before_t, t2, 0.5)
+        elif s2 >= 0.5:
+            sensed = True
+        before_s, before_t, before_size = s2, t2, size
+    if f.size == 1:
+        _note(found, at, LN_MODULUS, abs(1.0 + L[0]) ** 2, f[0], False)
+    if not sensed:
+        found[LN_SENSITIVITY_HZ] = np.log(f[f.size - 1])
+    if before_t >= 0.5:
+        found[LN_COMPLEMENTARY_HZ] = np.log(f[f.size - 1])
+    _read_above(
+        f[f.size - 1], np.sqrt(before_size), f_above, c2_above, from_hz, bounded, masks.shape[0] > 0, masks_above,
+        found, at,
+    )  # fmt: skip
+    _finish(found)
+
+
+@compiled
+def _read_above(
+    f_last: float, size: float, f_above: Array, c2_above: Array, from_hz: float, bounded: bool, masked: bool,
+    masks_above: Array, found: Array, at: Array,
+) -> None:  # fmt: skip
+    """What lies above the last line, where |L| is `size`."""
+    if bounded and size >= 1.0:
+        found[PHASE_DEG], found[LN_DELAY_S] = 0.0, -np.inf
+    if bounded:
+        _above(f_last, size, f_above, c2_above, from_hz, found, at)
+    else:
+        _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found, at)
+    if masked:
+        _masks_above(size if bounded else min(size, 1.0), f_above, c2_above, masks_above, bounded, found, at)

@@ -74,3 +74,44 @@ def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[
         if active[k] < m:
             multipliers[active[k]] = weight[k]
     return y, multipliers, outcome
+
+
+@compiled
+def linearised(
+    value: Array, slopes: Array, term: np.ndarray, weights: Array, room: Array, room_slopes: Array, soft: np.ndarray,
+    low: Array, high: Array, penalty: float,
+) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    """Cost, A, b, low and high of a linear programme in y = (dx, terms, soft miss, hard miss), as `boxed_lp` takes it.
+
+    Each of the terms, of `weights` (terms,), is made large and is no larger than its values (k,), which belong to
+    `term` (k,) and move by `slopes` (k, n); rooms (m,) move by `room_slopes` (m, n) and fall below zero by the soft
+    miss at most where `soft` (m,), else by the hard one, which costs `penalty`. Rooms that no dx between `low` and
+    `high` (n,) brings below zero are left out.
+    """
+    n, terms, m = low.size, weights.size, room.size
+    deepest, kept = 0.0, np.empty(m, dtype=np.bool_)
+    for k in range(m):
+        least = room[k]
+        for v in range(n):
+            least += min(room_slopes[k, v] * low[v], room_slopes[k, v] * high[v])
+        kept[k] = least < 0.0
+        deepest = min(deepest, least)
+    A, b = np.zeros((value.size + kept.sum(), n + terms + 2)), np.empty(value.size + kept.sum())
+    lows, highs = np.zeros(n + terms + 2), np.full(n + terms + 2, 1.0 - deepest)
+    cost = np.zeros(n + terms + 2)
+    lows[:n], highs[:n], lows[n : n + terms], highs[n : n + terms] = low, high, np.inf, -np.inf
+    cost[n : n + terms], cost[n + terms], cost[n + terms + 1] = -weights, 1.0, penalty
+    reach, farthest = np.zeros(terms), max(-low.min(), high.max())
+    for k in range(value.size):
+        reach[term[k]] = max(reach[term[k]], np.abs(slopes[k]).sum() * farthest)
+        A[k, :n], A[k, n + term[k]], b[k] = -slopes[k], 1.0, value[k]
+        lows[n + term[k]], highs[n + term[k]] = min(lows[n + term[k]], value[k]), max(highs[n + term[k]], value[k])
+    for t in range(terms):
+        lows[n + t] -= reach[t] + 1.0
+        highs[n + t] += reach[t] + 1.0
+    row = value.size
+    for k in range(m):
+        if kept[k]:
+            A[row, :n], A[row, n + terms + (0 if soft[k] else 1)], b[row] = -room_slopes[k], -1.0, room[k]
+            row += 1
+    return cost, A, b, lows, highs

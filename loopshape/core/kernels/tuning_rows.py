@@ -13,8 +13,9 @@ from loopshape.core.kernels.compiled import compiled, compiled_in_line
 from loopshape.core.kernels.flat_loops import mark_peaks
 from loopshape.core.kernels.types import Array, ComplexArray
 
-#: magnitudes that a limit is on: of S, T, CS, PS, the disk (1 - L)/(1 + L), L, its inverse, and CS times P's reach
-S, T, CS, PS, DISK, LOOP, FLOOR, SURE = range(8)
+#: magnitudes that a limit is on: of S, T, CS, PS, the disk (1 - L)/(1 + L), L, its inverse, CS times P's reach, and the
+#: norm of the weighted loop
+S, T, CS, PS, DISK, LOOP, FLOOR, SURE, NORM = range(9)
 #: how a limit goes on above the last line: not at all, or as |L| stays below its last value there
 NOT, STAYS = 0, 1
 #: |L| at the last lines is taken to be no closer to 1 than this (ln)
@@ -23,6 +24,7 @@ _CLOSE = 1e-6
 _NEAR = 0.05
 #: ends of L are kept this far (ln or rad) on the sure side
 _SURE = 1e-3
+_TINY = 1e-300
 
 
 class Out(NamedTuple):
@@ -37,7 +39,8 @@ class Flat(NamedTuple):
     """The lines of all operating points: L, ln |L|, ln |S| and ln |P| (nf,), and ln |C| on the columns.
 
     `line` (nf,) is the column of each line, `first` (points + 1,) where operating points begin, `led` (points,) how
-    many lines a model leads there. Above the last line C is known on columns `above` .. `above` + f_above.size.
+    many lines a model leads there. Above the last line C is known on columns `above` .. `above` + f_above.size. The
+    squared norm of the weighted loop is |S|² (`own` + `by_C` |C|²), (nf,), or none where nothing is weighted.
     """
 
     f: Array
@@ -53,6 +56,8 @@ class Flat(NamedTuple):
     led: np.ndarray
     f_above: Array
     above: int
+    own: Array
+    by_C: Array  # noqa: N815
 
 
 @compiled
@@ -62,6 +67,19 @@ def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: com
     out.value[n] = value
     out.ab[n, 0], out.ab[n, 1] = a, b
     return n + 1
+
+
+@compiled_in_line
+def _control_part(x: Flat, k: int) -> float:
+    """What |C| brings into the squared norm of the weighted loop at a line, over |S|²."""
+    return x.by_C[k] * np.exp(2.0 * x.ln_C[x.line[k]])
+
+
+@compiled_in_line
+def _norm_by_ln_C(x: Flat, k: int) -> complex:
+    """-d ln norm/d ln C at a line."""
+    part = _control_part(x, k)
+    return x.L[k] / (1.0 + x.L[k]) - part / max(x.own[k] + part, _TINY)
 
 
 @compiled
@@ -78,6 +96,9 @@ def _sizes(x: Flat, kind: int, from_hz: float, mask: Array, out: Array) -> float
             out[k] = ln_C[line[k]] + ln_S[k]
         if kind == SURE:
             out += x.ln_reach
+    elif kind == NORM:
+        for k in range(out.size):
+            out[k] = 0.5 * np.log(max(x.own[k] + _control_part(x, k), _TINY)) + x.ln_S[k]
     elif kind == PS:
         out[:] = x.ln_P + x.ln_S
     elif kind == DISK:
@@ -179,7 +200,8 @@ def magnitude_rows(
         for p in range(points):
             for k in range(first[p], first[p + 1]):
                 if mine[k]:
-                    column, a = line[k], _by_ln_L(kinds[q], L[k])
+                    column = line[k]
+                    a = _norm_by_ln_C(x, k) if kinds[q] == NORM else _by_ln_L(kinds[q], L[k])
                     n = _put(out, n, q, k, p, level[q, p] - sizes[q, k], column, a, column, 0.0)
             if above[q] == STAYS and kinds[q] != CS:
                 last = x.first[p + 1] - 1
@@ -278,7 +300,8 @@ def crossing_rows(
         j = min(at + 1, lines - 1)
         wide_at[p, 0], wide_at[p, 1], wide_at[p, 2], wide_at[p, 3] = at, p, x.line[at], x.line[j]
         wide_ab[p, 0], wide_ab[p, 1] = (1.0 - share) * move, share * move
-    return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy(), wide, wide_at, wide_ab
+    order = np.argsort(out.places[:n, 0], kind="mergesort")  # by quantity, as they came
+    return out.places[order], out.value[order], out.ab[order], wide, wide_at, wide_ab
 
 
 @compiled

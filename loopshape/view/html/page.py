@@ -11,7 +11,7 @@ from loopshape.data.frf import FRF
 from loopshape.data.requirements import LIMIT_OF, LIMITS
 from loopshape.data.run_report import CheckedLoop, RunReport
 from loopshape.data.verdict import Verdict
-from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
+from loopshape.view.html import diagram_parts, model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
@@ -76,6 +76,7 @@ def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, lis
     r, checked = report, report.checked
     every: list[tuple[str, str, object, Callable[[], Content]]] = [
         ("verdict", "Verdict", True, lambda: verdict_parts.verdict(r)),
+        ("diagram", "Block diagram", r.diagram, lambda: diagram_parts.diagram(r)),
         ("missing", "What is missing", r.missing, lambda: run_parts.missing(r.missing)),
         ("requirements", "Requirements", checked, lambda: _each(checked, verdict_parts.requirements)),
         ("margins", "Margins at every operating point", checked, lambda: _each(checked, verdict_parts.margins)),

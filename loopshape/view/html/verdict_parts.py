@@ -169,11 +169,14 @@ def gauge(line: Line, limit: Limit) -> Markup:
 
 def margins(one: CheckedLoop) -> Markup:
     """Margins, and peaks with bandwidths, of every operating point; each column's worst is marked."""
-    found = one.verdict
     points = {f.recording or f"frf {k + 1}": point(f.operating_point, f.parameters) for k, f in enumerate(one.frfs)}
+    return joined([margins_of(one.verdict, points), _detunings(one.verdict)])
+
+
+def margins_of(found: Verdict, points: Mapping[str, str]) -> Markup:
+    """Both tables of a loop; `points` are words for its recordings."""
     parts = [("Margins", True), ("Peaks and bandwidths", False)]
-    tables = [_margins_table(found, points, what, [x for x in LIMITS if x.margin == own]) for what, own in parts]
-    return joined([*tables, _detunings(found)])
+    return joined(_margins_table(found, points, what, [x for x in LIMITS if x.margin == own]) for what, own in parts)
 
 
 def _detunings(found: Verdict) -> Markup | None:

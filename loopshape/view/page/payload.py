@@ -23,7 +23,8 @@ from loopshape.data.frf import FRF
 from loopshape.data.limits_over import MASKED, AtPoints
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
-from loopshape.data.requirements import LIMITS, Objective, Requirements
+from loopshape.data.objective import Objective
+from loopshape.data.requirements import LIMITS, Requirements
 from loopshape.data.verdict import Verdict
 from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
@@ -37,6 +38,10 @@ from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 
+#: limits that the page does not judge: it knows no disturbance and no weights
+LEFT_OUT = ("error_rms", "weighted_norm")
+#: what is required in words of its own, and weights, which the page's file leaves out
+_APART = ("structure", "objective", "masks", "at", "weights", "weighted_norm", *MASKED)
 FORMAT = "loopshape-shape/1"
 
 
@@ -77,7 +82,7 @@ def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]
         "format": FORMAT,
         "version": version,
         "title": title,
-        "limits": [json_ready(limit) for limit in LIMITS if limit.name != "error_rms"],  # no disturbance in the page
+        "limits": [json_ready(limit) for limit in LIMITS if limit.name not in LEFT_OUT],
         "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
@@ -168,12 +173,13 @@ def _loop(one: Shaped) -> dict[str, Any]:
 
 def requirement_words(wished: Requirements) -> dict[str, Any]:
     """What is required as its file has it; what is not asked for is left out."""
-    kept = [f.name for f in fields(wished) if f.name not in ("structure", "objective", "masks", "at", *MASKED)]
+    kept = [f.name for f in fields(wished) if f.name not in _APART]
     out = {name: getattr(wished, name) for name in kept}
     out |= {name: getattr(wished, name) for name in MASKED if getattr(wished, name)}  # 0 goes without saying
     out |= {"masks": wished.masks} if wished.masks else {}
     out |= {"at": [_at_points(x) for x in wished.at]} if wished.at else {}
-    out |= {} if wished.objective == Objective() else {"objective": _table(wished.objective)}
+    if wished.objective != Objective() and not wished.objective.weighted_norm:
+        out["objective"] = _table(wished.objective)
     out |= {"structure": [_template(one) for one in wished.structure]} if wished.structure else {}
     return {name: json_ready(value) for name, value in out.items() if value is not None}
 
