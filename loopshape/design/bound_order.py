@@ -53,8 +53,8 @@ def reach_order(
 
     The requirements' structure counts for nothing: that of the answer is a gain, biquads ("notch") and lead-lags.
     Designs at shares of the bandwidth reached are fitted and tuned, with all poles, and with two less and one block
-    grown, and from random starts where none of them meets the limits; what passes the check comes first, then the larger
-    objective. See `loopshape.reach`.
+    grown, and from random starts where none of them meets the limits; what passes the check comes first, then the
+    larger objective. See `loopshape.reach`.
     """
     if order < 1:
         raise WrongUseError("a controller to be found has at least one pole", f"order {order}", "ask for 4 or more")
@@ -96,7 +96,7 @@ class _Order:
     controller: Controller
     requirements: Requirements
     fits: tuple[Fit, ...]
-    library: tuple[BlockTemplate, BlockTemplate]
+    library: tuple[BlockTemplate, ...]
     seed: int
 
     def tuned(self, design: Reached, order: int) -> Tuning:
@@ -154,10 +154,14 @@ class _Target:
         """Logarithms of gain and parameters nearest by least squares from x, and the error."""
         low, high = _ends(structure)
         x = np.clip(x, low + 1e-9, high - 1e-9)
-        out = least_squares(
-            lambda y: _real(self._error(y, structure)), x, lambda y: _real(self._slopes(y, structure)).T,
-            bounds=(low, high), max_nfev=most,
-        )  # fmt: skip
+
+        def error(y: Array) -> Array:
+            return _real(self._error(y, structure))
+
+        def slopes(y: Array) -> Array:
+            return _real(self._slopes(y, structure)).T
+
+        out = least_squares(error, x, slopes, bounds=(low, high), max_nfev=most)
         return out.x, float(out.cost)
 
     def _error(self, x: Array, structure: Sequence[BlockTemplate]) -> ComplexArray:

@@ -115,7 +115,7 @@ def half_planes(at: Nodes, tried_hz: float, margins: Requirements | None) -> lis
 
 def _crossing_with_margin(at: Nodes, most: Ceilings, tried_hz: float, margins: Requirements) -> Ceilings:
     """Ceilings with |S| on either side of the bandwidth as small as the phase and the delay margin ask."""
-    phase = rad(margins.phase_margin_deg or 0.0)
+    phase = float(rad(margins.phase_margin_deg or 0.0))
     phase = max(phase, TWO_PI * tried_hz * (margins.delay_margin_s or 0.0))
     k = int(np.searchsorted(at.f, tried_hz))
     S = most.S.copy()

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+import itertools
+
 from bound_cases import limits, loop_of
 
 from loopshape.core.units import db
@@ -20,8 +22,8 @@ MODEL = TransferFunction([3.0], np.polymul([1.0, 0.0], [1 / 900.0, 0.1 / 30.0, 1
 def crossings(f, L):
     """Frequencies and phase margins in degrees at |L| = 1, L straight in ln f between the nodes."""
     share = np.linspace(0.0, 1.0, 50, endpoint=False)
-    fine = np.concatenate([a * (b / a) ** share for a, b in zip(L[:-1], L[1:], strict=True)])
-    at = np.concatenate([a * (b / a) ** share for a, b in zip(f[:-1], f[1:], strict=True)])
+    fine = np.concatenate([a * (b / a) ** share for a, b in itertools.pairwise(L)])
+    at = np.concatenate([a * (b / a) ** share for a, b in itertools.pairwise(f)])
     k = np.flatnonzero((np.abs(fine[:-1]) - 1.0) * (np.abs(fine[1:]) - 1.0) < 0.0)
     return at[k], np.degrees(np.abs(np.angle(-fine[k])))
 
