@@ -21,6 +21,7 @@ ASKED = {
 
 
 @pytest.mark.long
+@pytest.mark.hour
 def test_a_controller_of_four_poles_passes_the_check_below_the_bound():
     P, R = frf_of(MODEL, lines=100), limits(**ASKED)
     found = ls.reach(P, gain(), R, 4)
