@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from loopshape.data.verdict import Outcome as Outcome
     from loopshape.data.verdict import Verdict as Verdict
     from loopshape.data.weight import Weight as Weight
+    from loopshape.data.wired import Wired as Wired
     from loopshape.design.bound import Bound as Bound
     from loopshape.design.decouple import decouple as decouple
     from loopshape.design.decoupled import decoupled as decoupled
@@ -127,6 +128,7 @@ _HOME = {
     "FRF": "data.frf",
     "Fit": "data.model",
     "GainScheduled": "data.gain_scheduled",
+    "Wired": "data.wired",
     "GapReport": "data.gap_report",
     "Input": "data.machine",
     "Interaction": "data.interaction",

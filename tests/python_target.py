@@ -9,6 +9,7 @@ import zlib
 from collections import deque
 from dataclasses import dataclass, field
 
+from python_target_blocks import Block, biquad, known, turn
 from python_target_frames import Collector, frame
 from python_target_machine import Axes
 from python_target_schedule import RefusedError, Schedule, fields, inside
@@ -17,7 +18,7 @@ OK, NO, SAMPLES, ENDED = 0x81, 0x82, 0x90, 0x91
 IDENTIFY, CONFIGURE, SECTIONS, LIMIT, READY, ARM, SETPOINT, BEGIN, ROWS, GO, STOP, VENT, DISARM, ALIVE, AGAIN, CLEAR = (
     range(1, 17)
 )
-SCHEDULE, NODES = 0x11, 0x12
+SCHEDULE, NODES, BLOCK, OUTPUT = 0x11, 0x12, 0x13, 0x14
 IDLE, ARMED, RUNNING, FAULT = range(4)
 COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY = range(7)
 CONTROLLER_INPUT, PLANT_INPUT, CONTROL = range(3)
@@ -41,13 +42,15 @@ class Board:
     version: str = "1"
     schedule_rows: int = 100
     """Rows of NODES that a schedule may have; 0: no schedules."""
+    most_blocks: int = 10
+    """0: no blocks."""
     ignores_limits: bool = False
     """A broken board, for tests of the host."""
 
 
 @dataclass
 class Settings:
-    """What CONFIGURE, SECTIONS, SCHEDULE, NODES and LIMIT set."""
+    """What CONFIGURE, BLOCK, SECTIONS, SCHEDULE, NODES, OUTPUT and LIMIT set."""
 
     loops: int
     hold: bool
@@ -58,21 +61,25 @@ class Settings:
     digest: int
     sections: list[list[tuple[float, ...]]] = field(default_factory=list)
     schedules: dict[int, Schedule] = field(default_factory=dict)
+    blocks: list[Block] = field(default_factory=list)
+    given: dict[int, int] = field(default_factory=dict)
+    """Loops and the blocks that give their z."""
     limits: list[tuple[float, float, float]] = field(default_factory=list)
     ready: bool = False
 
     def begun(self, loop: int) -> bool:
         """Whether something of a loop's controller, or of a later one, is here."""
-        return any(self.sections[loop:]) or any(one >= loop for one in self.schedules)
+        return any(self.sections[loop:]) or any(one >= loop for one in (*self.schedules, *self.given))
 
     def whole(self, loop: int) -> bool:
         """Whether a loop has its controller."""
         one = self.schedules.get(loop)
-        return len(one.rows) == one.most if one else bool(self.sections[loop])
+        return len(one.rows) == one.most if one else bool(self.sections[loop]) or loop in self.given
 
     def next_loop(self, loop: int, goes_on: bool = False) -> bool:
         """Whether a controller, or where it `goes_on` more sections, of this loop may come."""
-        free = loop < self.loops and not self.limits and not self.begun(loop + 1) and loop not in self.schedules
+        free = loop < self.loops and not self.limits and not self.begun(loop + 1)
+        free = free and loop not in self.schedules and loop not in self.given
         before = self.schedules if goes_on else range(loop)
         return free and all(map(self.whole, before)) and (goes_on or not self.sections[loop])
 
@@ -186,6 +193,8 @@ class Target:
         }
         if self.board.schedule_rows:
             answers |= {SCHEDULE: (self._schedule, (IDLE,)), NODES: (self._nodes, (IDLE,))}
+        if self.board.most_blocks:
+            answers |= {BLOCK: (self._block, (IDLE,)), OUTPUT: (self._output, (IDLE,))}
         if kind not in answers:
             raise RefusedError(8, f"there is no request 0x{kind:02X}")
         answer, states = answers[kind]
@@ -200,7 +209,7 @@ class Target:
         if protocol != 1:
             raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
         b, m = self.board, self.machine
-        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0)
+        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0)
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
         words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
@@ -274,6 +283,24 @@ class Target:
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
 
+    def _block(self, payload: bytes) -> bytes:
+        s = self._configured()
+        one = Block.read(payload, 2 * s.loops + self.board.most_blocks)
+        inside(payload[0] == len(s.blocks) and not s.begun(0) and not s.limits, f"block {payload[0]} at this place")
+        if len(s.blocks) == self.board.most_blocks or len(one.sections) > self.board.most_sections:
+            raise RefusedError(6, f"{len(s.blocks) + 1} blocks, {len(one.sections)} sections")
+        s.blocks.append(one)
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _output(self, payload: bytes) -> bytes:
+        s = self._configured()
+        loop, block = fields("BB", payload)
+        inside(s.next_loop(loop) and block < len(s.blocks), f"block {block} for loop {loop}")
+        s.given[loop] = block
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
     def _limit(self, payload: bytes) -> bytes:
         s = self._configured()
         index, low, high, rate = fields("Bddd", payload)
@@ -294,6 +321,8 @@ class Target:
             raise RefusedError(4, f"{missing} sensors or commands have no limit")
         if not all(map(s.whole, range(s.loops))):
             raise RefusedError(4, "a loop has no section")
+        if not known(s.blocks, 2 * s.loops):
+            raise RefusedError(4, "a block reads what is not known by then")
         s.ready = True
         return struct.pack("<I", s.digest)
 
@@ -433,7 +462,7 @@ class Target:
     def _controllers_rest(self) -> None:
         s = self._configured()
         self.memory = [[[0.0, 0.0] for _ in loop] for loop in s.sections]
-        for one in s.schedules.values():
+        for one in (*s.schedules.values(), *s.blocks):
             one.rest()
 
     def _start_from(self, outputs: list[float]) -> None:
@@ -542,13 +571,21 @@ class Target:
         self, r: list[float], n: list[float], y: list[float], injection: int
     ) -> tuple[list[float], list[float]]:
         z, total = [], []
-        schedules = self._configured().schedules if injection != CONTROL else {}
+        configured = self._configured()
+        schedules = configured.schedules if injection != CONTROL else {}
+        if injection != CONTROL:
+            seen = [a - b for a, b in zip(y, n, strict=True)] if injection == CONTROLLER_INPUT else y
+            given = turn(configured.blocks, [*r, *seen])
+        else:
+            given = [0.0] * len(configured.blocks)
         for k, cascade in enumerate(self._configured().sections):
             e = r[k] - y[k]
             if injection == CONTROLLER_INPUT:
                 e = e + n[k]
             if k in schedules:
                 e = schedules[k].step([*r, *y], e)
+            if k in configured.given:
+                e = given[configured.given[k]]
             for section, state in zip(cascade, self.memory[k], strict=True):
                 e = biquad(section, state, e)
             z.append(e)
@@ -689,15 +726,6 @@ def weighed(row: list[float], values: list[float]) -> float:
     for weight, value in zip(row, values, strict=True):
         total = total + weight * value
     return total
-
-
-def biquad(section: tuple[float, ...], state: list[float], x: float) -> float:
-    """Transposed direct form II."""
-    b0, b1, b2, a1, a2 = section
-    y = b0 * x + state[0]
-    state[0] = b1 * x - a1 * y + state[1]
-    state[1] = b2 * x - a2 * y
-    return y
 
 
 def placed(y: list[list[float]], setpoint: list[float]) -> list[float]:

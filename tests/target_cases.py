@@ -21,7 +21,7 @@ from loopshape.rig.frames import Frame, Receiver
 from loopshape.rig.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
 
 TARGET = Path(loopshape.__file__).parent / "rig" / "c_target"
-CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "stream.c", "frames.c")
+CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "frames.c")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 INFINITE = np.inf

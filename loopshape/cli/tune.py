@@ -33,6 +33,9 @@ def tune(
         bool, typer.Option("--matrix", help="Loop by loop with the others closed, on the run's matrices.")
     ] = False,
     diagram: DiagramFile = None,
+    disturbance: Annotated[
+        Path | None, typer.Option(help="A run of the closed loop that nothing excites: what error_rms is about.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
     starts: Annotated[int, typer.Option(min=1, help="Starts that are followed; 1 with --start: that one alone.")] = 16,
     grow: Annotated[int, typer.Option(min=0, help="Add up to so many blocks, each the one that pays most.")] = 0,
@@ -51,8 +54,9 @@ def tune(
     if matrix:
         refuse_growth(grow)
     feasible = tune_run(
-        run, require, out, output, start=start, profile=profile, matrix=matrix, diagram=diagram, seed=seed,
-        starts=starts, **({} if matrix else {"grow": grow, "least_gain": least_gain}),
+        run, require, out, output, start=start, profile=profile, matrix=matrix, diagram=diagram,
+        disturbance=disturbance, seed=seed, starts=starts,
+        **({} if matrix else {"grow": grow, "least_gain": least_gain}),
     )  # fmt: skip
     if not feasible:
         raise typer.Exit(1)
@@ -68,6 +72,7 @@ def tune_run(
     profile: str | None = None,
     matrix: bool = False,
     diagram: Path | None = None,
+    disturbance: Path | None = None,
     **search: Any,
 ) -> bool:
     """Tune the loops of a requirements file, report, and write the controllers if all requirements are met.
@@ -84,10 +89,12 @@ def tune_run(
     began = controllers_to_start(start, [one.loop for one in requirements])
     if matrix and diagram is not None:
         raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
+    if matrix and disturbance is not None:
+        raise WrongUseError("the rms of an error is kept by one loop", "several loops at once", "leave --matrix out")
     if matrix:
         found, missed, more = _in_turn(run, requirements, began, together, output, **search)
     else:
-        found, missed, more = _each(run, requirements, began, output, diagram, **search)
+        found, missed, more = _each(run, requirements, began, output, diagram, disturbance, **search)
     for sentence in () if chosen is None else chosen.sentences():
         output.paragraph(sentence)
     if missed:
@@ -104,13 +111,14 @@ _Found = tuple[list["Tuning"], str, dict[str, Any]]  # tunings, why they are not
 
 def _each(
     run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], output: Output,
-    diagram: Path | None, **search: Any,
+    diagram: Path | None, disturbance: Path | None, **search: Any,
 ) -> _Found:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     from loopshape.design.tune import tune as tune_loop
     from loopshape.io.diagrams import read_diagram
     from loopshape.io.frfs import read_frfs
     from loopshape.loop.equivalent import equivalent
+    from loopshape.verbs.chain import disturbances_of
 
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
@@ -119,7 +127,8 @@ def _each(
     found = []
     for required in requirements:
         mine = [one for one in frfs if one.loop == required.loop]
-        found.append(tune_loop(mine, required, fits, start=began.get(required.loop), **search))
+        known = disturbances_of(disturbance, required.loop)
+        found.append(tune_loop(mine, required, fits, start=began.get(required.loop), disturbances=known, **search))
         report_tuning(found[-1], output, len(mine))
     missed = not all(t.feasible for t in found)
     return found, f"no controller was found that meets all requirements: {_reason(found)}" if missed else "", {}

@@ -196,8 +196,8 @@ class Requirements:
     `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
     much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
     same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
-    rms of the error, in the output's unit, under what disturbs the loop: `check` needs a recording of that, `tune`
-    refuses it. Where several of `at` hold at an operating point the last has its way.
+    rms of the error, in the output's unit, under what disturbs the loop: `check` and `tune` need a recording of that.
+    Where several of `at` hold at an operating point the last has its way.
     Refuses values that make no sense.
     """
 

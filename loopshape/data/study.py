@@ -13,6 +13,7 @@ from loopshape.data.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.data.experiment import LoopSetup, Told
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.target_settings import TargetSettings
+from loopshape.data.wired import Wired
 
 FORMAT = "loopshape-study/1"
 Setpoint = Staircase | Profile
@@ -130,6 +131,7 @@ class Study:
     extra: Mapping[str, Any] = field(default_factory=dict)
     target: TargetSettings | None = None
     loops: tuple[LoopSetup, ...] = ()
+    diagram: Wired | None = None
 
     def to_table(self) -> dict[str, Any]:
         """The study as the TOML file that `loopshape measure` reads, signals in stored units (`extra["units"]`)."""

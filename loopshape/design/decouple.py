@@ -7,7 +7,7 @@ real number does not cancel (Maciejowski, Multivariable Feedback Design, 1989, o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
@@ -16,7 +16,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.frf import FRF
-from loopshape.design.decouple_filters import DynamicDecoupling, decoupling_filters
+from loopshape.design.decouple_filters import DynamicDecoupling, behind, decoupling_filters
 from loopshape.identify.interaction import square_part
 
 
@@ -52,17 +52,9 @@ class Decoupling(Plain):
 
         Misleads on the FRF that W was found from: there its error and the plant's are the same.
         """
-        plant, loops = square_part(P, self.loops)
-        carry = np.kron(self.matrix.T, np.eye(len(loops)))
-        noise = plant.noise_covariance
-        return replace(
-            plant,
-            response=plant.response @ self.matrix,
-            covariance=carry @ plant.covariance @ carry.T,
-            noise_covariance=None if noise is None else carry @ noise @ carry.T,
-            held_by=None,
-            notes=(*plant.notes, f"behind a constant matrix between controllers and plant: {self}"),
-        )
+        plant, _ = square_part(P, self.loops)
+        W = np.tile(self.matrix.astype(complex), (plant.frequency_hz.size, 1, 1))
+        return behind(plant, W, f"a constant matrix between controllers and plant: {self}")
 
 
 @overload

@@ -86,17 +86,21 @@ class DynamicDecoupling(Plain):
         plant, _ = square_part(P, self.loops)
         rate_hz = self.filters[self.loops[0]][self.loops[1]].rate_hz
         plant = plant.select(plant.frequency_hz < 0.5 * rate_hz)
-        W = self.response(plant.frequency_hz)
-        carry = np.stack([np.kron(one.T, np.eye(len(self.loops))) for one in W])
-        back, noise = carry.conj().transpose(0, 2, 1), plant.noise_covariance
-        return replace(
-            plant,
-            response=plant.response @ W,
-            covariance=carry @ plant.covariance @ back,
-            noise_covariance=None if noise is None else carry @ noise @ back,
-            held_by=None,
-            notes=(*plant.notes, f"behind filters between controllers and plant: {self}"),
-        )
+        return behind(plant, self.response(plant.frequency_hz), f"filters between controllers and plant: {self}")
+
+
+def behind(plant: FRF, W: ComplexArray, what: str) -> FRF:
+    """A square plant behind W (nf, n, n), which is exact, with its covariance and a note."""
+    carry = np.stack([np.kron(one.T, np.eye(len(one))) for one in W])
+    back, noise = carry.conj().transpose(0, 2, 1), plant.noise_covariance
+    return replace(
+        plant,
+        response=plant.response @ W,
+        covariance=carry @ plant.covariance @ back,
+        noise_covariance=None if noise is None else carry @ noise @ back,
+        held_by=None,
+        notes=(*plant.notes, f"behind {what}"),
+    )
 
 
 def decoupling_filters(plant: FRF, loops: tuple[str, ...], used: np.ndarray, order: int) -> DynamicDecoupling:

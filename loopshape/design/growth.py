@@ -17,16 +17,19 @@ import numpy as np
 from loopshape.core.units import Array
 from loopshape.data.block import BlockTemplate, Free
 from loopshape.data.controller import Controller
+from loopshape.data.disturbance import Disturbance
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements
 from loopshape.data.verdict import Verdict
 from loopshape.design.problem import Problem, problem
+from loopshape.design.rms import opened
 from loopshape.design.search import Goal, begin, search, step_within
 from loopshape.design.settle import Judge, Settled, settle
 from loopshape.design.shifts import Copy, closer, judged, shifted_loops
 from loopshape.design.starts import leaps
+from loopshape.loop.error_rms import error_warnings, of_points
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
 
 #: a block that gains less of the bandwidth than this is not added
@@ -56,14 +59,18 @@ class Task:
     notes: tuple[str, ...]
     unit: Controller
     precision: str
+    disturbances: tuple[Disturbance, ...] = ()
 
     def problem(self, copies: Sequence[Copy], asked: Requirements) -> tuple[Problem, Callable[[Requirements], Judge]]:
         """The problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
         shifted = shifted_loops(self.loops, copies)
-        p = problem(list(shifted.values()), asked, self.unit.rate_hz, self.precision)
+        shaken = of_points(shifted, self.disturbances)
+        rate_hz = self.unit.rate_hz
+        known = [opened(loop, shaken.get(name), rate_hz) for name, loop in shifted.items()] if shaken else []
+        p = problem(list(shifted.values()), asked, rate_hz, self.precision, known)
 
         def judge_of(limits: Requirements) -> Judge:
-            return lambda controller, points=None: judged(shifted, controller, limits, points)
+            return lambda controller, points=None: judged(shifted, controller, limits, points, shaken)
 
         return p, judge_of
 
@@ -71,11 +78,12 @@ class Task:
         """What `check` says of it at the plants as they are; margins that its judge read there are not read again."""
         C = p.controller(best.found.x)
         if self.requirements.detuning_percent is not None:
-            return check(self.frfs, C, self.requirements, self.fits)
+            return check(self.frfs, C, self.requirements, self.fits, disturbances=self.disturbances)
         loops = [replace(loop, controller=C) for loop in self.loops]
         named = dict(zip(points_of(self.frfs), loops, strict=True))
         found = verdict_from(best.verdict.margins, named, self.requirements)
-        return with_warnings(found, loops, self.requirements, self.notes)
+        notes = error_warnings(named, of_points(named, self.disturbances), self.requirements)
+        return with_warnings(found, loops, self.requirements, (*self.notes, *notes))
 
 
 @dataclass(frozen=True, eq=False)

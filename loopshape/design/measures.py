@@ -16,7 +16,8 @@ from loopshape.design.evaluation import Evaluation
 from loopshape.design.norms import norm_rows
 from loopshape.design.peaks import peak_rows
 from loopshape.design.problem import Problem
-from loopshape.design.rows import Rows, Tighten
+from loopshape.design.rms import rms_rows
+from loopshape.design.rows import DenseRows, Rows, Tighten
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class Measures:
     """
 
     evaluation: Evaluation
-    rows: tuple[Rows, ...]
+    rows: tuple[Rows | DenseRows, ...]
     bandwidths: Rows
     norms: tuple[Rows, ...] = ()
 
@@ -76,7 +77,9 @@ class Measures:
     @cached_property
     def _slopes(self) -> Array:
         """Slopes of the bandwidths, of the norm and of all rows, from C's on the columns that they name."""
-        return _slopes(self.evaluation, [self.bandwidths, *self.norms, *self.rows])
+        dense = [row.slopes() for row in self.rows if isinstance(row, DenseRows)]  # the last of the rows
+        rows = [row for row in self.rows if isinstance(row, Rows)]
+        return np.concatenate([_slopes(self.evaluation, [self.bandwidths, *self.norms, *rows]), *dense])
 
     @cached_property
     def what(self) -> list[str]:
@@ -115,7 +118,7 @@ def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
     e = Evaluation(p, x)
     crossing, bandwidths = crossing_rows(e, tighten)
-    return Measures(e, (*peak_rows(e, tighten), *crossing), bandwidths, norm_rows(e))
+    return Measures(e, (*peak_rows(e, tighten), *crossing, *rms_rows(e, tighten)), bandwidths, norm_rows(e))
 
 
 def _slopes(e: Evaluation, rows: list[Rows]) -> Array:

@@ -27,6 +27,9 @@ from loopshape.loop.between import between_lines
 from loopshape.loop.controller_bandwidth import controller_grid_hz
 from loopshape.loop.low_end import low_hz, low_models
 
+#: frequencies in Hz and power in the output's unit squared of what disturbs a loop, with the loop open
+Opened = tuple[Array, Array]
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -38,7 +41,8 @@ class Problem:
     the same for the models' lines below the measured ones, which only the count of encirclements sees: the fit's where
     `fitted` (points,), else those of a small model of the lowest lines. Those with `beyond` are for less sure lines
     above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle of P at each flat line: -1
-    must lie outside that of L. `places` (points,) are the operating points' coordinates.
+    must lie outside that of L. `places` (points,) are the operating points' coordinates, `opened` (points,) what
+    disturbs each with the loop open, None where that is not known.
     """
 
     requirements: Requirements
@@ -67,6 +71,7 @@ class Problem:
     owner_beyond: np.ndarray
     f_wide: Array
     places: tuple[Mapping[str, float], ...]
+    opened: tuple[Opened | None, ...]
 
     @cached_property
     def each(self) -> tuple[Requirements, ...]:
@@ -264,13 +269,20 @@ STEEP, BETWEEN = 0.5, 6
 STRAIGHT, GAP, WORTH = 0.02, 0.08, 0.6
 
 
-def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, precision: str = "double") -> Problem:
+def problem(
+    loops: Sequence[Loop],
+    requirements: Requirements,
+    rate_hz: float,
+    precision: str = "double",
+    opened: Sequence[Opened | None] = (),
+) -> Problem:
     """Problem from loops and requirements with a structure.
 
     Of the loops' controllers only how they run matters: the first one's prewarping, delay and hold. Searches look at
-    coefficients in double precision; controllers are made in `precision`.
+    coefficients in double precision; controllers are made in `precision`. `opened` is what disturbs each loop, with
+    the loop open.
     """
-    structure.refuse(loops, requirements)
+    structure.refuse(loops, requirements, shaken=any(one is not None for one in opened))
     lines = [_lines(loop) for loop in loops]
     below = [_below(loop) for loop in loops]
     f = np.concatenate([one.f for one in lines])
@@ -307,6 +319,7 @@ def problem(loops: Sequence[Loop], requirements: Requirements, rate_hz: float, p
         owner_beyond=np.repeat(np.arange(len(loops)), [lines.size for lines, _ in beyond]),
         f_wide=_wide(requirements, rate_hz),
         places=tuple(loop.plant.operating_point for loop in loops),
+        opened=tuple(opened) or (None,) * len(loops),
     )
 
 

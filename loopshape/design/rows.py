@@ -43,6 +43,20 @@ class Rows:
     b: ComplexArray
 
 
+@dataclass(frozen=True, eq=False)
+class DenseRows:
+    """Values (m,) of one quantity that every line moves: slopes (m, n) are worked out when they are asked for.
+
+    `at` and `point` as in `Rows`.
+    """
+
+    what: str
+    value: Array
+    at: np.ndarray
+    point: np.ndarray
+    slopes: Callable[[], Array]
+
+
 def of_kernel(names: Sequence[str], places: np.ndarray, value: Array, ab: ComplexArray) -> Iterator[Rows]:
     """Rows as a kernel of `core.kernels.tuning_rows` writes them, in the order of their quantities."""
     cut = np.searchsorted(places[:, 0], np.arange(len(names) + 1)).tolist()

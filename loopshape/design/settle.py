@@ -142,7 +142,7 @@ def _nearer(p: Problem, best: Found, tighten: Tighten, judge: Judge, *, firm: bo
     """
     for _ in range(CLOSER):
         binding = np.flatnonzero(_rooms(p, best.measures) < CLOSE)
-        if 2 * binding.size > p.points or not best.measures.stable:
+        if not 0 < 2 * binding.size <= p.points or not best.measures.stable:
             break
         asked = allowances(p, best.x, judge(p.controller(best.x), binding.tolist()), binding)
         given = {name: np.broadcast_to(np.asarray(tighten.get(name, 0.0)), p.points) for name in asked}

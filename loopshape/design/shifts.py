@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from loopshape.data.controller import Controller
+from loopshape.data.disturbance import Disturbance
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Requirements
 from loopshape.data.verdict import Verdict
@@ -51,12 +52,20 @@ def shifted_loops(loops: Sequence[Loop], copies: Sequence[Copy]) -> dict[str, Lo
 
 
 def judged(
-    loops: dict[str, Loop], controller: Controller, asked: Requirements, points: Sequence[int] | None = None
+    loops: dict[str, Loop],
+    controller: Controller,
+    asked: Requirements,
+    points: Sequence[int] | None = None,
+    disturbances: Mapping[str, Disturbance] | None = None,
 ) -> Verdict:
-    """The verdict on a controller at all copies or some, each held against every limit but the detuning margin."""
+    """The verdict on a controller at all copies or some, each held against every limit but the detuning margin.
+
+    `disturbances` tell the rms of the error by the copies' names.
+    """
     names = list(loops) if points is None else [list(loops)[k] for k in points]
     mine = {name: replace(loops[name], controller=controller) for name in names}
-    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False)
+    shaken = {name: one for name, one in (disturbances or {}).items() if name in mine}
+    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=shaken)
 
 
 def closer(

@@ -28,19 +28,21 @@ class Variable:
     start: float | None
 
 
-def refuse(loops: Sequence[Loop], requirements: Requirements) -> None:
-    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, unknown poles."""
+def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -> None:
+    """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, unknown poles, or a limit
+    on the error where nothing tells what disturbs the loop.
+    """
     if not requirements.structure:
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} name no structure to tune",
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
-    if "error_rms" in requirements.limited():
+    if "error_rms" in requirements.limited() and not shaken:
         raise WrongUseError(
-            f"error_rms of loop {requirements.loop!r} is checked and not tuned to",
-            f"{requirements.error_rms}",
-            'tune with objective = "disturbance" or a mask on S, then check with --disturbance RUN',
+            f"error_rms of loop {requirements.loop!r} needs what disturbs the loop",
+            "no disturbance",
+            "give a run of the closed loop that nothing excites (--disturbance RUN, disturbance=...)",
         )
     weighted = requirements.weighted_norm is not None or requirements.objective.weighted_norm > 0.0
     if not weighted and all(getattr(requirements, name) is None for name in NEAR):

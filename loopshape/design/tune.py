@@ -11,6 +11,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, db
 from loopshape.data.controller import Block, Controller
+from loopshape.data.disturbance import Disturbance
 from loopshape.data.frf import FRF
 from loopshape.data.model import Fit
 from loopshape.data.requirements import Requirements
@@ -99,6 +100,7 @@ def tune(
     explain: bool = True,
     grow: int = 0,
     least_gain: float = LEAST_GAIN,
+    disturbances: Sequence[Disturbance] = (),
 ) -> Tuning:
     """Tune a structure to several measured plants at once; same input and seed, same controller.
 
@@ -114,6 +116,9 @@ def tune(
     With `start` the search begins at that controller, run as it runs (prewarping, delay, hold, precision), and besides
     at starts - 1 others: `starts=1` is a local improvement alone. A `start` that meets the requirements is never made
     worse. Where the requirements cannot be met `explain` finds out what to relax, which takes longer than the tuning.
+
+    `disturbances` tell what a limit of `error_rms` is about, at their operating points; one alone serves all. Shifted
+    plants keep to it too.
 
     A `detuning_percent` is met by tuning to each plant as it is and with its frequencies shifted both ways to that
     end, and where the check finds a worse shift between to that as well.
@@ -131,7 +136,7 @@ def tune(
     refuse_too_high(requirements, unit)
     loops, notes = loops_of(frfs, unit, requirements, fits)
     precision = "double" if start is None else start.precision
-    task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), notes, unit, precision)
+    task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), notes, unit, precision, tuple(disturbances))
     copies = copies_for(requirements, len(loops))
     p, judge_of = task.problem(copies, requirements)
     judge = judge_of(requirements)

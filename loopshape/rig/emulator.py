@@ -20,7 +20,7 @@ from loopshape.core.folders import cache_folder
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 SOURCES = (
     "bytes.h", "board.h", "target.h", "state.h", "frames.h", "frames.c", "target.c", "configure.c", "loops.c", "run.c",
-    "schedule.c", "stream.c",
+    "schedule.c", "blocks.c", "stream.c",
 )  # fmt: skip
 BOARD_SOURCES = (
     "boards/line.h", "boards/line.c", "boards/arm1_model.h", "boards/arm_options.h", "boards/arm_options.c",
@@ -97,7 +97,7 @@ def program(number_bytes: int = 8) -> Path:
         f"-DTARGET_NUMBER_BYTES={number_bytes}",
         "-DTARGET_ROWS=4096",
         "-DTARGET_TICKS=16384",
-        "-DTARGET_SCHEDULE=65536",
+        "-DTARGET_POOL=65536",
     ]
     names = (*SOURCES, *BOARD_SOURCES)
     key = hashlib.sha256("\0".join([*command, _version(command[0])]).encode())

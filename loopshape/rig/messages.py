@@ -12,6 +12,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array
+from loopshape.rig.blocks import Block
 from loopshape.rig.frames import LONGEST_PAYLOAD, Frame
 from loopshape.rig.scheduling import Scheduling
 
@@ -39,6 +40,8 @@ class Ask(IntEnum):
     CLEAR = 0x10
     SCHEDULE = 0x11
     NODES = 0x12
+    BLOCK = 0x13
+    OUTPUT = 0x14
 
 
 class Say(IntEnum):
@@ -121,7 +124,7 @@ class Identity:
     """What a target says of itself; `number` is numpy's type of its numbers, sensors and commands are columns.
 
     `ranges` are the lowest and highest value of each sensor, then of each command; an older target says none.
-    `schedules`: whether it takes controllers that follow an operating point.
+    `schedules`: whether it takes controllers that follow an operating point, `blocks`: such that are a diagram.
     """
 
     protocol: int
@@ -140,6 +143,7 @@ class Identity:
     commands: tuple[str, ...]
     ranges: tuple[tuple[float, float], ...] = ()
     schedules: bool = False
+    blocks: bool = False
 
     @classmethod
     def read(cls, payload: bytes) -> Identity:
@@ -164,6 +168,7 @@ class Identity:
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
             board, version, tuple(names[:sensors]), tuple(names[sensors:]),
             tuple(zip(numbers[::2], numbers[1::2], strict=True)), bool(flags & 4),
+            bool(flags & 8),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:
@@ -175,27 +180,32 @@ class Identity:
 class Configuration:
     """What a target is to do: matrices, controllers and limits.
 
-    `outputs` (loops, sensors) and `mixing` (commands, loops); of each loop its `sections` (k, 5), or
-    its schedule; `limits` (sensors + commands, 3): low, high and rate per second in the columns' units.
+    `outputs` (loops, sensors) and `mixing` (commands, loops); of each loop its `sections` (k, 5), its schedule, or the
+    place among `blocks` that gives its z; `limits` (sensors + commands, 3): low, high and rate per second in the
+    columns' units.
     """
 
     outputs: Array
     mixing: Array
-    sections: tuple[Array | Scheduling, ...]
+    sections: tuple[Array | Scheduling | int, ...]
     limits: Array
     hold: bool
     watchdog_ms: int
     soft_start_s: float
     pwm_hz: float = 0.0
     dead_zone: float = 0.0
+    blocks: tuple[Block, ...] = ()
 
     def frames(self) -> list[tuple[Ask, bytes]]:
         """The requests that configure, in the order of the digest."""
         said = [(Ask.CONFIGURE, self._configure())]
+        said += [(Ask.BLOCK, block.payload(k)) for k, block in enumerate(self.blocks)]
         for loop, sections in enumerate(self.sections):
             if isinstance(sections, Scheduling):
                 head, nodes = sections.payloads(loop)
                 said += [(Ask.SCHEDULE, head), *((Ask.NODES, part) for part in nodes)]
+            elif isinstance(sections, int):
+                said += [(Ask.OUTPUT, bytes((loop, sections)))]
             else:
                 said += _sections(loop, sections)
         return said + [

@@ -88,7 +88,7 @@ def listed(study: Study, plant: Rig) -> list[Planned]:
 
 
 def _wired(loops: Sequence[LoopSetup], study: Study) -> tuple[LoopSetup, ...]:
-    """The loops with the study's schedules in place of controllers, and with its decoupling."""
+    """The loops with the study's schedules or its diagram in place of controllers, and with its decoupling."""
     known = [loop.name for loop in loops]
     for what, given in (("decoupling", study.decoupling), ("schedules", study.schedules)):
         if unknown := [name for name in given if name not in known]:
@@ -102,6 +102,8 @@ def _wired(loops: Sequence[LoopSetup], study: Study) -> tuple[LoopSetup, ...]:
 
 
 def _one_wired(loop: LoopSetup, study: Study) -> LoopSetup:
+    if study.diagram is not None and study.diagram.gives(loop) is not None:
+        loop = replace(loop, controller=None)
     schedule, decoupling = study.schedules.get(loop.name), dict(study.decoupling.get(loop.name, {}))
     if schedule is None and not decoupling:
         return loop

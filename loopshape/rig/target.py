@@ -18,12 +18,14 @@ from loopshape.data.channel import sum_terms
 from loopshape.data.experiment import Experiment, LoopSetup, decoupling_matrix
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.data.target_settings import TargetSettings
+from loopshape.data.wired import Wired
 from loopshape.rig import messages
 from loopshape.rig.armed import Armed as Armed
 from loopshape.rig.armed import arm as arm
 from loopshape.rig.armed import beat_s, reason_words
 from loopshape.rig.armed import vented as vented
 from loopshape.rig.armed import vented_on_error as vented_on_error
+from loopshape.rig.blocks import Block, blocks
 from loopshape.rig.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
 from loopshape.rig.scheduling import Scheduling
 from loopshape.rig.taking import KEPT, Arrived, Taking
@@ -37,28 +39,35 @@ def configuration(
     settings: TargetSettings,
     rate_hz: float,
     pwm: Mapping[str, float],
+    diagram: Wired | None = None,
 ) -> Configuration:
     """What the target is to do under a study. Refuses what the target cannot do, and anything without a limit."""
+    made, given = blocks(diagram, loops, rate_hz) if diagram else ((), {})
+    _takes(identity, loops, made)
     _fits(identity, loops, settings, rate_hz)
+    _holds(identity, loops, made, given)
     columns = identity.sensors + identity.commands
     return Configuration(
         outputs=np.array([[float(s in sum_terms(loop.output)) for s in identity.sensors] for loop in loops]),
         mixing=_mixing(identity, loops, settings),
-        sections=_controllers(loops),
+        sections=_controllers(loops, given),
         limits=np.array([[getattr(settings.limits[c], key) for key in ("low", "high", "rate")] for c in columns]),
         hold=settings.on_limit == "hold",
         watchdog_ms=settings.watchdog_ms,
         soft_start_s=settings.soft_start_s,
         pwm_hz=float(pwm.get("frequency_hz", 0.0)) if identity.pwm_hz else 0.0,
         dead_zone=float(pwm.get("dead_zone", 0.0)) if identity.pwm_hz else 0.0,
+        blocks=made,
     )
 
 
-def _controllers(loops: Sequence[LoopSetup]) -> tuple[Array | Scheduling, ...]:
+def _controllers(loops: Sequence[LoopSetup], given: Mapping[str, int]) -> tuple[Array | Scheduling | int, ...]:
     names = [loop.name for loop in loops]
-    made: list[Array | Scheduling] = []
+    made: list[Array | Scheduling | int] = []
     for loop in loops:
-        if loop.schedule is not None:
+        if loop.name in given:
+            made.append(given[loop.name])
+        elif loop.schedule is not None:
             made.append(Scheduling.of(loop.schedule, names))
         elif loop.controller is not None:
             made.append(loop.controller.biquads())
@@ -72,12 +81,6 @@ def _mixing(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSett
 
 
 def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettings, rate_hz: float) -> None:
-    if (scheduled := [loop.name for loop in loops if loop.schedule is not None]) and not identity.schedules:
-        raise WrongUseError(
-            "the target takes no schedule",
-            ", ".join(scheduled),
-            "build the target anew from this version's sources, or give a frozen controller",
-        )
     if identity.rate_hz != rate_hz:
         raise WrongUseError(
             "the target runs at another rate than the study", f"{identity.rate_hz:g} and {rate_hz:g} Hz", "set rate_hz"
@@ -100,17 +103,29 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
                 str(limit),
                 f"write limits within {limit.said(low)} to {limit.said(high)}",
             )
-    names = [loop.name for loop in loops]
     for column, parts in settings.commands.items():
-        _known(f"loops of {column}", parts, names)
-    blocks = [_blocks(loop) for loop in loops]
-    if len(loops) > identity.most_loops or not all(blocks):
+        _known(f"loops of {column}", parts, [loop.name for loop in loops])
+
+
+def _takes(identity: Identity, loops: Sequence[LoopSetup], made: Sequence[Block]) -> None:
+    """Refuse kinds of controllers that the target does not take."""
+    build = "build the target anew from this version's sources, or give plain controllers"
+    if made and not identity.blocks:
+        raise WrongUseError("the target takes no block diagram", f"{len(made)} blocks", build)
+    if (scheduled := [loop.name for loop in loops if loop.schedule is not None]) and not identity.schedules:
+        raise WrongUseError("the target takes no schedule", ", ".join(scheduled), build)
+
+
+def _holds(identity: Identity, loops: Sequence[LoopSetup], made: Sequence[Block], given: Mapping[str, int]) -> None:
+    """Refuse more loops or blocks than the target has room for, and a loop without a controller."""
+    each = [1 if loop.name in given else _blocks(loop) for loop in loops]
+    if len(loops) > identity.most_loops or not all(each):
         raise WrongUseError(
             f"the target closes up to {identity.most_loops} loops, each with a controller",
-            ", ".join(names),
+            ", ".join(loop.name for loop in loops),
             "leave loops out, or give each a controller",
         )
-    if (longest := max(blocks)) > identity.most_sections:
+    if (longest := max([*each, *(len(one.sections) for one in made)])) > identity.most_sections:
         raise WrongUseError(
             "a controller has more blocks than the target computes", f"{longest}, {identity.most_sections}", "use fewer"
         )

@@ -143,6 +143,7 @@ def tune(
     starts: int = 16,
     grow: int = 0,
     least_gain: float = 0.01,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
     watch: Watch | None = None,
 ) -> Tuning | SeveralTuning:
     """One controller of a structure for all plants: the highest lowest bandwidth within all requirements.
@@ -154,6 +155,8 @@ def tune(
     added to the structure, each the one that pays most, until one gains less than `least_gain` of the bandwidth; the
     result's `growth` shows what each brought. Raises WrongUseError where the number of the plant's unstable poles is
     not known.
+
+    `disturbance` tells what disturbs the loop, as in `ls.check`: a limit `R.error_rms` is then kept too.
 
     With a sequence of requirements, one a loop and each with its structure, `P` is a square matrix FRF
     (`ls.frf_matrices`) or several, and the loops are tuned in turn, each with the others closed by their latest
@@ -175,9 +178,9 @@ def tune(
 
     if not isinstance(R, Requirements):
         plants = _plants(P)
-        if structure is not None or fits or grow:
+        if structure is not None or fits or grow or disturbance is not None:
             raise WrongUseError(
-                "structure, fits and growth are of a single loop", f"requirements of {len(R)} loops",
+                "structure, fits, growth and error_rms are of a single loop", f"requirements of {len(R)} loops",
                 "give each loop's requirements its structure",
             )  # fmt: skip
         return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
@@ -188,8 +191,9 @@ def tune(
     asked = replace(asked, structure=bounded(asked.structure, plants))
     began = None if start is None else _controller(start)
     return tune_loop(
-        plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain
-    )
+        plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain,
+        disturbances=disturbances_of(disturbance, plants[0].loop),
+    )  # fmt: skip
 
 
 def _tune_several(

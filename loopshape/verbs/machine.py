@@ -13,6 +13,7 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.run import Run
 from loopshape.data.study import Study, merged_effects
+from loopshape.data.wired import Wired
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.study import read_study
@@ -36,6 +37,7 @@ def measure(
     *,
     controllers: Iterable[Controller | GainScheduled] = (),
     decoupling: Mapping[str, Mapping[str, float]] | None = None,
+    diagram: Wired | None = None,
     effects: Sequence[str] = (),
     port: str | None = None,
     arm: bool = False,
@@ -51,7 +53,8 @@ def measure(
     recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
 
     `controllers`, schedules among them, replace those of the study by loop; `decoupling` are the weights of all
-    controllers in what enters the plant, by loop (`ls.decouple(...).weights`); `effects`, words NAME or NAME=MAGNITUDE,
+    controllers in what enters the plant, by loop (`ls.decouple(...).weights`); `diagram` runs on a target in place of
+    the controllers of the loops whose control it gives; `effects`, words NAME or NAME=MAGNITUDE,
     are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
     of progress.
 
@@ -62,7 +65,9 @@ def measure(
     wanted, plant = _asked(file, controllers, effects)
     if decoupling is not None:
         wanted = replace(wanted, decoupling=decoupling)
+    wanted = _with_diagram(wanted, diagram)
     extra: dict[str, object] = {
+        **({"diagram": diagram.to_dict()} if diagram else {}),
         "study_sha256": file_sha256(file),
         KEY: {**versions(), "study": file.name, "seed": wanted.seed},
     }
@@ -109,9 +114,12 @@ class Target:
         with open_link(self.port, self.baud) as link:
             return Session(link).status().state.name.lower()
 
-    def show(self, study: str | Path, *, controllers: Iterable[Controller | GainScheduled] = ()) -> Motion:
+    def show(
+        self, study: str | Path, *, controllers: Iterable[Controller | GainScheduled] = (), diagram: Wired | None = None
+    ) -> Motion:
         """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
-        return motion_of(*_asked(Path(study), controllers, ()), self.port)
+        wanted, plant = _asked(Path(study), controllers, ())
+        return motion_of(_with_diagram(wanted, diagram), plant, self.port)
 
     def measure(self, study: str | Path, out: str | Path, *, arm: bool = False, **options: Any) -> Run:
         """`ls.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""
@@ -163,6 +171,16 @@ def _asked(file: Path, controllers: Iterable[Controller | GainScheduled], effect
     plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
     study = replace(study, effects=merged_effects(study.effects, asked(plant, effects)))
     return with_controllers(study, controllers), plant
+
+
+def _with_diagram(study: Study, diagram: Wired | None) -> Study:
+    """The study with a diagram in place of controllers; refuses one for a simulation."""
+    if diagram is not None and study.rig != "target":
+        raise WrongUseError(
+            "a simulated rig runs a controller in each loop, no diagram", f"rig = {study.rig!r}",
+            "measure on a target, the emulator's too, or simulate the diagram with models: ls.simulate",
+        )  # fmt: skip
+    return replace(study, diagram=diagram)
 
 
 def ended_early(run: Run) -> list[str]:

@@ -81,7 +81,9 @@ def _motion(
     settings = study.target
     assert settings is not None
     head = header(study, plant)
-    wanted = configuration(session.identity, todo[0].loops, settings, study.rate_hz, head.pwm or study.pwm)
+    wanted = configuration(
+        session.identity, todo[0].loops, settings, study.rate_hz, head.pwm or study.pwm, study.diagram
+    )
     motion = Motion(session.identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one))
     _refuse_points_beyond_limits(motion)
     return motion, wanted

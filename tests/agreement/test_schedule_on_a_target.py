@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from emulated_cases import emulator, excited, record, settings
-from python_target_frames import body_of
 from python_target_line import Running
 from python_target_schedule import Schedule
 from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
+from two_targets import Second
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
 from loopshape.data.gain_scheduled import Follows, GainScheduled, Variable
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Ask, Configuration, Identity, Say, begin
+from loopshape.rig.messages import Ask, Configuration, Identity, begin
 from loopshape.rig.scheduling import Scheduling
 from loopshape.rig.target import configuration
 
@@ -127,7 +126,7 @@ def test_the_c_core_is_the_target_in_python_to_the_last_bit_and_the_kernel(lag_s
     sensors[0] = 0.0
     one = schedule("theta2", THREE, lag_s, 0.3, 9)
     scheduling = Scheduling.of(one, ("theta2", "p_ab"))
-    bench = Bench(built("-DTARGET_SCHEDULE=2000"))
+    bench = Bench(built("-DTARGET_POOL=2000"))
     samples = bench_samples(bench, sensors, (scheduling, GAIN))
     bench.close()
     assert len(samples) == len(sensors)
@@ -151,32 +150,6 @@ def two_variables(loops=2):
     """A small schedule for either target: two nodes, three sections."""
     one = schedule("axis", (Variable("axis_rad", (0.0, 1.0), "axis"),), blocks=0)
     return Scheduling.of(one, ("axis", "other")[:loops])
-
-
-class Second:
-    """The target in Python, asked as a bench is."""
-
-    def __init__(self, **board):
-        self.target, self.tag = target(2, **board), 0
-
-    def ok(self, what, payload=b""):
-        kind, said = self._asked(what, payload)
-        assert kind == Say.OK, said
-        return said
-
-    def no(self, what, payload=b""):
-        kind, said = self._asked(what, payload)
-        assert kind == Say.NO
-        return struct.unpack("<H", said[:2])[0]
-
-    def close(self):
-        """Nothing to close."""
-
-    def _asked(self, what, payload):
-        self.tag += 1
-        self.target.take(Frame(what, self.tag, payload).encoded)
-        body = body_of(self.target.out.pop()[:-1])
-        return body[0], body[3:]
 
 
 @pytest.fixture(params=["C", "Python"])
@@ -271,7 +244,7 @@ def test_coefficients_that_cannot_run_are_refused(either, place, value):
 
 
 def test_what_a_target_does_not_hold_is_refused_with_its_own_code():
-    small = Bench(built("-DTARGET_SCHEDULE=37"))  # two knots and 36 numbers are 38
+    small = Bench(built("-DTARGET_POOL=37"))  # two knots and 36 numbers are 38
     two = Configuration(OUTPUTS, MIXING, (two_variables(), GAIN), LIMITS, False, 100, 0.0).frames()
     small.ok(*two[0])
     assert small.no(*two[1]) == 6
@@ -281,7 +254,7 @@ def test_what_a_target_does_not_hold_is_refused_with_its_own_code():
     assert second.no(*two[1]) == 6
 
 
-@pytest.mark.parametrize("make", [lambda: Bench(built("-DTARGET_SCHEDULE=0")), lambda: Second(schedule_rows=0)])
+@pytest.mark.parametrize("make", [lambda: Bench(built("-DTARGET_POOL=0")), lambda: Second(schedule_rows=0)])
 def test_a_target_without_schedules_says_so_and_is_refused_in_a_sentence(make, arm, arm_experiment):
     one = make()
     me = Identity.read(one.ok(Ask.IDENTIFY, b"\1\0"))

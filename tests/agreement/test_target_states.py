@@ -31,6 +31,8 @@ REQUESTS = {
     Ask.AGAIN: (struct.pack("<IIH", 1, 0, 1), STATES),
     Ask.CLEAR: (b"", [State.FAULT]),
     Ask.SCHEDULE: (struct.pack("<BBBdBdBd", 0, 1, 1, 0.5, 0, 1.0, 1, 0.0), [State.IDLE]),
+    Ask.BLOCK: (struct.pack("<BBHBBdB", 0, 1, 0, 1, 0, 1.0, 0), [State.IDLE]),
+    Ask.OUTPUT: (b"\0\0", [State.IDLE]),
     Ask.NODES: (struct.pack("<BHB6d", 0, 0, 1, *np.ones(6)), [State.IDLE]),
 }
 

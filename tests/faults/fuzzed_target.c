@@ -131,9 +131,9 @@ static double any_number(void)
 /* The payload of a request: fitting, with numbers of any kind, or of any bytes. */
 static void fill(uint8_t type, struct writer *p)
 {
-    static const char *const form[0x13] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
-                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd"};
-    const char *text = type <= 0x12 ? form[type] : "qqq";
+    static const char *const form[0x15] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
+                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbhbbdbddddd", "bb"};
+    const char *text = type <= 0x14 ? form[type] : "qqq";
     if (drawn(8) == 0) {
         for (uint32_t n = drawn(60); n > 0; n--)
             put_u8(p, (uint8_t)drawn(256));
@@ -155,11 +155,33 @@ static void part(uint8_t type, struct writer *p)
     p->count = 0;
 }
 
-/* A gain, or one that follows the reference or the output over two nodes. */
+/* A block every other tick that comes late, and one that reads it, itself late and the loop's error. */
+static void diagram(struct writer *p)
+{
+    const double section[] = {0.5, 0.2, 0.0, -0.4, 0.1};
+    for (uint8_t k = 0; k < 2; k++) {
+        put_u8(p, k), put_u8(p, (uint8_t)(2 - k)), put_u16(p, (uint16_t)(1 + drawn(3))), put_u8(p, 3);
+        for (uint8_t j = 0; j < 3; j++)
+            put_u8(p, j == 2 ? (uint8_t)(3 - k) : j), put_f64(p, j == 1 ? -1.0 : 0.5);
+        put_u8(p, 1);
+        for (int j = 0; j < 5; j++)
+            put_f64(p, section[j]);
+        part(0x13, p);
+    }
+    put_u8(p, 0), put_u8(p, (uint8_t)drawn(2));
+    part(0x14, p);
+}
+
+/* A gain, a gain of a diagram, or one that follows the reference or the output over two nodes. */
 static void controller(struct writer *p)
 {
     const double gain[] = {2.0, 0.0, 0.0, 0.0, 0.0}, node[] = {2.0, 0.1, 0.0, 1.0, 0.0, 0.0};
-    if (drawn(2)) {
+    const uint32_t kind = drawn(3);
+    if (kind == 0) {
+        diagram(p);
+        return;
+    }
+    if (kind == 1) {
         put_u8(p, 0), put_u8(p, 0), put_u8(p, 1);
         for (int k = 0; k < 5; k++)
             put_f64(p, gain[k]);
@@ -220,7 +242,7 @@ static void send_changed(void)
 {
     uint8_t data[FRAME_PAYLOAD], body[FRAME_BODY], encoded[2 * FRAME_ENCODED + 4];
     struct writer p = {data, 0, sizeof data}, out = {body, 0, FRAME_HEAD + FRAME_PAYLOAD};
-    const uint8_t type = (uint8_t)drawn(0x16);
+    const uint8_t type = (uint8_t)drawn(0x18);
 
     fill(type, &p);
     put_u8(&out, type), put_u16(&out, (uint16_t)drawn(4));

@@ -13,10 +13,12 @@ from commands import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
+from loopshape.data.experiment import LoopSetup
 from loopshape.data.verdict import Line
 from loopshape.io.diagrams import read_diagram
 from loopshape.io.frfs import write_frfs
 from loopshape.io.gathered import gather
+from loopshape.rig.blocks import blocks
 
 RATE = 2000.0
 F = np.geomspace(0.1, 800.0, 90)
@@ -182,3 +184,23 @@ def test_a_diagram_s_report_fails_with_a_loop_within(run: Path) -> None:
     assert made.outcome == "none"
     asked = replace(made.inner["C2"], lines=(Line("phase_margin_deg", "deg", 60.0, 10.0, -50.0, "failed", "r", None),))
     assert replace(made, inner={"C2": asked}).outcome == "failed"
+
+
+def test_decoupling_filters_run_on_a_target_as_they_are_drawn() -> None:
+    """The target's blocks, evaluated one after the other at 7 Hz, give z as the diagram has it."""
+    D, _ = decoupled_by_filters(ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE))
+    columns = {"y1": "a_rad", "y2": "b_rad", "u1": "z_a_v", "u2": "z_b_v", "r1": "r_a_rad", "r2": "r_b_rad"}
+    loops = [LoopSetup(n, f"r_{n}_rad", f"n_{n}_rad", f"z_{n}_v", f"{n}_rad", None) for n in ("a", "b")]
+    made, given = blocks(ls.Wired(D, columns), loops, RATE)
+    near = int(np.argmin(np.abs(F - 7.0)))
+    z = np.exp(-2j * np.pi * F[near] / RATE)
+    for k, moved in enumerate(("r1", "r2", "y1", "y2")):
+        signals = [1.0 + 0j if i == k else 0j for i in range(4)]
+        for one in made:
+            value = sum(weight * signals[i] for i, weight in one.terms)
+            for b0, b1, b2, a1, a2 in one.sections:
+                value *= (b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2)
+            signals.append(value)
+        for loop, to in (("a", "u1"), ("b", "u2")):
+            wanted = ls.transfer(D, moved, to, opened=("P",)).siso[near]
+            assert signals[4 + given[loop]] == pytest.approx(wanted, rel=1e-9)

@@ -138,6 +138,19 @@ def test_the_diagram_s_transfer_is_that_of_the_plant_behind_the_filters():
         np.testing.assert_allclose(ls.transfer(D, source, to).siso, closed[:, i, j], rtol=1e-9, atol=1e-14)
 
 
+def test_the_diagram_is_checked_with_the_other_loop_closed():
+    """1 + L of the tuned loop is det(I + P W C) over 1 + L of the other: of the exact responses."""
+    P = replace(turning(), open_loop=True)
+    W = ls.decouple(P, BAND, order=2)
+    C = {"a_v": ls.controller(ls.gain(4.0), rate_hz=RATE), "b_v": ls.controller(ls.gain(0.8), rate_hz=RATE)}
+    D = ls.decoupled(P, W, C)
+    L = W.applied(P).response * [4.0, 0.8]
+    one_plus = np.linalg.det(np.eye(2) + L) / (1.0 + L[:, 1, 1])
+    m = ls.check(D, C["a_v"], ls.Requirements("a_v", sensitivity_peak_db=6.0, integrators=0)).margins
+    np.testing.assert_allclose(1.0 + 4.0 * ls.equivalent(D).plants[0].siso, one_plus, rtol=1e-9)
+    assert {one.stable for one in m.values()} == {"stable"}
+
+
 def test_loops_that_do_not_meet_one_way_get_a_filter_of_zero():
     P = plant()
     one_way = replace(P, response=np.stack([P.response[:, 0] * [1.0, 0.0], P.response[:, 1]], axis=1))

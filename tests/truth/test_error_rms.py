@@ -1,7 +1,9 @@
 """The rms of an error under a new controller, predicted from the FRF and what disturbed the loop under the old one."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,6 +146,26 @@ def test_the_command_predicts_from_another_run(tmp_path):
     assert "error_rms" in CliRunner().invoke(app, words).stdout
 
 
+def test_the_command_tunes_to_it_from_another_run(tmp_path):
+    rng = np.random.default_rng(5)
+    write_run(tmp_path / "still", recorded(rng))
+    (tmp_path / "plant").mkdir()
+    write_frfs(tmp_path / "plant", [replace(measured(rng), recording="still")])
+    (tmp_path / "r.toml").write_text(
+        'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis"\nerror_rms = 3.0\nunstable_poles = 0\n'
+        'integrators = 0\nmodulus_margin = 0.4\nstructure = [{ kind = "gain", gain = { min = 0.1, max = 30.0 } }]\n'
+    )
+    words = ["tune", "plant", "--require", "r.toml", "--out", "c.toml", "--starts", "2"]
+    words = [str(tmp_path / w) if w in ("plant", "c.toml", "r.toml") else w for w in words]
+    refused = CliRunner().invoke(app, words)
+    assert "--disturbance" in str(refused.exception)
+    done = CliRunner().invoke(app, [*words, "--json", "--disturbance", str(tmp_path / "still")])
+    (line,) = (x for x in json.loads(done.stdout)["loops"][0]["verdict"]["lines"] if x["quantity"] == "error_rms")
+    (C,) = ls.read_controllers(tmp_path / "c.toml")
+    found = C.blocks[0].parameters["gain"]
+    assert line["interval"][0] <= true_rms(found) <= line["interval"][1] <= 3.0
+
+
 def test_small_units_are_shown_as_they_are():
     f = np.linspace(0.0, 100.0, 4001)
     verdict = ls.check(
@@ -155,6 +177,40 @@ def test_small_units_are_shown_as_they_are():
     assert wished_text(line) == "at most 1e-07"
 
 
+#: a disturbance about the peak of |S|, which a larger gain raises
+PEAKED = ls.Disturbance.from_spectrum(np.linspace(10.0, 25.0, 301), np.full(301, 0.1))
+
+
+def rms_under(value):
+    f = np.linspace(10.0, 25.0, 6001)
+    S = 1.0 / (1.0 + value * rational(f, NUM, DEN))
+    return float(np.sqrt(np.trapezoid(0.1 * np.abs(S) ** 2, f)))
+
+
+def test_a_tuning_comes_up_to_the_limit_of_the_error_and_keeps_it():
+    P = measured(relative=1e-4)
+    wide = ls.Requirements("axis", modulus_margin=0.3, unstable_poles=0, integrators=0)
+    free = ls.tune(P, wide, [ls.gain((0.1, 30.0))], starts=2)
+    best = free.controller.blocks[0].parameters["gain"]
+    limit = 0.5 * (rms_under(0.6 * best) + rms_under(0.7 * best))
+    assert rms_under(0.6 * best) < limit < rms_under(0.7 * best)
+    asked = replace(wide, error_rms=limit)
+    made = ls.tune(P, asked, [ls.gain((0.1, 30.0))], starts=2, disturbance=PEAKED)
+    gain_found = made.controller.blocks[0].parameters["gain"]
+    assert made.verdict.passed
+    assert rms_under(gain_found) == pytest.approx(limit, rel=5e-3)
+    assert any(b.quantity == "error_rms" for b in made.binding)
+    (line,) = (x for x in made.verdict.lines if x.quantity == "error_rms")
+    assert line.found <= limit
+
+
+def test_the_examples_of_the_page_run():
+    page = (Path(__file__).parents[2] / "docs" / "disturbances.md").read_text()
+    left = {"np": np, "ls": ls}
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.S)[-2:]), left)
+    assert left["C"].feasible
+
+
 def test_what_does_not_show_a_disturbance_is_refused():
     rng = np.random.default_rng(6)
     run = recorded(rng)
@@ -164,7 +220,7 @@ def test_what_does_not_show_a_disturbance_is_refused():
         ls.check(
             measured(), gain(NEW), R, disturbance=ls.Run(RATE, run.loops, (Recording(excited, RATE, one.columns),))
         )
-    with pytest.raises(WrongUseError, match="checked and not tuned"):
+    with pytest.raises(WrongUseError, match="needs what disturbs the loop"):
         ls.tune(measured(), ls.Requirements("axis", error_rms=1.0, phase_margin_deg=40.0, unstable_poles=0),
                 [ls.gain()])  # fmt: skip
     with pytest.raises(WrongUseError, match="two rising frequencies"):

@@ -254,3 +254,19 @@ def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
     assert len(found.verdict.margins) == 24
     assert read.min() <= 2
     assert read.max() > read.min()
+
+
+def test_a_limit_that_binds_beyond_the_last_frequency_alone_is_settled() -> None:
+    # L is tuned to where |CS| above the last line is allowed: no limit binds on the lines
+    noisy = plant(TransferFunction([2.0], [1.0, 0.0], 0.002), 300)
+    noisy = replace(noisy, covariance=(0.02 * np.abs(noisy.response[:, :, 0:1])).astype(complex) ** 2)
+    structure = [
+        {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}},
+        {"kind": "lead_lag", "f1_hz": 20.0, "f2_hz": {"min": 200.0, "max": 4000.0}},
+    ]
+    found = tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
+    assert found.verdict.passed
+    assert {b.quantity for b in found.binding} == {"bandwidth_hz", "control_peak_db"}
+    peak = next(iter(found.verdict.margins.values()))
+    assert peak.at_hz["control_peak_db"] > 100.0
+    assert peak.control_peak_db == pytest.approx(20.0, abs=0.05)

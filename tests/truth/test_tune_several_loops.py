@@ -120,7 +120,7 @@ def test_one_loop_is_refused():
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"R": WISHES, "grow": 1}, "structure, fits and growth are of a single loop"),
+        ({"R": WISHES, "grow": 1}, "structure, fits, growth and error_rms are of a single loop"),
         ({"R": WISHES[0], "start": []}, "one loop starts from one controller"),
     ],
 )

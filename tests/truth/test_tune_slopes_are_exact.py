@@ -1,16 +1,23 @@
 """Every slope that the tuner uses is that of its value: finite differences agree, for all limits and blocks."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from loopshape.data import requirements
+from loopshape.data.controller import Block, Controller
+from loopshape.data.disturbance import Disturbance
 from loopshape.design.measures import measure
+from loopshape.design.problem import problem
+from loopshape.design.rms import opened
+from loopshape.loop.error_rms import error_rms
+from loopshape.loop.verdict import loops_of
 
 sys.path.insert(0, str(Path(__file__).parent))
-from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, problem_of, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, problem_of, servos, wished
 
 WEIGHTS = [
     {"response": name, "points": [[1.0, a], [30.0, b], [4000.0, c]]}
@@ -76,7 +83,7 @@ def test_slopes_agree_with_finite_differences(runs):
     assert every - set(here.what) == {
         "detuning_percent",
         "error_rms",
-    }  # by shifted copies (design/shifts.py); not tuned to
+    }  # by shifted copies (design/shifts.py); the test below
     for k in range(x.size):
         bandwidth, rejection, room, smallness = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
@@ -96,6 +103,23 @@ def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
     for k in range(x.size):
         *_, smallness = differences(p, x, k)
         np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
+
+
+def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
+    f, held_by = np.geomspace(0.02, 3000.0, 4000), Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
+    still = Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), held_by=held_by)
+    asked = wished(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
+    loops = loops_of(servos(0.0, 800), Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
+    p = problem(loops, asked, RATE, opened=[opened(loop, still, RATE) for loop in loops])
+    x = np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
+    here = measure(p, x, {})
+    mine = [one for one in here.rows if one.what == "error_rms"]
+    for loop, room in zip(loops, mine[0].value, strict=True):
+        read = error_rms(replace(loop, controller=p.controller(x)), still).rms
+        assert 2.0 * np.exp(-room) == pytest.approx(read, rel=2e-3)
+    for k in range(x.size):
+        *_, room, _ = differences(p, x, k)
+        np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)
 
 
 def test_slopes_of_a_pid_agree_with_finite_differences():

@@ -7,6 +7,7 @@ import json
 import re
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -22,11 +23,14 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.model import TransferFunction
 from loopshape.data.objective import Objective
 from loopshape.data.requirements import Requirements
+from loopshape.design.search import LARGEST, begin, search
+from loopshape.design.settle import settle
+from loopshape.design.shifts import judged
 from loopshape.io.frfs import write_frfs
-from loopshape.loop.verdict import check
+from loopshape.loop.verdict import check, loops_of
 
 sys.path.insert(0, str(Path(__file__).parent))
-from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos, wished
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3
 INTEGRATOR = frf(TransferFunction([B], [1.0, 0.0]), 600, low_hz=0.01, high_hz=4600.0)
@@ -229,3 +233,19 @@ structure = [{ kind = "gain", gain = { min = 0.01, max = 100.0 } }, { kind = "le
     low, high = loop["weighted_norm_interval"]
     assert 0.998 * low <= truth <= 1.002 * high
     assert "weighted norm" in CliRunner().invoke(app, asked).stdout
+
+
+def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_all_points():
+    asked = wished(GAIN, LEAD, weights=FOUR, objective="weighted_norm")
+    p, asks = problem_of(servos(), asked), []
+    loops = dict(zip("abc", loops_of(servos(), p.unit, asked)[0], strict=True))
+
+    def judge(controller, points=None):
+        asks.append(points)
+        found = judged(loops, controller, asked, points)
+        unsure = {name: replace(one, stable="undecided") for name, one in found.margins.items()}
+        return replace(found, margins=unsure)
+
+    settle(p, search(p, begin(p, np.log([0.2, 10.0, 200.0])), LARGEST, 50), judge)
+    assert len(asks) > 1
+    assert all(points is None or len(points) > 0 for points in asks)

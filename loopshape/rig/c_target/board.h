@@ -4,12 +4,13 @@
  * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
  *    safe, send bytes. boards/arm_emulator.c is a whole example; boards/scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
- *    configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
+ *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
  * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,
- *    five columns) to 11 kB (as target.h has them), + 8 TARGET_SCHEDULE bytes and 0.5 kB a loop for schedules (none where it
- *    is 0), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
+ *    five columns) to 11 kB (as target.h has them), + 8 TARGET_POOL bytes and 0.5 kB a loop for schedules and blocks (none
+ *    where it is 0), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
  *    (3 TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) numbers: 545 kB as target.h has them, which is a PC's; 35 kB for one
- *    axis with one loop, sensor and command, 1024 rows, 1024 ticks, 4 bytes. The program is about 15 kB (x86-64, -Os). The line
+ *    axis with one loop, sensor and command, 1024 rows, 1024 ticks, 4 bytes. The program is about 23 kB, 20 kB
+ *    without schedules and blocks (x86-64, -Os). The line
  *    carries rate x (3 loops + sensors + commands) x bytes x 11 bit/s: an axis at 2 kHz with 4 bytes 440 kbaud.
  * 3. At power-up: hardware first (valves in the safe state), then target_init().
  * 4. A timer calls target_tick() at the board's rate. It reads the sensors, closes the loops, checks limits, and hands over

@@ -1,4 +1,4 @@
-/* CONFIGURE, SECTIONS, LIMIT, READY (SCHEDULE and NODES: schedule.c): what the target shall do, taken only whole, in order and within its sizes. */
+/* CONFIGURE, SECTIONS, LIMIT, READY (schedule.c and blocks.c have the rest): what the target shall do, taken only whole, in order and within its sizes. */
 #include "state.h"
 
 #include <math.h>
@@ -17,7 +17,7 @@ static void take_table(struct reader *in, double *table, size_t count)
         table[k] = take_f64(in);
 }
 
-static int table_finite(struct reader in, size_t count)
+int numbers_finite(struct reader in, size_t count)
 {
     for (size_t k = 0; k < count; k++)
         if (!isfinite(take_f64(&in)))
@@ -93,7 +93,7 @@ uint8_t ask_configure(struct reader *in, struct writer *out, const char **why)
     const size_t outputs = (size_t)h.loops * board->sensors, mixing = (size_t)h.loops * board->commands;
     if (in->left != 8 * (outputs + mixing))
         return refuse(NO_MALFORMED, why, "CONFIGURE has another length");
-    if (!table_finite(*in, outputs + mixing))
+    if (!numbers_finite(*in, outputs + mixing))
         return refuse(NO_RANGE, why, "a matrix holds what is no number");
     set_head(&h);
     take_table(in, target.c.outputs, outputs);
@@ -114,7 +114,7 @@ void configuration_taken(const uint8_t *payload, size_t size)
 static int controller_there(uint8_t loop)
 {
     const struct schedule *s = &target.c.schedule[loop];
-    return s->sections > 0 ? s->taken == s->rows : target.c.count[loop] > 0;
+    return s->sections > 0 ? s->taken == s->rows : target.c.count[loop] > 0 || target.c.output[loop] > 0;
 }
 
 int controller_begins(uint8_t loop)
@@ -141,7 +141,7 @@ uint8_t ask_sections(struct reader *in, struct writer *out, const char **why)
         return refuse(NO_RANGE, why, "sections come once, in order of loop and place, before the limits");
     if (first + count > TARGET_SECTIONS)
         return refuse(NO_ROOM, why, "more sections than the target holds");
-    if (!table_finite(*in, 5u * count))
+    if (!numbers_finite(*in, 5u * count))
         return refuse(NO_RANGE, why, "a coefficient is no number");
     take_table(in, (double *)c->sections[loop] + 5u * first, 5u * count);
     c->sections_loop = loop;
@@ -190,6 +190,8 @@ uint8_t ask_ready(struct reader *in, struct writer *out, const char **why)
             return refuse(NO_CONFIGURED, why, "a loop has no controller");
     if (c->limits < target.board->sensors + target.board->commands)
         return refuse(NO_CONFIGURED, why, "a sensor or command has no limit");
+    if (!blocks_known())
+        return refuse(NO_CONFIGURED, why, "a block reads one that is not there, or not known before it");
     c->ready = 1;
     put_u32(out, c->digest);
     return 0;

@@ -19,6 +19,8 @@ static double cascade(uint8_t loop, double value)
 
 static double controller(uint8_t loop, double value)
 {
+    if (target.c.output[loop] > 0)
+        return block_value((uint8_t)(target.c.output[loop] - 1));
     return target.c.schedule[loop].sections > 0 ? schedule_step(loop, value) : cascade(loop, value);
 }
 
@@ -34,6 +36,7 @@ void loops_rest(void)
 {
     memset(target.l.state, 0, sizeof target.l.state);
     memset(target.l.follower, 0, sizeof target.l.follower);
+    blocks_rest();
     target.l.fresh = 1;
 }
 
@@ -234,6 +237,8 @@ static void control(void)
     const uint8_t injection = recording ? target.run.injection : CONTROLLER_INPUT;
     const uint8_t loops = target.c.loops;
 
+    if (injection != CONTROL)
+        blocks_step(injection == CONTROLLER_INPUT);
     for (uint8_t k = 0; k < loops; k++) {
         const double error = l->r[k] - l->y[k];
         l->z[k] = injection == CONTROL ? l->n[k] : controller(k, injection == CONTROLLER_INPUT ? error + l->n[k] : error);

@@ -30,7 +30,7 @@ static uint8_t take_variable(struct reader *in, struct schedule *s, uint8_t v, u
         return NO_MALFORMED;
     if (s->source[v] >= 2 * target.c.loops || !isfinite(s->scale[v]) || s->scale[v] == 0.0 || s->counts[v] == 0)
         return NO_RANGE;
-    if (at + s->counts[v] > TARGET_SCHEDULE)
+    if (at + s->counts[v] > TARGET_POOL)
         return NO_ROOM;
     for (uint8_t k = 0; k < s->counts[v]; k++) {
         double *knot = target.c.numbers + at + k;
@@ -63,7 +63,7 @@ static uint8_t take_schedule(struct reader *in, struct schedule *s)
     s->rows = nodes * s->sections;
     if (!read_whole(in))
         return NO_MALFORMED;
-    return s->sections > TARGET_SECTIONS || s->rows > (TARGET_SCHEDULE - at) / ROW ? NO_ROOM : 0;
+    return s->sections > TARGET_SECTIONS || s->rows > (TARGET_POOL - at) / ROW ? NO_ROOM : 0;
 }
 
 uint8_t ask_schedule(struct reader *in, struct writer *out, const char **why)
@@ -75,7 +75,7 @@ uint8_t ask_schedule(struct reader *in, struct writer *out, const char **why)
     struct schedule s;
 
     (void)out;
-    if (TARGET_SCHEDULE == 0)
+    if (TARGET_POOL == 0)
         return refuse(NO_SUPPORT, why, "no schedules here");
     if (in->short_of)
         return refuse(NO_MALFORMED, why, "SCHEDULE has another length");
@@ -111,7 +111,7 @@ uint8_t ask_nodes(struct reader *in, struct writer *out, const char **why)
     const uint8_t count = take_u8(in);
 
     (void)out;
-    if (TARGET_SCHEDULE == 0)
+    if (TARGET_POOL == 0)
         return refuse(NO_SUPPORT, why, "no schedules here");
     if (in->short_of || count == 0 || in->left != 8u * ROW * count)
         return refuse(NO_MALFORMED, why, "NODES has another length");

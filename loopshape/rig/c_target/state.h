@@ -24,7 +24,7 @@ typedef float number;
 #define RATE_TICKS 10u                     /* a rate is averaged over so many */
 #define AGAIN_MOST 8u                      /* ranges that wait to be sent again */
 #define VARIABLES 3u                       /* of a schedule, at most */
-#define FOLLOWERS (TARGET_SCHEDULE > 0 ? TARGET_LOOPS : 1)
+#define FOLLOWERS (TARGET_POOL > 0 ? TARGET_LOOPS : 1)
 #define NOBODY 255u                        /* no limit's index */
 
 enum { IDLE, ARMED, RUNNING, FAULT };
@@ -50,7 +50,14 @@ struct follower {
     double past[TARGET_SECTIONS + 1][2]; /* the last two signals in front of and behind each section */
 };
 
-/* What CONFIGURE, SECTIONS, SCHEDULE, NODES and LIMIT said, and how far they came. */
+/* A sum of signals through sections. Its numbers: weights, coefficients; then what moves: states, delay line, value. */
+struct block {
+    uint8_t every, terms, sections, signal[TARGET_TERMS];
+    uint16_t delay;
+    uint32_t from;
+};
+
+/* What CONFIGURE, BLOCK, SECTIONS, SCHEDULE, NODES, OUTPUT and LIMIT said, and how far they came. */
 struct configuration {
     uint8_t loops, hold, sections_loop, limits, ready;
     uint16_t watchdog_ms;
@@ -60,8 +67,10 @@ struct configuration {
     uint8_t count[TARGET_LOOPS];
     double sections[TARGET_LOOPS][TARGET_SECTIONS][5];
     struct schedule schedule[TARGET_LOOPS];
-    uint32_t used; /* of the numbers */
-    double numbers[TARGET_SCHEDULE > 0 ? TARGET_SCHEDULE : 1];
+    struct block block[TARGET_BLOCKS];
+    uint8_t blocks, output[TARGET_LOOPS]; /* the block that gives z, from 1 on; 0: none */
+    uint32_t used;                        /* of the numbers */
+    double numbers[TARGET_POOL > 0 ? TARGET_POOL : 1];
     struct limit limit[LIMITED];
 };
 
@@ -71,6 +80,8 @@ struct loops {
     double y[TARGET_LOOPS], r[TARGET_LOOPS], n[TARGET_LOOPS], z[TARGET_LOOPS];
     double state[TARGET_LOOPS][TARGET_SECTIONS][2];
     struct follower follower[FOLLOWERS];
+    uint8_t block_wait[TARGET_BLOCKS]; /* ticks until its turn */
+    uint16_t block_at[TARGET_BLOCKS];  /* place in its delay line */
     double from[TARGET_LOOPS], to[TARGET_LOOPS]; /* the references' way to the setpoint */
     uint32_t way, ways;                          /* ticks of it, done and in all */
     double before[LIMITED][RATE_TICKS];          /* the last values, for the rates */
@@ -133,6 +144,7 @@ uint8_t ask_configure(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_sections(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_limit(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_ready(struct reader *in, struct writer *out, const char **why);
+int numbers_finite(struct reader in, size_t count);
 int controller_begins(uint8_t loop); /* whether this loop's controller comes next */
 void configuration_taken(const uint8_t *payload, size_t size);
 
@@ -140,6 +152,14 @@ void configuration_taken(const uint8_t *payload, size_t size);
 uint8_t ask_schedule(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_nodes(struct reader *in, struct writer *out, const char **why);
 double schedule_step(uint8_t loop, double value);
+
+/* blocks.c */
+uint8_t ask_block(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_output(struct reader *in, struct writer *out, const char **why);
+int blocks_known(void); /* whether each reads what is there by then */
+void blocks_rest(void);
+void blocks_step(int injected); /* n is taken off y */
+double block_value(uint8_t block);
 
 /* run.c */
 uint8_t ask_begin(struct reader *in, struct writer *out, const char **why);

@@ -20,8 +20,14 @@ struct frame_decoder;
 #ifndef TARGET_SECTIONS
 #define TARGET_SECTIONS 12 /* biquads a loop */
 #endif
-#ifndef TARGET_SCHEDULE
-#define TARGET_SCHEDULE 1024 /* numbers of all schedules: knots, and six for each section of each node; 0: no schedules */
+#ifndef TARGET_POOL
+#define TARGET_POOL 1024 /* numbers that schedules and blocks hold, 0: neither. Knots, and six a section and node; of a block: */
+#endif                   /* its terms and delay, 7 a section, and 1 */
+#ifndef TARGET_BLOCKS
+#define TARGET_BLOCKS 16
+#endif
+#ifndef TARGET_TERMS
+#define TARGET_TERMS 12 /* of a block */
 #endif
 #ifndef TARGET_ROWS
 #define TARGET_ROWS 1024 /* rows of excitation that wait */
