@@ -299,6 +299,7 @@ def test_a_block_out_of_range_is_refused(either, block, code):
     one.ok(*configuration.frames()[1])  # what was refused left nothing behind
 
 
+@pytest.mark.long  # it compiles several
 def test_what_a_target_does_not_hold_is_refused():
     frames = Configuration(OUTPUTS, MIXING, (0, GAIN), LIMITS, False, 100, 0.0, blocks=BLOCKS).frames()
     for flag, first in (("-DTARGET_POOL=14", BLOCKS[0]), ("-DTARGET_BLOCKS=1", BLOCKS[1]), ("-DTARGET_TERMS=2", None)):

@@ -126,7 +126,7 @@ def test_the_c_core_is_the_target_in_python_to_the_last_bit_and_the_kernel(lag_s
     sensors[0] = 0.0
     one = schedule("theta2", THREE, lag_s, 0.3, 9)
     scheduling = Scheduling.of(one, ("theta2", "p_ab"))
-    bench = Bench(built("-DTARGET_POOL=2000"))
+    bench = Bench()
     samples = bench_samples(bench, sensors, (scheduling, GAIN))
     bench.close()
     assert len(samples) == len(sensors)
@@ -243,6 +243,7 @@ def test_coefficients_that_cannot_run_are_refused(either, place, value):
     one.ok(what, nodes)
 
 
+@pytest.mark.long  # it compiles several
 def test_what_a_target_does_not_hold_is_refused_with_its_own_code():
     small = Bench(built("-DTARGET_POOL=37"))  # two knots and 36 numbers are 38
     two = Configuration(OUTPUTS, MIXING, (two_variables(), GAIN), LIMITS, False, 100, 0.0).frames()
