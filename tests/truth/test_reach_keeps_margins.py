@@ -28,6 +28,7 @@ def crossings(f, L):
     return at[k], np.degrees(np.abs(np.angle(-fine[k])))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", [{"phase_margin_deg": 50.0}, {"delay_margin_s": 0.08}])
 def test_a_design_with_margins_crosses_once_and_with_its_margin(what):
     loop = loop_of(MODEL, integrators=1)
