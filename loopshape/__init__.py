@@ -87,6 +87,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import predict as predict
+    from loopshape.verbs.chain import reach as reach
     from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
@@ -192,6 +193,7 @@ _HOME = {
     "predict": "verbs.chain",
     "prefilter": "data.common_diagrams",
     "profiles": "verbs.files",
+    "reach": "verbs.chain",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_frf": "verbs.files",

@@ -29,6 +29,18 @@ def nodes_hz(widest_hz: float = 60.0, ratio: float = 1.015) -> Array:
     return np.concatenate([low, np.arange(low[-1] + widest_hz, 0.4999 * SECTOR_HZ, widest_hz)])
 
 
+def tuning_nodes(benchmark: Benchmark, widest_hz: float) -> Array:
+    """Nodes in Hz, denser about the fan's modes and up to 1 kHz."""
+    fan, widths = benchmark.fan(), np.array([1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
+    beside = np.concatenate([-widths, [0.0], widths])
+    f = np.union1d(
+        nodes_hz(widest_hz, 1.0 + 0.0004 * widest_hz),
+        np.ravel(fan.w[:, None] / TWO_PI * (1.0 + fan.zeta[:, None] * beside)),
+    )
+    f = f[(f >= 1.0) & (f < 25199.0)]
+    return f[np.append(True, np.diff(f) > 2.0) | (f < 200.0)]
+
+
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """The benchmark on nodes f (n,): aliases are summed over (cases, n, 2 parities, 2 actuators)."""

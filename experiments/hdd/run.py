@@ -13,7 +13,7 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 from hdd_benchmark import HALF, NAMES, Benchmark, System, read_controllers, write_controllers  # noqa: E402
-from hdd_forecast import Forecast, nodes_hz, run_out_variance  # noqa: E402
+from hdd_forecast import Forecast, nodes_hz, run_out_variance, tuning_nodes  # noqa: E402
 from hdd_limit import closed, filters, least, lifted  # noqa: E402
 from hdd_rows import Limits, margins  # noqa: E402
 from hdd_tuning import Roots, Tuner, resonators, search  # noqa: E402
@@ -68,18 +68,6 @@ def low_limits(forecast: Forecast, reference: Mapping[str, System]) -> Array:
     """The reference's |S| (cases, n) in dB, a little lower."""
     L = forecast.loops(forecast.K(dict(reference)))
     return np.asarray(-db(np.abs(1.0 + L)) - LOW_DB)
-
-
-def tuning_nodes(benchmark: Benchmark, widest_hz: float) -> Array:
-    """Nodes in Hz, denser about the fan's modes and up to 1 kHz."""
-    fan, widths = benchmark.fan(), np.array([1.0, 2.0, 4.0, 8.0, 15.0, 30.0])
-    beside = np.concatenate([-widths, [0.0], widths])
-    f = np.union1d(
-        nodes_hz(widest_hz, 1.0 + 0.0004 * widest_hz),
-        np.ravel(fan.w[:, None] / TWO_PI * (1.0 + fan.zeta[:, None] * beside)),
-    )
-    f = f[(f >= 1.0) & (f < 25199.0)]
-    return f[np.append(True, np.diff(f) > 2.0) | (f < 200.0)]
 
 
 def tuned(forecasts: Sequence[Forecast], reference: Mapping[str, System]) -> list[Roots]:

@@ -3,17 +3,22 @@
 Q is a sum of fixed stable functions, so the limits are convex in its coefficients (Boyd and Barratt, Linear controller
 design, 1991). The largest violation is made small by Newton's method on its smooth maximum. What is
 found is a controller, on the nodes and not realised; between what it reaches and the bound lies the best possible.
+
+Phase, gain and delay margins are no convex sets, but half-planes that are enough for them are. |L| = 1 is Re S = 1/2
+and the phase margin there is 2 asin(1/(2 |S|)): with Re S <= 1/2 up to the bandwidth, Re S >= 1/2 beyond and |S| small
+enough on either side of it, L crosses 1 there alone and with its margin. L = -1/g is S = g/(g - 1): below that for Re S
+every passage of the axis within 1 keeps the gain margin g, and above -1/(g - 1) every one beyond the margin downwards.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import Requirements
 from loopshape.design.bound_nodes import Ceilings, Nodes, impossible, nodes
@@ -30,7 +35,8 @@ WIDE, NEAR = (0.4, 0.12), (0.2, 0.1, 0.05)
 class Reached(Plain):
     """A bandwidth that a controller of many parameters reaches on one plant, with its L and C (n,) at nodes f (n,).
 
-    0 where none was found, or where no limit says what to keep to. Only the counted limits are kept.
+    0 where none was found, or where no limit says what to keep to. The counted limits are kept, and the margins
+    where they were asked for.
     """
 
     IN_JSON = keys("recording", "bandwidth_hz", "parameters")
@@ -43,29 +49,43 @@ class Reached(Plain):
     C: ComplexArray
 
 
-def reach(loop: Loop, limits: Requirements, bound_hz: float, density: int = 8, steps: int = 8) -> Reached:
-    """The largest bandwidth, by `steps` bisections below `bound_hz`, that a Q of `density` poles a decade reaches."""
+def reach(
+    loop: Loop, limits: Requirements, bound_hz: float, density: int = 8, steps: int = 8, *, margins: bool = False
+) -> Reached:
+    """The largest bandwidth, by `steps` bisections below `bound_hz`, that a Q of `density` poles a decade reaches.
+
+    With `margins` the half-planes of phase, gain and delay margins are kept too: enough for them, not needed.
+    """
     at = nodes(loop, limits)
     most = own_ceilings(at, limits)
-    best, x = Reached(loop.plant.recording, 0.0, 0, at.f, np.zeros(0, complex), np.zeros(0, complex)), None
+    best = Reached(loop.plant.recording, 0.0, 0, at.f, np.zeros(0, complex), np.zeros(0, complex))
     low, high = float(loop.frequency_hz[0]), min(bound_hz, float(loop.frequency_hz[-1]))
     if impossible(limits) or not any(np.isfinite(ceiling).any() for ceiling in (most.S, most.CS, most.disk)):
         return best
     for _ in range(steps):
         tried = float(np.sqrt(low * high))
-        Q = _feasible(at, most, tried, density)
-        if Q is None:
-            high = tried
-            continue
-        low, (x, parameters) = tried, Q
-        S, CS = at.s0 + at.s1 * x, at.r0 + at.r1 * x
-        best = Reached(loop.plant.recording, tried, parameters, at.f, at.P * CS / S, CS / S)
+        found = reached_at(loop, limits, tried, density, margins=margins)
+        low, high, best = (low, tried, best) if found is None else (tried, high, found)
     return best
 
 
-def _feasible(at: Nodes, most: Ceilings, tried_hz: float, density: int) -> tuple[ComplexArray, int] | None:
+def reached_at(
+    loop: Loop, limits: Requirements, tried_hz: float, density: int = 8, *, margins: bool = False
+) -> Reached | None:
+    """A controller of this bandwidth with room to its limits where there is some, None where none was found."""
+    at = nodes(loop, limits)
+    Q = _feasible(at, own_ceilings(at, limits), tried_hz, density, limits if margins else None)
+    if Q is None:
+        return None
+    S, CS = at.s0 + at.s1 * Q[0], at.r0 + at.r1 * Q[0]
+    return Reached(loop.plant.recording, tried_hz, Q[1], at.f, at.P * CS / S, CS / S)
+
+
+def _feasible(
+    at: Nodes, most: Ceilings, tried_hz: float, density: int, margins: Requirements | None
+) -> tuple[ComplexArray, int] | None:
     """Q at the nodes with the number of its parameters, None where the limits could not be kept."""
-    crossing = at.inside & (at.f < tried_hz)
+    most = most if margins is None else _crossing_with_margin(at, most, tried_hz, margins)
     size = np.abs(at.s1) / np.where(np.isfinite(most.S), most.S, np.inf) + np.abs(at.r1) / most.CS
     basis = _orthonormal(_functions(at, tried_hz, density), np.maximum(size, 1e-12))
     rows = [
@@ -75,9 +95,33 @@ def _feasible(at: Nodes, most: Ceilings, tried_hz: float, density: int) -> tuple
     ]
     kept = [(a[ok], b[ok, None] * basis[ok], m[ok]) for a, b, m in rows if (ok := np.isfinite(m)).any()]
     a, B, m = (np.concatenate(part) for part in zip(*kept, strict=True))
-    line = np.real(at.s1[crossing, None] * basis[crossing])
-    found = _least_violation(a / m, B / m[:, None], np.real(at.s0[crossing]) - 0.5, line)
+    sign, value, where = (np.concatenate(part) for part in zip(*half_planes(at, tried_hz, margins), strict=True))
+    line = sign[:, None] * np.real(at.s1[where, None] * basis[where])
+    found = _least_violation(a / m, B / m[:, None], sign * (np.real(at.s0[where]) - value), line)
     return None if found is None else (basis @ found, basis.shape[1])
+
+
+def half_planes(at: Nodes, tried_hz: float, margins: Requirements | None) -> list[tuple[Array, Array, np.ndarray]]:
+    """Half-planes sign (Re S - value) <= 0 at nodes `where`: |L| >= 1 up to a bandwidth, and what margins add."""
+    lines, below = np.flatnonzero(at.inside), at.f < tried_hz
+    asked = [(1.0, 0.5, lines[below[lines]])]
+    if margins is not None:
+        asked.append((-1.0, 0.5, lines[~below[lines]]))
+        g, down = (float(from_db(x or 0.0)) for x in (margins.gain_margin_db, margins.gain_reduction_margin_db))
+        asked += [(1.0, g / (g - 1.0), lines)] if g > 1.0 else []
+        asked += [(-1.0, -1.0 / (down - 1.0), lines)] if down > 1.0 else []
+    return [(np.full(where.size, sign), np.full(where.size, value), where) for sign, value, where in asked]
+
+
+def _crossing_with_margin(at: Nodes, most: Ceilings, tried_hz: float, margins: Requirements) -> Ceilings:
+    """Ceilings with |S| on either side of the bandwidth as small as the phase and the delay margin ask."""
+    phase = float(rad(margins.phase_margin_deg or 0.0))
+    phase = max(phase, TWO_PI * tried_hz * (margins.delay_margin_s or 0.0))
+    k = int(np.searchsorted(at.f, tried_hz))
+    S = most.S.copy()
+    if phase > 0.0:
+        S[k - 1 : k + 1] = np.minimum(S[k - 1 : k + 1], 0.5 / np.sin(0.5 * min(phase, np.pi)))
+    return replace(most, S=S)
 
 
 def _functions(at: Nodes, tried_hz: float, density: int) -> ComplexArray:

@@ -99,9 +99,8 @@ def test_systems_of_roots_are_those_they_were_made_of(disk):
 def test_no_set_is_better_than_the_limit_and_the_forecast_knows_what_reaches_it(disk):
     """Two routes, the lifted plant's Riccati equations and the frequency domain, agree on the least 3 sigma."""
     from hdd_benchmark import read_controllers
-    from hdd_forecast import Forecast
+    from hdd_forecast import Forecast, tuning_nodes
     from hdd_limit import filters, least, lifted
-    from run import tuning_nodes
 
     forecast = Forecast(disk, tuning_nodes(disk, 70.0))
     plant = lifted(disk, disk.cases[2])
