@@ -80,15 +80,12 @@ if TYPE_CHECKING:
     from loopshape.loop.equivalent import Equivalent as Equivalent
     from loopshape.loop.equivalent import equivalent as equivalent
     from loopshape.verbs.campaign import campaign as campaign
-    from loopshape.verbs.chain import bound as bound
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import predict as predict
-    from loopshape.verbs.chain import reach as reach
-    from loopshape.verbs.chain import schedule as schedule
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.diagnosis import gap as gap
@@ -107,6 +104,9 @@ if TYPE_CHECKING:
     from loopshape.verbs.machine import measure as measure
     from loopshape.verbs.plan import plan as plan
     from loopshape.verbs.plan import write_plan as write_plan
+    from loopshape.verbs.possible import bound as bound
+    from loopshape.verbs.possible import reach as reach
+    from loopshape.verbs.possible import schedule as schedule
     from loopshape.verbs.several import frf_matrices as frf_matrices
     from loopshape.verbs.several import interaction as interaction
     from loopshape.verbs.stop import stop as stop
@@ -153,7 +153,7 @@ _HOME = {
     "Weight": "data.weight",
     "axis": "data.axis",
     "biquad": "data.shorthand",
-    "bound": "verbs.chain",
+    "bound": "verbs.possible",
     "campaign": "verbs.campaign",
     "cascade": "data.common_diagrams",
     "check": "verbs.chain",
@@ -193,7 +193,7 @@ _HOME = {
     "predict": "verbs.chain",
     "prefilter": "data.common_diagrams",
     "profiles": "verbs.files",
-    "reach": "verbs.chain",
+    "reach": "verbs.possible",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_frf": "verbs.files",
@@ -203,7 +203,7 @@ _HOME = {
     "report": "verbs.files",
     "repetitive": "design.repetitive",
     "resonator": "data.shorthand",
-    "schedule": "verbs.chain",
+    "schedule": "verbs.possible",
     "shape": "verbs.chain",
     "simulate": "loop.diagram_run",
     "stop": "verbs.stop",

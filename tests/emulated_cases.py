@@ -19,6 +19,23 @@ from loopshape.rig.target import arm, configuration, drive
 RANGES = {"theta2_rad": 0.9, "p_a_bar": 1.5, "p_b_bar": 1.5, "u_a_v": 20.0, "u_b_v": 20.0}
 COMMANDS = {"u_a_v": {"theta2": 1.0, "p_ab": 1.0}, "u_b_v": {"theta2": -1.0, "p_ab": 1.0}}
 
+#: the same in a study, with the ranges of a running arm
+ARM_ON_A_TARGET = """
+[target]
+watchdog_ms = 5000
+soft_start_s = 0.1
+settle_s = 0.0
+[target.commands]
+u_a_v = { theta2 = 1.0, p_ab = 1.0 }
+u_b_v = { theta2 = -1.0, p_ab = 1.0 }
+[limits]
+theta2 = { low_deg = -40.0, high_deg = 40.0 }
+p_a = { low_bar = 0.0, high_bar = 1.4 }
+p_b = { low_bar = 0.0, high_bar = 1.4 }
+u_a = { low_v = -20.0, high_v = 20.0 }
+u_b = { low_v = -20.0, high_v = 20.0 }
+"""
+
 
 def settings(**changes):
     """Wide limits, and time enough for a slow machine that runs the tests."""

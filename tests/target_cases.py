@@ -147,6 +147,19 @@ class Bench:
         if go:
             self.ok(Ask.GO, struct.pack("<I", run))
 
+    def watched(self, sensors: np.ndarray) -> np.ndarray:
+        """Samples of a recording with these sensors (n, 3), the first as they are now, and nothing injected."""
+        self.ok(Ask.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
+        self.ok(Ask.GO, struct.pack("<I", 1))
+        while self.status().tick == 0:
+            self.tick(1)
+        for k in range(1, len(sensors), 100):
+            lines = [f"s {a!r} {b!r} {c!r}\nt 1" for a, b, c in sensors[k : k + 100].tolist()]
+            self.now_ms += 100
+            self.lines(*lines, f"p {self.now_ms}", f"p {self.now_ms + 20}")
+            self.status(1, k)
+        return self.samples()
+
     def to_setpoint(self, *references: float) -> None:
         """References there in no time."""
         self.ok(Ask.SETPOINT, setpoint(0.0, references))

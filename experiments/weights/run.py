@@ -68,7 +68,7 @@ class Case:
 def main() -> None:
     """Each case by each way (or those that are named), and a table."""
     if not control.exception.slycot_check():
-        raise UnreadableInputError("the study needs slycot", "it is not installed", "pip install slycot")
+        raise UnreadableInputError("the study needs slycot", "it is not installed", "pip install 'loopshape[peers]'")
     table = HERE / "norms.csv"
     with table.open() as file:
         known = [row for row in list(csv.reader(file))[1:] if row[0] in CASES]

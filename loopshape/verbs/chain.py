@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, overload
 from loopshape.core.errors import WrongUseError
 from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
-from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.model import Fit
@@ -26,18 +25,15 @@ from loopshape.data.verdict import Verdict
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import Settings
 from loopshape.verbs.files import read
+from loopshape.verbs.given import Plants, controller_of, met, plants_of
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.disturbance import Disturbance
     from loopshape.data.prediction import Prediction
-    from loopshape.design.bound import Bound
-    from loopshape.design.schedule import Schedule
     from loopshape.design.several import SeveralTuning
     from loopshape.loop.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
-
-Plants = FRF | Sequence[FRF] | Diagram
 
 
 def frfs(
@@ -177,7 +173,7 @@ def tune(
     from loopshape.design.tune import tune as tune_loop
 
     if not isinstance(R, Requirements):
-        plants = _plants(P)
+        plants = plants_of(P)
         if structure is not None or fits or grow or disturbance is not None:
             raise WrongUseError(
                 "structure, fits, growth and error_rms are of a single loop", f"requirements of {len(R)} loops",
@@ -186,10 +182,10 @@ def tune(
         return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
     if isinstance(start, Sequence):
         raise WrongUseError("one loop starts from one controller", f"{len(start)} of them", "give its own")
-    plants, R = _met(P, R)
+    plants, R = met(P, R)
     asked = R if structure is None else replace(R, structure=tuple(structure))
     asked = replace(asked, structure=bounded(asked.structure, plants))
-    began = None if start is None else _controller(start)
+    began = None if start is None else controller_of(start)
     return tune_loop(
         plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain,
         disturbances=disturbances_of(disturbance, plants[0].loop),
@@ -207,7 +203,7 @@ def _tune_several(
 ) -> SeveralTuning:
     from loopshape.design.several import tune_several
 
-    began = [_controller(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
+    began = [controller_of(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
     with watch.progress("tune", 2 * len(R)) as step:
         return tune_several(plants, R, began, together, held=recorded_under, step=step, **search)
 
@@ -255,16 +251,18 @@ def check(
     from loopshape.loop.verdict import check as check_loop
 
     if isinstance(C, Controller | GainScheduled | Tuning):
-        controller = C if isinstance(C, GainScheduled) else _controller(C)
+        controller = C if isinstance(C, GainScheduled) else controller_of(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        plants, asked_one = _met(P, R or Requirements(controller.loop))
+        plants, asked_one = met(P, R or Requirements(controller.loop))
         shaken = disturbances_of(disturbance, plants[0].loop)
         return check_loop(plants, controller, asked_one, tuple(fits), disturbances=shaken)
     if disturbance is not None:
         raise WrongUseError("the rms of an error is predicted for one loop", f"{len(C)} controllers", "check one alone")
     asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
-    return check_several(_plants(P), [_controller(one) for one in C], asked, together, loops=loops, held=recorded_under)
+    return check_several(
+        plants_of(P), [controller_of(one) for one in C], asked, together, loops=loops, held=recorded_under
+    )
 
 
 def disturbances_of(
@@ -284,10 +282,6 @@ def disturbances_of(
     if isinstance(given, Run | str | Path):
         return disturbances_in(given if isinstance(given, Run) else read(given), loop)
     return tuple(given)
-
-
-def _controller(given: Controller | Tuning) -> Controller:
-    return given.controller if isinstance(given, Tuning) else given
 
 
 @overload
@@ -345,82 +339,17 @@ def shape(
     from loopshape.io.files import write_bytes_whole
     from loopshape.verbs.shaping import SeveralLoops, notebook_widget, page_of, shaped
 
-    plants = _plants([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
+    plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required = (R,) if isinstance(R, Requirements) else tuple(R or ())
     if isinstance(C, Sequence):
         loops = SeveralLoops(plants, required, together).shaped(C)
     else:
-        own = None if C is None else _controller(C)
+        own = None if C is None else controller_of(C)
         loops = [shaped(plants, own, required[0] if required else None, tuple(fits))]
     if out is None:
         return notebook_widget(loops, "Shape")
     write_bytes_whole(Path(out), page_of(loops, "Shape"))
     return Path(out)
-
-
-def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[Fit] = ()) -> Bound:
-    """How far a controller is from the bandwidth that no controller of any order exceeds under the requirements.
-
-    Raises WrongUseError where the number of the plant's unstable poles is not known.
-    """
-    from loopshape.design.bound import bound as bound_loop
-
-    plants, asked = _met(P, R)
-    return bound_loop(plants, _controller(C), asked, tuple(fits))
-
-
-def reach(
-    P: Plants, C: Controller | Tuning, R: Requirements, order: int, *, fits: Sequence[Fit] = (), seed: int = 0
-) -> Tuning:
-    """A controller of at most `order` poles near the best that `bound` finds possible, under all of `R`.
-
-    A convex design of unlimited order (`bound`'s, with phase, gain and delay margins as half-planes) is fitted by a
-    gain, biquads and lead-lags and tuned on from there; the structure of `R` counts for nothing. `C` says how the
-    controller will run (rate, delay, hold) and stabilises an unstable plant. Takes about a minute for each plant.
-
-    Misleads: a local search, so another start, or `tune` with `grow`, may find more. Of several plants the design
-    knows the one with the least bound alone. Raises WrongUseError where no design was found.
-
-    Examples
-    --------
-    >>> import numpy as np, loopshape as ls
-    >>> f_hz = np.geomspace(1.0, 400.0, 40)
-    >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
-    >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, integrators=1)
-    >>> found = ls.reach(P, ls.controller(ls.gain(0.5), rate_hz=5000.0), R, order=1)
-    >>> found.controller.order()
-    1
-    """
-    from loopshape.design.bound_order import reach_order
-
-    plants, asked = _met(P, R)
-    return reach_order(plants, _controller(C), asked, order, tuple(fits), seed=seed)
-
-
-def schedule(
-    P: Plants, R: Requirements, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0, starts: int = 16
-) -> Schedule:
-    """What one robust controller `C` costs in bandwidth, beside one tuned for each operating point alone under `R`.
-
-    `points` of the answer hold own, robust and unreachable bandwidth in Hz of each. Same input and seed, same answer.
-    Misleads: a controller switched between the points is no loop that was checked. Raises WrongUseError where `C` is
-    not of the structure of `R`.
-
-    Examples
-    --------
-    >>> import numpy as np, loopshape as ls
-    >>> f_hz = np.geomspace(1.0, 400.0, 40)
-    >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
-    >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, structure=(ls.gain(),))
-    >>> found = ls.schedule(P, R, ls.controller(ls.gain(0.5), rate_hz=5000.0), starts=1)
-    >>> bool(found.points[0].cost_hz > 0.0)
-    True
-    """
-    from loopshape.design.schedule import schedule as schedule_loop
-
-    plants, R = _met(P, R)
-    asked = replace(R, structure=bounded(R.structure, plants))
-    return schedule_loop(plants, asked, _controller(C), tuple(fits), seed=seed, starts=starts)
 
 
 def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0) -> tuple[Prediction, ...]:
@@ -430,7 +359,7 @@ def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed
     """
     from loopshape.loop.prediction import predict as predict_loop
 
-    return tuple(predict_loop(_plants(P), _controller(C), tuple(fits), seed=seed))
+    return tuple(predict_loop(plants_of(P), controller_of(C), tuple(fits), seed=seed))
 
 
 def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0) -> list[Remeasured]:
@@ -442,27 +371,3 @@ def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, toleran
     from loopshape.loop.remeasured import remeasure
 
     return remeasure(run if isinstance(run, Run) else read(run), tuple(predictions), tolerance_db=tolerance_db)
-
-
-def _met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
-    """The plants, and the requirements with what a diagram tells of their unstable poles."""
-    if not isinstance(P, Diagram):
-        return _plants(P), R
-    from loopshape.loop.equivalent import equivalent
-
-    found = equivalent(P)
-    return found.plants, found.asked(R)
-
-
-def _plants(P: Plants) -> tuple[FRF, ...]:
-    """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
-    if isinstance(P, Diagram):
-        return _met(P, Requirements(P.tuned))[0]
-    plants = (P,) if isinstance(P, FRF) else tuple(P)
-    if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
-        raise WrongUseError(
-            "a plant is a FRF, or a sequence of them",
-            ", ".join(wrong),
-            "make one with ls.FRF.from_arrays or from_control",
-        )
-    return plants

@@ -7,7 +7,7 @@ import control
 import numpy as np
 import pytest
 from axis_study import experiment, study_text, table, target, write_study
-from emulated_cases import emulator
+from emulated_cases import ARM_ON_A_TARGET, emulator
 from python_target_line import Running
 from scipy.signal import lfilter
 from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
@@ -144,27 +144,15 @@ def test_the_core_in_c_steps_as_the_simulation(name):
             assert np.abs(z).max() > 1e-3
 
 
-STUDY = """
+HEAD = """
 format = "loopshape-study/1"
 rig = "target"
 plant = "arm-1dof"
 rate_hz = 1000.0
 seed = 2
 operating_points = [{ theta2_deg = 2.0, p_ab_bar = 1.0 }]
-[target]
-watchdog_ms = 5000
-soft_start_s = 0.1
-settle_s = 0.0
-[target.commands]
-u_a_v = { theta2 = 1.0, p_ab = 1.0 }
-u_b_v = { theta2 = -1.0, p_ab = 1.0 }
-[limits]
-theta2 = { low_deg = -40.0, high_deg = 40.0 }
-p_a = { low_bar = 0.0, high_bar = 1.4 }
-p_b = { low_bar = 0.0, high_bar = 1.4 }
-u_a = { low_v = -20.0, high_v = 20.0 }
-u_b = { low_v = -20.0, high_v = 20.0 }
-[[experiment]]
+"""
+MOVED = """[[experiment]]
 name = "moved"
 excites = "theta2"
 injection = "controller_input"
@@ -193,7 +181,7 @@ def test_the_emulated_arm_under_a_diagram(tmp_path, divisor):
         ls.controller(ls.gain(6.0), ls.low_pass(9.0, 0.7), rate_hz=rate),
     )
     wired = ls.Wired(ls.prefilter(P, F).with_part("C", C), {"r": "r_theta2_rad", "y": "theta2_rad", "u": "z_theta2_v"})
-    (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "study.toml").write_text(HEAD + ARM_ON_A_TARGET + MOVED)
     with emulator() as port:
         run = ls.measure(tmp_path / "study.toml", tmp_path / "run", port=port, arm=True, diagram=wired)
         (shown,) = ls.connect(port).show(tmp_path / "study.toml", diagram=wired).experiments()
@@ -350,8 +338,6 @@ def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):
 
 def test_a_simulated_rig_refuses_a_diagram(tmp_path):
     D, _, wires = diagrams("prefilter")
-    (tmp_path / "s.toml").write_text(
-        STUDY[: STUDY.index("[target]")].replace('"target"', '"simulated"') + STUDY[STUDY.index("[[exp") :]
-    )
+    (tmp_path / "s.toml").write_text(HEAD.replace('"target"', '"simulated"') + MOVED)
     with pytest.raises(WrongUseError, match="runs a controller in each loop, no diagram"):
         ls.measure(tmp_path / "s.toml", tmp_path / "run", diagram=ls.Wired(D, wires))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
-from emulated_cases import emulator, excited, record, settings
+from emulated_cases import ARM_ON_A_TARGET, emulator, excited, record, settings
 from python_target_line import Running
 from python_target_schedule import Schedule
 from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
@@ -16,7 +16,7 @@ import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
 from loopshape.data.gain_scheduled import Follows, GainScheduled, Variable
-from loopshape.rig.messages import Ask, Configuration, Identity, begin
+from loopshape.rig.messages import Ask, Configuration, Identity
 from loopshape.rig.scheduling import Scheduling
 from loopshape.rig.target import configuration
 
@@ -105,16 +105,7 @@ THREE = (
 def bench_samples(bench, sensors, two):
     """Samples of the scripted board with these sensors (the first all zero), nothing injected, references at 0."""
     bench.arm(tuple(sensors[0]), watchdog_ms=60000, limits=WIDE, sections=two)
-    bench.ok(Ask.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
-    bench.ok(Ask.GO, struct.pack("<I", 1))
-    while bench.status().tick == 0:
-        bench.tick(1)
-    for k in range(1, len(sensors), 100):
-        lines = [f"s {a!r} {b!r} {c!r}\nt 1" for a, b, c in sensors[k : k + 100].tolist()]
-        bench.now_ms += 100
-        bench.lines(*lines, f"p {bench.now_ms}", f"p {bench.now_ms + 20}")
-        bench.status(1, k)
-    return bench.samples()
+    return bench.watched(sensors)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.02])
@@ -338,21 +329,6 @@ name = "moved"
 duration_s = 1.5
 references = {{ theta2 = {{ kind = "staircase", times_s = [0.3, 0.9], values_deg = [9.0, 4.0] }} }}
 """
-MORE = """
-[target]
-watchdog_ms = 5000
-soft_start_s = 0.1
-settle_s = 0.0
-[target.commands]
-u_a_v = { theta2 = 1.0, p_ab = 1.0 }
-u_b_v = { theta2 = -1.0, p_ab = 1.0 }
-[limits]
-theta2 = { low_deg = -40.0, high_deg = 40.0 }
-p_a = { low_bar = 0.0, high_bar = 1.4 }
-p_b = { low_bar = 0.0, high_bar = 1.4 }
-u_a = { low_v = -20.0, high_v = 20.0 }
-u_b = { low_v = -20.0, high_v = 20.0 }
-"""
 
 
 @pytest.mark.parametrize(
@@ -361,7 +337,7 @@ u_b = { low_v = -20.0, high_v = 20.0 }
 def test_a_study_with_a_schedule_measures_alike_on_both_rigs(tmp_path, port, decoupling):
     """And a constant matrix behind the controllers, which is the commands' mixing on a target."""
     found = {}
-    for rig, more in (("simulated", ""), ("target", MORE)):
+    for rig, more in (("simulated", ""), ("target", ARM_ON_A_TARGET)):
         study = tmp_path / f"{rig}.toml"
         study.write_text(STUDY.format(rig=rig, more=more))
         words = {"port": port, "arm": True} if rig == "target" else {}

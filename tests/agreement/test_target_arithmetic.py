@@ -8,7 +8,7 @@ from target_cases import GAIN, INFINITE, Bench
 
 from loopshape.core.kernels import biquads, cascade, pwm
 from loopshape.data.controller import Block, Controller
-from loopshape.rig.messages import Ask, begin
+from loopshape.rig.messages import Ask
 
 RATE_HZ = 1000.0
 WIDE = np.array([[-1e6, 1e6, INFINITE]] * 5)
@@ -30,16 +30,7 @@ def recorded(bench, sensors, **configuration):
     bench.arm(tuple(sensors[0]), watchdog_ms=60000, limits=WIDE, **configuration)
     bench.to_setpoint(0.0, 0.0)
     bench.tick(19)  # the next tick begins a period
-    bench.ok(Ask.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
-    bench.ok(Ask.GO, struct.pack("<I", 1))
-    while bench.status().tick == 0:
-        bench.tick(1)
-    for k in range(1, len(sensors), 100):
-        lines = [f"s {a!r} {b!r} {c!r}\nt 1" for a, b, c in sensors[k : k + 100].tolist()]
-        bench.now_ms += 100
-        bench.lines(*lines, f"p {bench.now_ms}", f"p {bench.now_ms + 20}")
-        bench.status(1, k)
-    return bench.samples()
+    return bench.watched(sensors)
 
 
 @pytest.fixture

@@ -90,6 +90,7 @@ def test_every_public_name_loads_and_says_what_it_is(name: str) -> None:
     assert (getattr(ls, name).__doc__ or "").strip()
 
 
+@pytest.mark.timeout(900)  # s; compiles what no other test has before
 def test_examples_of_the_public_names_run() -> None:
     modules = sorted({getattr(ls, name).__module__ for name in dir(ls) if hasattr(getattr(ls, name), "__module__")})
     results = [doctest.testmod(sys.modules[name], raise_on_error=False) for name in modules]

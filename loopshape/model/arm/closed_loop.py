@@ -296,8 +296,7 @@ def run(
     held[model.COULOMB] = c[e.COULOMB]
     signals, errors, v, entering = np.zeros(4), np.zeros(2), np.zeros(2), np.zeros(2)
     follows = wiring.scheduled.any()
-    n_edges = 0
-    u_a = u_b = 0.0
+    n_edges, u_a, u_b = 0, 0.0, 0.0
     spare, has_spare = 0.0, False
     for tick in range(references.shape[0]):
         true, true_a, true_b = memory.sensed(c, x, m, tick_s)
@@ -308,8 +307,7 @@ def run(
             errors[0] = references[tick, 0] - theta
             errors[1] = 1e-5 * (references[tick, 1] - (p_a + p_b))
             if injection == CONTROLLER_INPUT:
-                errors[0] += injected[tick, 0]
-                errors[1] += injected[tick, 1]
+                errors += injected[tick]
             v[0] = biquads.step(biquads_theta, controller_state[0], errors[0])
             v[1] = biquads.step(biquads_p, controller_state[1], errors[1])
             if follows:
@@ -320,8 +318,7 @@ def run(
             v[0], v[1] = injected[tick, 0], injected[tick, 1]
         z_theta, z_p = v[0], v[1]
         if closed and injection == PLANT_INPUT:
-            v[0] += injected[tick, 0]
-            v[1] += injected[tick, 1]
+            v += injected[tick]
         decoupled(wiring.decoupling, v, entering)
 
         log(out, tick, theta, p_a, p_b, z_theta, z_p, entering[0] + entering[1], entering[1] - entering[0], x)

@@ -1,0 +1,43 @@
+"""What verbs take: a plant as a FRF, several or a diagram; a controller, or the tuning that holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.controller import Controller
+from loopshape.data.diagram import Diagram
+from loopshape.data.frf import FRF
+from loopshape.data.requirements import Requirements
+from loopshape.design.tune import Tuning
+
+Plants = FRF | Sequence[FRF] | Diagram
+
+
+def controller_of(given: Controller | Tuning) -> Controller:
+    """The controller, also of a tuning."""
+    return given.controller if isinstance(given, Tuning) else given
+
+
+def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
+    """The plants, and the requirements with what a diagram tells of their unstable poles."""
+    if not isinstance(P, Diagram):
+        return plants_of(P), R
+    from loopshape.loop.equivalent import equivalent
+
+    found = equivalent(P)
+    return found.plants, found.asked(R)
+
+
+def plants_of(P: Plants) -> tuple[FRF, ...]:
+    """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
+    if isinstance(P, Diagram):
+        return met(P, Requirements(P.tuned))[0]
+    plants = (P,) if isinstance(P, FRF) else tuple(P)
+    if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
+        raise WrongUseError(
+            "a plant is a FRF, or a sequence of them",
+            ", ".join(wrong),
+            "make one with ls.FRF.from_arrays or from_control",
+        )
+    return plants
