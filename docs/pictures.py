@@ -8,16 +8,22 @@ import os
 import re
 import runpy
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import lfilter
 
 import loopshape as ls
+from loopshape.data.gap_report import BudgetPart, GapReport
 from loopshape.identify.tones import Period, tones_of, without_periods
 from loopshape.verbs.tracking import setpoint_of
 from loopshape.view.feedforward import feedforward_page
+from loopshape.view.gap_missing import missing
+from loopshape.view.gap_report import gap_figure, sizes
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, png, styled
 from loopshape.view.tones import tones_page
 
 DOCS = Path(__file__).parent
@@ -43,6 +49,33 @@ def shown() -> dict[str, dict[str, list[float]]]:
             for _, row in verdict.table().iterrows()
         }
         for name, verdict in verdicts.items()
+    }
+
+
+def diagnosed() -> GapReport:
+    """The diagnosis of the page of gaps and of the demo: an arm with an effect that the model leaves out."""
+    with TemporaryDirectory() as here:
+        run = ls.measure(DOCS.parent / "examples" / "arm" / "gap.toml", Path(here) / "gap")
+        return ls.gap(run, table=False, name="gap")
+
+
+def diagnosed_swing() -> GapReport:
+    """The diagnosis of the README and of the page of machines: a real double pendulum, modelled without friction."""
+    here = DOCS.parent / "examples" / "double_pendulum"
+    return ls.gap(here, model=here / "model.toml")
+
+
+def shown_of(report: GapReport) -> dict[str, list[float]]:
+    """What the picture of a diagnosis shows of its first hypothesis, and how far the gap shrinks."""
+    first, gap = report.ranking[0], report.gap
+    assert gap is not None
+    assert first.magnitude is not None
+    assert first.interval is not None
+    return {
+        first.effect: [first.magnitude, *first.interval],
+        "held-out gap": [gap.before, gap.after],
+        "probability": [first.probability],
+        "budget": [step.gap for step in report.budget],
     }
 
 
@@ -102,6 +135,58 @@ def _feedforward() -> Figure:
     )
 
 
+@styled()
+def swing_figure(report: GapReport) -> Figure:
+    """The force that is missing over speed at the place that explains most, and what is left of the gap with each step."""
+    curve = next(c for c in report.missing if c.over == "speed")
+    figure = Figure(figsize=(FULL_WIDTH_IN, 2.8))
+    left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
+    missing(report, curve, ax=left)
+    left.set_title(f"force missing at {curve.place}, 95 % interval", loc="left")
+    name = _placed(report.leading_name).partition(" at ")[0]
+    size = sizes(report.ranking[0]).replace(" (", "\n(")
+    left.legend(
+        left.lines[1:], ["any force", f"{name} {size}"], loc="upper right", fontsize=7.5
+    )
+    _budget(report, right)
+    right.set_title("what is left of the gap, in noise floors", loc="left")
+    return figure
+
+
+def _placed(effect: str) -> str:
+    """An effect in words, a place alone as "at joint2"."""
+    kind, _, place = effect.rpartition("@")
+    return f"{kind.replace('_', ' ').replace('coulomb', 'Coulomb')} at {place}".strip()
+
+
+def _budget(report: GapReport, ax: Axes) -> None:
+    """A bar a step, its name above and the noise floors that it leaves behind it."""
+    named: set[str] = set()
+    shown = [
+        x
+        for k, x in enumerate(report.budget)
+        if not k or x.effects != report.budget[k - 1].effects
+    ]
+    for k, step in enumerate(shown):
+        more = named <= set(step.effects)
+        new = " and ".join(_placed(e) for e in step.effects if not more or e not in named)
+        named |= set(step.effects)
+        words = {
+            BudgetPart.BEFORE: "the model as it is",
+            BudgetPart.BEST_NAME: f"with {new}",
+            BudgetPart.BEST_SET: f"{'and' if more else 'with'} {new}",
+            BudgetPart.CEILING: f"with any force {new}",
+            BudgetPart.FLOOR: "noise floor",
+        }[step.step]
+        colour = COLOURS[0 if step.step is BudgetPart.CEILING else 1] if step.effects else "0.6"
+        ax.barh(k + 0.68, step.gap, 0.4, color=colour)
+        ax.text(0.0, k + 0.27, words, va="center", fontsize=8.0)
+        ax.text(step.gap + 1.5, k + 0.68, f"{step.gap:.3g}", va="center", fontsize=8.0)
+    ax.set_ylim(len(shown), 0.0)
+    ax.set_xlim(0.0, 1.12 * max(step.gap for step in report.budget))
+    ax.set_axis_off()
+
+
 def structures() -> dict[str, object]:
     """What the examples of the page of structures leave behind, by name."""
     made: dict[str, object] = {}
@@ -123,4 +208,9 @@ def _diagrams(folder: Path) -> None:
 if __name__ == "__main__":
     matplotlib.use("Agg")
     draw()
-    (FIGURES / "shown.json").write_text(json.dumps(shown(), indent=1) + "\n")
+    demo, swing = diagnosed(), diagnosed_swing()
+    (FIGURES / "demo").mkdir(parents=True, exist_ok=True)
+    (FIGURES / "demo" / "gap.png").write_bytes(png(gap_figure(demo)))
+    swing_figure(swing).savefig(FIGURES / "readme" / "swing.png", dpi=150)
+    noted = shown() | {"demo": shown_of(demo), "swing": shown_of(swing)}
+    (FIGURES / "shown.json").write_text(json.dumps(noted, indent=1) + "\n")

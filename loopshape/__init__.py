@@ -12,7 +12,9 @@ Names are loaded when they are first used; `dir(loopshape)` lists them.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -89,6 +91,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.diagnosis import gap as gap
+    from loopshape.verbs.diagnosis import identifiability as identifiability
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
@@ -178,6 +181,7 @@ _HOME = {
     "gain": "data.shorthand",
     "gain_scheduled": "data.gain_scheduled",
     "gap": "verbs.diagnosis",
+    "identifiability": "verbs.diagnosis",
     "interaction": "verbs.several",
     "lead_lag": "data.shorthand",
     "learning": "design.learning",
@@ -222,8 +226,17 @@ __all__ = ["__version__", *_HOME]
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
-    module = import_module(f"loopshape.{_HOME[name]}")
-    return import_module("loopshape.view.plot") if name == "plot" else getattr(module, name)
+    if name == "plot":
+        return import_module("loopshape.view.plot")
+    found = getattr(import_module(f"loopshape.{_HOME[name]}"), name)
+    return _behind_gate(found) if isinstance(found, FunctionType) else found
+
+
+@cache
+def _behind_gate(function: Any) -> Any:
+    from loopshape.core.gate import gated
+
+    return gated(function)
 
 
 def __dir__() -> list[str]:

@@ -48,16 +48,21 @@ def reference(k, t):
     return np.sum(parts, axis=0) + 0.3 * np.sin(2 * np.pi * 0.11 * t + k)
 
 
-def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, cogging=0.0, role="estimation"):
-    """One recording: the lever follows a reference under a PD law that sees the sensor."""
+def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0,
+             cogging=0.0, role="estimation"):  # fmt: skip
+    """One recording: the lever follows a reference, `held` rad off, under a PD law that sees the sensor.
+
+    Friction takes a share `load` of the drum's torque, and `driven_back` more where the load drives.
+    """
     n, rng = round(SECONDS * RATE_HZ), np.random.default_rng(100 + k)
     t = np.arange(n) / RATE_HZ
-    r = reference(k, t)
+    r = reference(k, t) + held
     late = round(delay_s * RATE_HZ)
     state, true, read, torque = np.zeros(2), np.zeros(n), np.zeros(n), np.zeros(n)
 
     def slope(_, x, u):
-        dry = coulomb * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
+        taken = load + driven_back if u * x[1] < 0.0 else load
+        dry = (coulomb + taken * abs(u)) * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
         dry += cogging * np.sin(9.0 * x[0])
         own = u - 1.04 * DAMPING * x[1] - 0.985 * SPRING * x[0] - 1.01 * WEIGHT * np.sin(x[0])
         return [x[1], (own - dry) / (1.01 * inertia)]
@@ -73,7 +78,7 @@ def recorded(k, *, coulomb=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0, cogging=
     return Recording(info, RATE_HZ, {"torque_nm": torque, "lever_rad": read})
 
 
-def run_of(count=3, **effect):
-    """Recordings for estimation, and one of validation."""
-    own = [recorded(k, **effect) for k in range(count)]
-    return Run(RATE_HZ, (), (*own, recorded(9, role="validation", **effect)))
+def run_of(count=3, levels=(0.0,), **effect):
+    """Recordings for estimation, and one of validation, held off by one of the levels after the other."""
+    own = [recorded(k, held=levels[k % len(levels)], **effect) for k in range(count)]
+    return Run(RATE_HZ, (), (*own, recorded(9, held=levels[-1], role="validation", **effect)))

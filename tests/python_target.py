@@ -4,9 +4,11 @@ It shows that the page suffices. `Target` has no line and no clock of its own: `
 """
 
 import math
+import secrets
 import struct
 import zlib
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from python_target_blocks import Block, biquad, known, turn
@@ -24,6 +26,7 @@ COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY = range(7
 CONTROLLER_INPUT, PLANT_INPUT, CONTROL = range(3)
 NONE = 255
 RATE_TICKS = 10
+TAGS_AHEAD = 256
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class Board:
     """0: no blocks."""
     ignores_limits: bool = False
     """A broken board, for tests of the host."""
+    guarded: bool = True
+    """READY gives ARM's number, and poles outside the unit circle are refused."""
 
 
 @dataclass
@@ -118,7 +123,8 @@ class Target:
         self.unsent, self.tag, self.received = 0, 0, 0
         self.again: deque[tuple[int, int]] = deque(maxlen=8)
         self.ended_until = self.ended_next = 0.0
-        self.now = self.heard = self.came = self.sent_at = 0.0
+        self.now = self.heard = self.fed = self.came = self.sent_at = 0.0
+        self.fed_tag, self.fresh, self.armed_here = 0, 0, False
         self.ticks_unheard = 0
         self.held = False
         self._last: tuple[bytes, bytes] | None = None
@@ -130,6 +136,7 @@ class Target:
         """A host came: what an earlier one left half is forgotten."""
         self.collector = Collector()
         self._last, self.came = None, self.now
+        self.fresh, self.armed_here = 0, False
 
     @property
     def idle(self) -> bool:
@@ -154,18 +161,24 @@ class Target:
         for body in self.collector.take(data):
             kind, tag = struct.unpack("<BH", body[:3])
             if kind < 0x80:
-                self._heard()
+                self.heard = self.now
                 self.out.append(self._once(body, kind, tag))
 
-    def _heard(self) -> None:
-        self.heard, self.ticks_unheard = self.now, 0
+    def _feed(self, kind: int, tag: int) -> None:
+        """A request was done: the watchdog is fed where it is new and of the host that armed."""
+        new = kind == ARM or 1 <= (tag - self.fed_tag) % 65536 <= TAGS_AHEAD
+        if self.armed_here and new:
+            self.fed, self.fed_tag, self.ticks_unheard = self.now, tag, 0
 
     def _once(self, body: bytes, kind: int, tag: int) -> bytes:
         if self._last and self._last[0] == body and kind != VENT:
             return self._last[1]
         self.log.append((kind, body[3:]))
         try:
+            if tag == 0 and kind != VENT:
+                raise RefusedError(2, "a tag is 1 to 65535")
             answer = frame(OK, tag, self._request(kind, body[3:]))
+            self._feed(kind, tag)
         except RefusedError as no:
             code, sentence = no.args
             answer = frame(NO, tag, struct.pack("<H", code) + text(sentence))
@@ -200,6 +213,8 @@ class Target:
         answer, states = answers[kind]
         if self.state not in states:
             raise RefusedError(1, f"not in state {('idle', 'armed', 'running', 'fault')[self.state]}")
+        if states == (ARMED,) and not self.armed_here:
+            raise RefusedError(9, "armed by another connection")
         return answer(payload)
 
     # --- requests
@@ -209,7 +224,7 @@ class Target:
         if protocol != 1:
             raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
         b, m = self.board, self.machine
-        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0)
+        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0) + 16 * b.guarded
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
         words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
@@ -244,6 +259,12 @@ class Target:
             raise RefusedError(4, "nothing is configured")
         return self.settings
 
+    def _stable(self, poles: Iterable[tuple[float, float]]) -> None:
+        """Refuse (a1, a2) of a section with a pole outside the unit circle, beyond rounding."""
+        for a1, a2 in poles if self.board.guarded else ():
+            room = max(abs(a2) - 1.0, abs(a1) - 1.0 - a2)
+            inside(room <= 1e-12, f"a pole of {a1}, {a2} lies outside the unit circle")
+
     def _sections(self, payload: bytes) -> bytes:
         s = self._configured()
         if len(payload) < 3:
@@ -256,7 +277,9 @@ class Target:
         inside(first == len(s.sections[loop]), f"section {first} is out of order")
         inside(first + count <= self.board.most_sections, f"{first + count} sections")
         inside(all(map(math.isfinite, numbers)), "a coefficient is not finite")
-        s.sections[loop] += [numbers[5 * i : 5 * i + 5] for i in range(count)]
+        sections = [numbers[5 * i : 5 * i + 5] for i in range(count)]
+        self._stable(one[3:] for one in sections)
+        s.sections[loop] += sections
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
 
@@ -279,7 +302,9 @@ class Target:
         if not count:
             raise RefusedError(2, "no row")
         inside(loop in s.schedules and not s.limits and not s.begun(loop + 1), f"no rows of loop {loop} at this place")
-        s.schedules[loop].take(first, [numbers[6 * i : 6 * i + 6] for i in range(count)])
+        rows = [numbers[6 * i : 6 * i + 6] for i in range(count)]
+        self._stable((row[4] / row[3], row[5] / row[3]) for row in rows if row[3])
+        s.schedules[loop].take(first, rows)
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
 
@@ -289,6 +314,7 @@ class Target:
         inside(payload[0] == len(s.blocks) and not s.begun(0) and not s.limits, f"block {payload[0]} at this place")
         if len(s.blocks) == self.board.most_blocks or len(one.sections) > self.board.most_sections:
             raise RefusedError(6, f"{len(s.blocks) + 1} blocks, {len(one.sections)} sections")
+        self._stable(section[3:] for section in one.sections)
         s.blocks.append(one)
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
@@ -324,22 +350,28 @@ class Target:
         if not known(s.blocks, 2 * s.loops):
             raise RefusedError(4, "a block reads what is not known by then")
         s.ready = True
-        return struct.pack("<I", s.digest)
+        if not self.board.guarded:
+            return struct.pack("<I", s.digest)
+        self.fresh = secrets.randbelow(2**64 - 1) + 1
+        return struct.pack("<IQ", s.digest, self.fresh)
 
     def _arm(self, payload: bytes) -> bytes:
         s = self._configured()
-        (digest,) = fields("I", payload)
+        if self.board.guarded and len(payload) == 4:
+            raise RefusedError(2, "ARM lacks the number of READY: the host is older than this target")
+        digest, *number = fields("IQ" if self.board.guarded else "I", payload)
         if not s.ready:
             raise RefusedError(4, "READY was not asked")
         if digest != s.digest:
             raise RefusedError(5, f"configured is {s.digest:08x}, received {digest:08x}")
+        if number and (not self.fresh or number != [self.fresh]):
+            raise RefusedError(10, "READY gave another number")
         self.sensors = self.machine.read()
         for name, value, (low, high, _) in zip(self.machine.sensors, self.sensors, s.limits, strict=False):
             inside(low <= value <= high, f"{name} is {value}, outside {low} .. {high}")
         self._rest()
         self._start_from(self._outputs(self.sensors))
-        self.state = ARMED
-        self._heard()
+        self.state, self.armed_here, self.fresh = ARMED, True, 0
         return b""
 
     def _setpoint(self, payload: bytes) -> bytes:
@@ -668,7 +700,7 @@ class Target:
         if self.state not in (ARMED, RUNNING) and not self.held:
             return
         real_ms = self.ticks_unheard / self.machine.rate_hz * 1000.0
-        unheard_ms = (self.now - self.heard) * 1000.0 if self.board.fast else real_ms
+        unheard_ms = (self.now - self.fed) * 1000.0 if self.board.fast else real_ms
         if unheard_ms <= self._configured().watchdog_ms:
             return
         if self.held:  # its reason stays the limit's

@@ -131,13 +131,14 @@ class Bench:
         self.configuration = Configuration(**{**vars(self.configuration), **changes})
         for what, payload in self.configuration.frames():
             self.ok(what, payload)
-        return struct.unpack("<I", self.ok(Ask.READY))[0]
+        self.ready = self.ok(Ask.READY)  # what ARM repeats
+        return struct.unpack("<I", self.ready[:4])[0]
 
     def arm(self, sensors: tuple[float, ...] = (0.0, 0.5, 0.5), **changes: object) -> None:
         """Configured and armed at these sensors."""
         self.tick(1, sensors)
-        digest = self.configure(**changes)
-        self.ok(Ask.ARM, struct.pack("<I", digest))
+        self.configure(**changes)
+        self.ok(Ask.ARM, self.ready)
 
     def record(self, table: np.ndarray, columns: int, injection: int = 0, run: int = 1, go: bool = True) -> None:
         """Announce a recording with these rows, upload what there is room for, go."""

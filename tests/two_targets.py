@@ -33,5 +33,9 @@ class Second:
     def _asked(self, what: int, payload: bytes) -> tuple[int, bytes]:
         self.tag += 1
         self.target.take(Frame(what, self.tag, payload).encoded)
-        body = body_of(self.target.out.pop()[:-1])
-        return body[0], body[3:]
+        return self.answers()[-1]
+
+    def answers(self) -> list[tuple[int, bytes]]:
+        """What waits for the line, as types and payloads."""
+        bodies = [body_of(self.target.out.popleft()[:-1]) for _ in range(len(self.target.out))]
+        return [(body[0], body[3:]) for body in bodies]

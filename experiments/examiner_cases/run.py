@@ -13,6 +13,7 @@ import numpy as np
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "certificate")]  # the study's own files, and the certificate's loops
 
+import spoiled  # noqa: E402
 from cases import CASES, Row  # noqa: E402
 from loops import (  # noqa: E402
     GAINS,
@@ -142,7 +143,7 @@ def _write(name: str, columns: tuple[str, ...], table: Iterator[list] | list) ->
 
 
 def main() -> int:
-    """Write cases.csv, random_loops.csv and reasons.csv; 1 where an answer is wrong."""
+    """Write cases.csv, random_loops.csv, reasons.csv, spoiled.csv and law.csv; 1 where an answer is wrong."""
     found: list[Row] = [row for make in CASES for row in make()]
     _write("cases.csv", Row._fields, [list(row) for row in found])
     made = [x for noise in NOISES for x in answers(14, noise)]
@@ -152,7 +153,7 @@ def main() -> int:
     print(f"{len(made)} answers on {LOOPS * len(NOISES)} random loops, {wrong} wrong")
     for row in found:
         print(", ".join(map(str, row)))
-    return int(wrong > 0)
+    return int(wrong > 0) | spoiled.main()
 
 
 if __name__ == "__main__":

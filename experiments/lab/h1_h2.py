@@ -154,5 +154,5 @@ def _frf(
         variance_freedom=2.0 * max(s.averages - 1.0, 1.0),
         averages=s.averages,
         notes=s.first.notes,
-        open_loop=stayed_bounded(recordings, [loop.output]),
+        open_loop=stayed_bounded(recordings, [loop], [loop.output]),
     )

@@ -5,18 +5,33 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from loopshape import frf
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.frf import FRF
 from loopshape.identify.frequency_response import estimate_frf
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent.parent / "tests" / "truth"))
-from swept_loop import HIGH, LOOP, LOW, measured, median_error, peer_errors, share_inside, sweep  # noqa: E402
+from swept_loop import (  # noqa: E402
+    HIGH,
+    LOOP,
+    LOW,
+    Truth,
+    easy_plant,
+    in_arrays,
+    measured,
+    median_error,
+    peer_errors,
+    plant,
+    share_inside,
+    sweep,
+)  # fmt: skip
 
 COLUMNS = (
     "ways", "spacing", "seconds", "rate_hz", "place", "drift", "records", "valid_share", "valid_octaves",
@@ -27,13 +42,24 @@ LENGTHS = ((10.0, 1000.0, 16), (20.0, 1000.0, 12), (60.0, 1000.0, 6), (180.0, 10
 
 
 def main() -> None:
-    """Write the table; four minutes of one core."""
+    """Write the table; five minutes of one core."""
     with (HERE / "sweeps.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for row in rows():
+        for row in chain(rows(), rows_in_arrays()):
             writer.writerow(row)
             file.flush()
+
+
+def rows_in_arrays() -> Iterator[list]:
+    """A row for each way, spacing and length of sweeps in open loop that come as arrays, without a kind."""
+    for both in (False, True):
+        for spacing in ("logarithmic", "linear"):
+            for seconds, _, records in LENGTHS[1:4]:
+                n = sweep(seconds, 500.0, spacing, both)
+                case = ["both" if both else "one", spacing, f"{seconds:g}", "500", "arrays", "0"]
+                found = [in_arrays(n, 500.0, seed) for seed in range(records)]
+                yield [*case, str(records), *summary([(frf(r), p) for r, p in found], 500.0, easy_plant)]
 
 
 def rows() -> Iterator[list]:
@@ -48,19 +74,22 @@ def rows() -> Iterator[list]:
                         yield [*case, str(records), *measures(place, n, rate, drift, records)]
 
 
-def measures(place: str, n: Array, rate_hz: float, drift: float, records: int) -> list[str]:
+def measures(place: str, n: Array, rate_hz: float, drift: float, count: int) -> list[str]:
     """Valid share of the band in Hz and in octaves, errors, their ratio, the best peer, coverage."""
-    shares, octaves, errors, peers, inside = [], [], [], [], []
-    for seed in range(records):
-        record = measured(place, n, rate_hz, seed, drift)
-        frf = estimate_frf(record, LOOP)
-        f = frf.frequency_hz[frf.trusted]
+    records = [measured(place, n, rate_hz, seed, drift) for seed in range(count)]
+    return summary([(estimate_frf(r, LOOP), peer_errors(r, place)) for r in records], rate_hz, plant)
+
+
+def summary(found: Sequence[tuple[FRF, dict[str, float]]], rate_hz: float, truth: Truth) -> list[str]:
+    """The same of estimates and their peers' errors."""
+    shares, octaves, errors, inside = [], [], [], []
+    for one, _ in found:
+        f = one.frequency_hz[one.trusted]
         shares.append(np.ptp(f) / (HIGH - LOW))
         octaves.append(np.log(f[-1] / f[0]) / np.log(HIGH / LOW))
-        peers.append(peer_errors(record, place))
-        errors.append(median_error(*between(frf), rate_hz))
-        inside.append(share_inside(frf, rate_hz))
-    known = {name: float(np.mean([p[name] for p in peers])) for name in peers[0]}
+        errors.append(median_error(*between(one), rate_hz, truth))
+        inside.append(share_inside(one, rate_hz, truth=truth))
+    known = {name: float(np.mean([p[name] for _, p in found])) for name in found[0][1]}
     best = min(known, key=lambda name: known[name])
     error = float(np.mean(errors))
     numbers = [np.mean(shares), np.mean(octaves), error, known[best], error / known[best]]

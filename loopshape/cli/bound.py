@@ -21,7 +21,10 @@ def bound(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Bandwidths that no controller of any order exceeds under the requirements, beside that of a given one."""
+    """Bandwidths that no controller of any order exceeds.
+
+    Under the requirements, beside the bandwidth of a given controller.
+    """
     bound_run(run, controller, require, Output(as_json, quiet))
 
 

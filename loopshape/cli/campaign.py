@@ -9,13 +9,13 @@ from typing import Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet
-from loopshape.rig.interrupts import interrupts
+from loopshape.core.interrupts import interrupts
 
 
 def campaign(
     file: Annotated[Path, typer.Argument(help="A campaign (TOML).", show_default=False)],
     out: Annotated[Path, typer.Option(help="The folder of run folders to write; an interrupted campaign goes on.")],
-    workers: Annotated[int, typer.Option(help="Processes on this machine; 0 for one a core.")] = 0,
+    workers: Annotated[int, typer.Option(help="Worker processes (0: one per core).")] = 0,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, in place of processes.")] = None,
     part: Annotated[
         str | None, typer.Option(metavar="K/N", help="Record one of N parts, in a folder of its own.")
@@ -24,7 +24,10 @@ def campaign(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Do a study to many simulated machines: draws of the manufacturing tolerance, amplitudes, effects."""
+    """Monte Carlo over simulated machines.
+
+    A study on draws of the manufacturing tolerance, amplitudes and effects.
+    """
     from loopshape.verbs.campaign import campaign as recorded
 
     output, started = Output(as_json, quiet), monotonic()
@@ -34,8 +37,7 @@ def campaign(
                 file, out, workers=workers, cluster=cluster, part=_part(part, merge), merge=merge, watch=output
             )
     except KeyboardInterrupt:
-        output.warn(["interrupted; what the runs list is kept, the same command goes on"])
-        raise typer.Exit(130) from None
+        raise KeyboardInterrupt("interrupted; what the runs list is kept, the same command goes on") from None
     wall_s = monotonic() - started
     done = "merged" if merge else "made"
     output.say(f"{made.machines} machines, {made.recordings} recordings {done} in {wall_s:.1f} s, in {made.folder}")

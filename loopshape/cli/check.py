@@ -59,7 +59,7 @@ def check(
         str | None, typer.Option(help="Of the matrix the loops that are closed, as a,b; default: all.")
     ] = None,
     disturbance: Annotated[
-        Path | None, typer.Option(help="A run of the closed loop that nothing excites: the rms of the error from it.")
+        Path | None, typer.Option(help="A recording of the loop without excitation: gives the rms of the error.")
     ] = None,
     diagram: DiagramFile = None,
     figures: Annotated[bool, typer.Option(help="Draw Nichols, loop and sensitivity pictures.")] = True,
@@ -67,7 +67,7 @@ def check(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check margins, peaks and stability at every operating point; the verdict comes first.
+    """Check margins and stability at each operating point. Peaks and bandwidth too; the verdict comes first.
 
     Exit code 1 where a requirement is missed or not decided by these data, or where something is worse than the
     baseline. Without requirements margins and stability are reported, without verdict.
@@ -122,7 +122,7 @@ def check_run(
     outcome = outcome_of(found.verdicts)
     worse = compared is not None and compared.worse and not reports.allow_worse
     passed = outcome == "passed" and not worse
-    report_headline(found.verdicts, output, ", and worse than the baseline" if worse else "")
+    report_headline(found.verdicts, output, ", and worse than the baseline" if worse else "", run)
     if details:
         report_verdicts(found.verdicts, output)
         for one in found.loops:

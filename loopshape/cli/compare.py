@@ -13,13 +13,16 @@ from loopshape.cli.pictures import figures_of
 from loopshape.cli.predict import STEP_COLUMNS, indicator_text
 
 if TYPE_CHECKING:
+    from loopshape.data.frf import FRF
     from loopshape.data.prediction import Comparison, StepComparison
     from loopshape.loop.remeasured import Remeasured
 
 
 def compare(
     run: RunFolder,
-    prediction: Annotated[Path, typer.Argument(help="What `loopshape predict` wrote (.npz).", show_default=False)],
+    prediction: Annotated[
+        Path, typer.Argument(help="What `loopshape predict` wrote (.npz), or another run.", show_default=False)
+    ],
     tolerance_db: Annotated[
         float, typer.Option(min=0.0, help="Deviations of |S| of this rms size count as none, in dB.")
     ] = 0.0,
@@ -28,7 +31,11 @@ def compare(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say of each prediction whether it is confirmed, where not and by how much; exit code 0 where all are."""
+    """Validate predictions against a measurement.
+
+    Each confirmed, or where not and by how much; exit code 0 where all are. With another run, also one of import-frf,
+    in the place of predictions the FRFs of both are compared.
+    """
     from loopshape.identify.settings import Settings
     from loopshape.io.frfs import FOLDER, has_any, read_frfs
     from loopshape.io.predictions import read_predictions
@@ -36,6 +43,9 @@ def compare(
     from loopshape.loop.remeasured import remeasure
 
     output = Output(as_json, quiet)
+    if has_any(prediction, FOLDER):
+        _two_runs(read_frfs(run), read_frfs(prediction), tolerance_db, output)
+        return
     frfs = read_frfs(run) if has_any(run, FOLDER) else ()
     settings = Settings(resolution_hz=resolution_hz)
     found = remeasure(
@@ -47,6 +57,37 @@ def compare(
     output.json({"outcome": outcome, "predictions": found, "figures": drawn})
     if outcome != "held":
         raise typer.Exit(1)
+
+
+def _two_runs(first: Sequence[FRF], second: Sequence[FRF], tolerance_db: float, output: Output) -> None:
+    """FRFs of two runs: a table of each pair, the worst outcome, exit code 1 where it is not that all agree."""
+    from loopshape.loop.prediction import compare_all
+
+    found = compare_all(first, second, tolerance_db=tolerance_db)
+    columns = ["loop", "first", "second", "outcome", "p-value", "lines", "worst band [Hz]", "P off [dB]"]
+    rows = [
+        [c.loop, c.predicted_from, c.measured_from, c.outcome, f"{c.p_value:.2g}", c.lines, *_off(c), c.noticed_db]
+        for c in found
+    ]
+    output.table("FRFs of two runs", [*columns, "would notice [dB]"], rows)
+    output.warn(f"{c.measured_from}: {note}" for c in found for note in c.notes)
+    outcome = _worst(found)
+    output.say(f"FRFs: {outcome}")
+    output.json({"outcome": outcome, "comparisons": found})
+    if outcome != "held":
+        raise typer.Exit(1)
+
+
+def _off(c: Comparison) -> list[str]:
+    worst = c.worst
+    return (
+        ["-", "-"] if worst is None else [f"{worst.low_hz:.3g} .. {worst.high_hz:.3g}", f"{worst.sensitivity_db:+.2f}"]
+    )
+
+
+def _worst(found: Sequence[Comparison]) -> str:
+    outcomes = {c.outcome for c in found}
+    return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
 
 
 def report(found: Sequence[Remeasured], output: Output) -> str:
@@ -79,8 +120,7 @@ def report(found: Sequence[Remeasured], output: Output) -> str:
     output.warn(
         f"nothing measured of loop {one.prediction.loop} predicted from {one.prediction.recording}" for one in unseen
     )
-    outcomes = {c.outcome for c in comparisons}
-    return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
+    return _worst(comparisons)
 
 
 def _row(c: Comparison) -> list[Any]:

@@ -20,7 +20,10 @@ def demo(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify, fit, tune and check the simulated arm at 24 equilibria and a real motor bench; diagnose a gap."""
+    """Run the main job on a simulated arm and a real bench.
+
+    Identify, fit, tune and check the arm at 24 equilibria and the motor bench; diagnose a gap.
+    """
     from loopshape.core.errors import UnreadableInputError
     from loopshape.io.examples import examples_folder
 

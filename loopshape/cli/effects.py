@@ -31,12 +31,13 @@ def effects(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """List a plant's catalogue of effects: where each lives, its forms, and the magnitudes that usually occur."""
+    """List a plant's catalogue of effects. Of each its place, its forms and its usual magnitudes."""
     from loopshape.model import registry
     from loopshape.rig.effects import catalogue
 
     output = Output(as_json, quiet)
-    rows = catalogue_rows(catalogue(registry.plant(plant)))
+    forms = catalogue(registry.plant(plant))
+    rows = catalogue_rows(forms)
     if markdown:
         output.say(markdown_table(rows))
     else:
@@ -44,7 +45,10 @@ def effects(
     drawn = draw_effects(plant, figure, effect or ()) if figure is not None else []
     if drawn:
         output.say("\n".join(drawn))
-    output.json({"plant": plant, "forms": [dict(zip(COLUMNS, row, strict=True)) for row in rows], "figures": drawn})
+    cells = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
+    own = [{"unit": form.unit, "quantity": form.quantity or None} for form in forms]
+    told = [row | words for row, words in zip(cells, own, strict=True)]
+    output.json({"plant": plant, "forms": told, "figures": drawn})
 
 
 def catalogue_rows(forms: Iterable[EffectForm]) -> list[list[Any]]:
@@ -57,7 +61,16 @@ def catalogue_rows(forms: Iterable[EffectForm]) -> list[list[Any]]:
         low, high = bounds(form)
         usual = "-" if form.usual in ((low, high), (0.0, float("inf"))) else f"{_sign(low)}{_range(*form.usual)}"
         rows.append(
-            [form.effect, form.block, number, form.form, form.unit, usual, _range(low, high), form.source or "-"]
+            [
+                form.effect,
+                form.block,
+                number,
+                form.form,
+                f"1 ({form.quantity})" if form.quantity else form.unit,
+                usual,
+                _range(low, high),
+                form.source or "-",
+            ]
         )
     return rows
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Annotated
 
 import typer
 
-from loopshape.rig.interrupts import interrupts
+from loopshape.core.interrupts import interrupts, until_interrupted
 
 
 def emulator(
@@ -23,13 +22,16 @@ def emulator(
     duplicate: Annotated[float, typer.Option(help="Probability that a frame comes twice, each way.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the transmission errors.")] = 0,
 ) -> None:
-    """The 1-DoF arm behind the target's protocol; prints the port for `loopshape measure --port`, runs until Ctrl-C."""
+    """Emulate a target that drives the 1-DoF arm.
+
+    Prints the port for `loopshape measure --port`; runs until Ctrl-C.
+    """
     from loopshape.model.arm.emulated import plant_file
     from loopshape.rig.emulator import Emulator, running
 
     plant = plant_file(_changes(change or []), {"theta2_deg": theta2_deg, "p_ab_bar": p_ab_bar}, rate_hz)
     wanted = Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed)
-    with suppress(KeyboardInterrupt), interrupts(), running(wanted) as (process, port):
+    with until_interrupted(), interrupts(), running(wanted) as (process, port):
         print(port, flush=True)
         process.wait()
 

@@ -15,7 +15,7 @@ def equilibria(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw the 1-DoF arm's equilibria (figures 4.7, 4.8 of the source) and list its 24 operating points."""
+    """Draw the 1-DoF arm's equilibria. Figures 4.7 and 4.8 of the source, and a list of its 24 operating points."""
     from loopshape.model.arm.equilibrium import pressures
     from loopshape.model.arm.linear import linearise
     from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants

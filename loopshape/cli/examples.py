@@ -15,7 +15,7 @@ def examples(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Copy the examples that come with the package: the tour's recording, studies, maps, requirements."""
+    """Copy the package's examples into a folder. They are the tour's recording, studies, maps and requirements."""
     from loopshape.io.examples import copy_examples
 
     output = Output(as_json, quiet)

@@ -24,7 +24,7 @@ def export(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write each FRF of a run as a file, all of them or none; import-frf reads them back."""
+    """Write each FRF of a run as a file. All of them or none; import-frf reads them back."""
     from loopshape.io.files import inside
     from loopshape.io.frf_exchange import export_frfs
     from loopshape.io.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
@@ -54,7 +54,7 @@ def export_controller(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write each controller of a file as it runs: its sections, rounded to its precision, as check judges them.
+    """Write each controller of a file as it runs. Its sections, rounded to its precision, as check takes them.
 
     With --diagram the file's controller is that of its tuned block, and all blocks are written with one step that leads
     from what is measured to what enters the plants (c or json).
@@ -119,7 +119,7 @@ def export_excitation(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what a study injects and where its setpoints go, sample by sample, for a rig that loads files."""
+    """Write a study's injected signals and setpoints. Sample by sample, for a rig that loads files."""
     from loopshape.io.excitation_export import export_signals
     from loopshape.io.study import read_study
     from loopshape.model import registry
@@ -148,7 +148,7 @@ def firmware(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a controller file of a firmware's rate loop or a drive's; export-controller writes its parameters back."""
+    """Read a firmware's or a drive's loop as a controller. export-controller writes its parameters back."""
     from loopshape.io.controllers import write_controllers
     from loopshape.io.drives import controller_of_parameters
     from loopshape.io.firmware import left_out, read_parameters, with_notches

@@ -34,7 +34,10 @@ def feedforward(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Invert a measured plant over a band; with --controller and --move predict the error with it and without."""
+    """Design feedforward: the inverse of a measured plant.
+
+    Over a band; with --controller and --move predict the error with it and without.
+    """
     from loopshape.core.errors import WrongUseError
     from loopshape.design.feedforward import feedforward as invert
     from loopshape.io.check_files import controller_of

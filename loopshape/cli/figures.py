@@ -29,7 +29,7 @@ def figures(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw FRFs with their fits, parameter maps, and with a controller its loops."""
+    """Draw the figures of a run. FRFs with their fits, parameter maps, and with a controller its loops."""
     from loopshape.cli.verdicts import fits_of
     from loopshape.io.controllers import read_controllers
     from loopshape.io.frfs import read_frfs

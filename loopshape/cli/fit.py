@@ -28,13 +28,23 @@ def fit(
     denominator: Annotated[int, typer.Option(help="rational: order of the denominator.")] = 1,
     integrators: Annotated[int, typer.Option(help="rational: poles at zero.")] = 0,
     delay: Annotated[bool, typer.Option("--delay", help="Fit a delay too.")] = False,
+    stable: Annotated[
+        bool | None,
+        typer.Option(
+            "--stable/--any-poles",
+            help="rational: no pole in the right half plane. Default as declared by --require, else in open loop.",
+        ),
+    ] = None,
+    require: Annotated[
+        Path | None, typer.Option("--require", help="Requirements (TOML): their unstable_poles decide where known.")
+    ] = None,
     weighting: Annotated[str, typer.Option(help="variance, or relative.")] = "variance",
     low_hz: Annotated[float | None, typer.Option(help="Lowest frequency; default: the valid band.")] = None,
     high_hz: Annotated[float | None, typer.Option(help="Highest frequency; default: the valid band.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit low-order models, with intervals and a test of what they leave."""
+    """Fit low-order models, with confidence intervals. A residual test says whether a model is adequate."""
     band = None if low_hz is None and high_hz is None else (low_hz or 0.0, high_hz or float("inf"))
     fit_run(
         run,
@@ -45,6 +55,8 @@ def fit(
         denominator=denominator,
         integrators=integrators,
         delay=delay,
+        stable=stable,
+        require=require,
         weighting=weighting,
         band_hz=band,
     )
@@ -58,6 +70,8 @@ def fit_run(
     loop: str | None = None,
     weighting: str = "variance",
     band_hz: tuple[float, float] | None = None,
+    stable: bool | None = None,
+    require: Path | None = None,
     **orders: Any,
 ) -> None:
     """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
@@ -67,7 +81,10 @@ def fit_run(
     from loopshape.io.fits import read_fits, write_fits
     from loopshape.io.frfs import read_frfs
     from loopshape.io.held import held
+    from loopshape.io.requirements import read_requirements
 
+    required = () if require is None else read_requirements(require)
+    poles = {one.loop: one.unstable_poles for one in required if one.unstable_poles is not None}
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
         raise WrongUseError("the run has no FRF of such a loop", repr(loop))
@@ -75,10 +92,11 @@ def fit_run(
     made = []
     with output.progress("fit", len(frfs)) as step:
         for one in frfs:
+            asked = poles[one.loop] == 0 if stable is None and one.loop in poles else stable
             if chosen is None:
-                made.append(fit_automatically(one, weighting=weighting, band_hz=band_hz))
+                made.append(fit_automatically(one, weighting=weighting, band_hz=band_hz, stable=asked))
             else:
-                made.append(fit_one(one, chosen, weighting=weighting, band_hz=band_hz))
+                made.append(fit_one(one, chosen, weighting=weighting, band_hz=band_hz, stable=asked))
             step(one.recording)
     known = {(f.recording, f.loop) for f in made}
     with held(run):
@@ -93,7 +111,16 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         mine = [f for f in fits if f.structure == name]
         shown = [p.name for p in mine[0].parameters if p.unit != "SI"]  # bare coefficients are in --json
         parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters if p.name in shown]
-        columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "enough?", "outcome"]
+        columns = [
+            "recording",
+            "loop",
+            "operating point",
+            *parameters,
+            "misfit [dB]",
+            "chi²/dof",
+            "adequate?",
+            "outcome",
+        ]
         rows = [
             [f.recording, f.loop, point(f.operating_point, f.rig_parameters)]
             + [_parameter(f, p) for p in f.parameters if p.name in shown]
@@ -109,6 +136,12 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         if f.model.unstable_poles()
     )
     output.warn(
+        f"{f.recording}: {f.starts - f.starts_agreeing} of {f.starts} starts of the fit ended at worse optima: a better"
+        " one may exist; narrow the band, or try other orders"
+        for f in fits
+        if f.disputed
+    )
+    output.warn(
         f"{f.recording}: the model misses the FRF by {f.misfit_db:.1f} dB rms: try --weighting relative, other orders"
         for f in fits
         if f.misfit_db > 3.0
@@ -116,7 +149,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
     bad = [f for f in fits if not f.sufficient]
     if bad:
         output.say(
-            f"{len(bad)} of {len(fits)} models leave more than the noise (enough? no): their intervals are widened,"
+            f"{len(bad)} of {len(fits)} models leave more than the noise (adequate? no): their intervals are widened,"
             " and checks use the FRF itself"
         )
     output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if f.outcome != "converged")

@@ -26,9 +26,7 @@ def frf(
         typer.Option(help="reference (or joint), direct (biased under feedback); in open loop h1, h2 or hv too."),
     ] = "reference",
     method: Annotated[str, typer.Option(help="auto, welch, or local; for records without a period.")] = "auto",
-    resolution_hz: Annotated[
-        float | None, typer.Option(help="Distance between frequencies; default by the record.")
-    ] = None,
+    resolution_hz: Annotated[float | None, typer.Option(help="Frequency resolution; default by the record.")] = None,
     overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
     window: Annotated[
         str, typer.Option(help="Welch: hann, hamming, blackman, blackmanharris, bartlett, flattop or boxcar.")
@@ -39,7 +37,7 @@ def frf(
         int | None, typer.Option(help="Length of Welch's segments; in place of --resolution-hz.")
     ] = None,
     realisations: Annotated[
-        bool, typer.Option("--realisations", help="Take multisines alike but for their phases together.")
+        bool, typer.Option("--realisations", help="Average over random-phase realisations.")
     ] = False,
     matrix: Annotated[bool, typer.Option("--matrix", help="Estimate the plant's matrix of all loops too.")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="Write each FRF as a table too.")] = False,
@@ -47,7 +45,7 @@ def frf(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the FRFs of a run with variance, coherence and valid band, and draw them."""
+    """Estimate FRFs with variance, coherence and valid band. Draws a page of each, and an overview of each loop."""
     output = Output(as_json, quiet)
     settings = {
         "estimator": estimator,
@@ -207,6 +205,8 @@ def report(
     """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
+    from loopshape.data.method import by_loop
+
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in frfs)
     columns += ["of it distortion [%]"] if told else []
@@ -223,8 +223,8 @@ def report(
         output.say(words)
     for found in extra.get("levels", ()):
         output.say(found.sentence)
-    for method in dict.fromkeys(one.method for one in [*frfs, *matrices]):
-        output.say(f"estimated by the {method}")
+    for line in by_loop([*frfs, *matrices]):
+        output.say(f"method: {line}")
     early = list(extra.get("ended_early", ()))
     notes = [f"{one.recording}: {note}" for one in [*frfs, *matrices] for note in one.notes]
     output.warn([*warnings, *early, *notes])

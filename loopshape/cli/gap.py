@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,8 @@ import typer
 from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.data.gap_report import GapReport, Ranked
+    from loopshape.data.effect import Fix
+    from loopshape.data.gap_report import BudgetStep, GapReport, Ranked
 
 #: hypotheses printed with --details, and without
 SHOWN, FIRST = 6, 3
@@ -22,7 +24,9 @@ def gap(
     sim: Annotated[
         Path | None, typer.Argument(help="A second run, simulated or real: then without a model, no cause.")
     ] = None,
-    save_answer: Annotated[Path | None, typer.Option(help="Write the answer to this JSON file.")] = None,
+    save_answer: Annotated[
+        Path | None, typer.Option(help="Write the answer to this JSON file, the fix beside it.")
+    ] = None,
     report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png).")] = None,
     next_study: Annotated[
         Path | None,
@@ -31,12 +35,21 @@ def gap(
     model: Annotated[
         Path | None, typer.Option(help="A machine of your own (model.toml); the Python file that it names is run.")
     ] = None,
+    identifiable: Annotated[
+        bool,
+        typer.Option(
+            "--identifiable", help="Before a diagnosis: how small each effect may be to be seen, and its twins."
+        ),
+    ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Leave the closed-loop gap table out.")] = False,
     details: Details = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose the gap between a run and the nominal model of its plant, or between two runs; the verdict first."""
+    """Diagnose the gap between a machine and its model.
+
+    Between a run and the nominal model of its plant, or between two runs; the verdict first.
+    """
     output = Output(as_json, quiet)
     check_files(save_answer, report, next_study)
     if sim is not None:
@@ -44,8 +57,25 @@ def gap(
 
         two_runs(run, sim, save_answer, report, output, details=details)
         return
+    if identifiable:
+        show_identifiable(run, model, output)
+        return
     files = {"save_answer": save_answer, "report": report, "next_study": next_study}
     diagnose_run(run, output, **files, quick=quick, details=details, model=model)
+
+
+def show_identifiable(folder: Path, model: Path | None, output: Output) -> None:
+    """Print how small each effect may be to be seen in a run, and which others look like it."""
+    from dataclasses import asdict
+
+    from loopshape.verbs.diagnosis import identifiability
+
+    with output.progress("identifiable", 9) as step:
+        found = identifiability(folder, model=model, say=step)
+    rows = [[x.effect, "not seen" if x.least is None else f"{x.least:.3g} {x.unit}", ", ".join(x.alike) or "-"]
+            for x in sorted(found, key=lambda x: (x.least is None, x.effect))]  # fmt: skip
+    output.table("What these recordings can tell", ["effect", "least that is seen", "looks like"], rows)
+    output.json({"effects": [asdict(x) for x in found]})
 
 
 def diagnose_run(
@@ -75,10 +105,10 @@ def diagnose_run(
         show(found, output)
     output.warn(found.notes)
     if save_answer is not None:
-        from loopshape.io.files import make_folder, write_json
-
-        make_folder(save_answer.parent)
-        write_json(save_answer, found.to_dict())
+        found = _saved(found, save_answer)
+    if found.fix is not None:
+        output.paragraph(_fix_line(found.fix, save_answer))
+    if save_answer is not None:
         output.say(f"answer written to {save_answer}")
     if report is not None:
         from loopshape.cli.pictures import save
@@ -89,6 +119,28 @@ def diagnose_run(
         propose(found, next_study, output)
     output.json(found.to_dict())
     return found
+
+
+def _saved(found: GapReport, answer: Path) -> GapReport:
+    """Write the answer, and beside it the missing forces and the fix; the report names the files as written."""
+    from loopshape.data.gap_report import missing_csv
+    from loopshape.io.files import make_folder, write_beside, write_json, write_text_whole
+
+    make_folder(answer.parent)
+    if found.fix is not None:
+        names = {name: write_beside(answer.parent / name, text) for name, text in found.fix.texts.items()}
+        found = replace(found, fix=found.fix.named(names))
+    for curves in found.missing_by_place.values():
+        write_text_whole(answer.parent / curves[0].file, missing_csv(curves))
+    write_json(answer, found.to_dict())
+    return found
+
+
+def _fix_line(fix: Fix, answer: Path | None) -> str:
+    """What the fix changes, from what to what, and where its files are."""
+    whose = "fix" if fix.is_verdict else f"fix, if it is {fix.of}"
+    files = [str(answer.parent / name) for name in (fix.file, fix.function) if name] if answer is not None else []
+    return f"{whose}: {fix.sentence}" + (f" ({' and '.join(files)})" if files else "")
 
 
 def check_files(save_answer: Path | None, report: Path | None, study: Path | None = None) -> None:
@@ -108,28 +160,56 @@ def _headline(found: GapReport, output: Output) -> None:
     output.say("")
     rows = [row for r in found.ranking[:FIRST] for row in _short_rows(r)]
     output.table("Leading hypotheses", ["effect", "probability", "magnitude", "95 % interval"], rows)
+    if found.twins:
+        output.paragraph(f"not told apart by these recordings: {', '.join((found.verdict, *found.twins))}")
+    agree, count = found.agreeing
+    if found.verdict != "none" and count:
+        output.paragraph(f"left out of the fit, {agree} of {count} recordings or pieces are told best by it")
+    if found.budget:
+        steps = [x for k, x in enumerate(found.budget) if not k or x.effects != found.budget[k - 1].effects]
+        cells = [[_WITH[x.step].format(" + ".join(x.effects)), x.gap, *_shares(x)] for x in steps]
+        output.table("Where the gap goes", ["with", "left, noise floors", "explains", "95 % interval"], cells)
     place, (low, high) = found.where, found.where.band_hz
     if place.block != "none":
         output.paragraph(f"where: {place.block}, seen most in {place.channel} from {low:.3g} to {high:.3g} Hz")
+    if found.windows_s:
+        tried = ", ".join(f"{w:g}" for w in found.windows_s)
+        output.paragraph(f"windows: {found.window_s:g} s, where a force or signal explains most (tried: {tried} s)")
     for words in found.software:
         output.paragraph(words)
     if found.proposal is not None:
         output.paragraph(f"next: {found.proposal.sentence}")
 
 
+_WITH = {
+    "before": "nothing added",
+    "best_name": "{}",
+    "best_set": "{}",
+    "ceiling": "any push at {}",
+    "floor": "noise floor",
+}
+
+
+def _shares(step: BudgetStep) -> list[str]:
+    """The share of a gap that a step takes away, and its interval."""
+    share, interval = step.share, step.interval
+    return [
+        "-" if share is None else f"{share:.0%}",
+        "-" if interval is None else f"{interval[0]:.0%} to {interval[1]:.0%}",
+    ]
+
+
 def _short_rows(r: Ranked) -> list[list[Any]]:
     """A hypothesis with its magnitude; a pair takes a row for each of its effects."""
-    parts: dict[str, Any] = dict(r.parts)
-    if r.magnitude is not None or not parts:
-        parts = {r.effect: (r.magnitude, r.interval, r.unit)}
+    sizes = r.sizes or {r.effect: ("-", None)}
     return [
         [
             f"{'' if k == 0 else '+ '}{effect}",
             f"{r.probability:.1%}" if k == 0 else "",
-            "-" if size is None else f"{size:.3g} {'' if unit in (None, '1') else unit}".strip(),
+            size,
             f"{interval[0]:.3g} to {interval[1]:.3g}" if interval else "-",
         ]
-        for k, (effect, (size, interval, unit)) in enumerate(parts.items())
+        for k, (effect, (size, interval)) in enumerate(sizes.items())
     ]
 
 
@@ -150,9 +230,7 @@ def show(found: GapReport, output: Output) -> None:
     columns = ["recording", "role", "path", "nominal", "with the effect", "with the rival"]
     rows_ = [[s.recording, s.role, s.path, s.before, s.after, s.rival] for s in found.submodels]
     output.table("Submodels, rms relative to the noise floor", columns, rows_)
-    output.table(
-        "Hypotheses", ["effect", "probability", "magnitude", "95 %", "unit", "form"], ranking_rows(found.ranking)
-    )
+    output.table("Hypotheses", ["effect", "probability", "magnitude", "95 %", "form"], ranking_rows(found.ranking))
     place = found.where
     output.table(
         "Where",
@@ -183,16 +261,13 @@ def ranking_rows(ranking: Sequence[Ranked]) -> list[list[Any]]:
     """The first hypotheses as cells."""
     rows: list[list[Any]] = []
     for r in ranking[:SHOWN]:
-        parts: dict[str, Any] = dict(r.parts)
-        if r.magnitude is not None:
-            parts = {r.effect: (r.magnitude, r.interval, r.unit)}
+        sizes = r.sizes.values()
         rows.append(
             [
                 r.effect,
                 f"{r.probability:.1%}",
-                ", ".join(f"{m:.3g}" for m, _, _ in parts.values()) or None,
-                ", ".join(f"{i[0]:.3g} to {i[1]:.3g}" for _, i, _ in parts.values() if i) or None,
-                ", ".join(u or "" for _, _, u in parts.values()) or None,
+                ", ".join(size for size, _ in sizes) or None,
+                ", ".join(f"{i[0]:.3g} to {i[1]:.3g}" for _, i in sizes if i) or None,
                 r.form,
             ]
         )

@@ -27,12 +27,13 @@ def import_file(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a run folder from a recording of your own; the map's keys are in docs/files.md.
+    """Make a run folder from a recording of your own. The map's keys are in docs/files.md.
 
     Without --map the file is looked at and a draft of the map is written, with a reason for each guess and a picture;
     with --accept the run is made from it, or from the one that is there already.
     """
     from loopshape.core.errors import WrongUseError
+    from loopshape.io.draft_map import refuse_draft_of_another
 
     output = Output(as_json, quiet)
     if (map_file is not None or accept) and out is None:
@@ -44,6 +45,7 @@ def import_file(
     if map_file is None:
         map_file = draft or Path(f"{file.name.split('.')[0]}.map.toml")
         if accept and map_file.exists():
+            refuse_draft_of_another(map_file, file)
             output.say(f"map: {map_file}, written before")
         else:
             _draft(file, map_file, output, rate_hz, accept=accept)
@@ -58,9 +60,9 @@ def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, acc
     from loopshape.view.draft import draft as drawn
 
     made = draft_map(file, rate_hz)
-    write_draft(path, made, file)
     units = {c.name: c.unit for c in made.columns}
     figure = drawn({c.name: c.values for c in made.columns}, made.roles, units, made.rate_hz)
+    write_draft(path, made, file)  # last: a draft of what cannot be drawn would bar the next one
     picture = save(figure, path.with_suffix(".png"))
     output.say(f"draft of a map: {path}, drawn in {picture}\n")
     for sentence in made.guesses:

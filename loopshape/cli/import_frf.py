@@ -28,7 +28,7 @@ def import_frf(
     averages: Annotated[float | None, typer.Option(help="Averages behind the file's coherence.")] = None,
     rate_hz: Annotated[float, typer.Option(help="Rate of the loop; tune needs it.")] = 0.0,
     negative: Annotated[
-        bool, typer.Option("--negative", help="Measured with the sign of the summing point: turn it.")
+        bool, typer.Option("--negative", help="Flip the sign (measured with negative feedback).")
     ] = False,
     complete_loop: Annotated[
         Path | None, typer.Option(help="Measured as L = C P under this controller (TOML): divide it out.")
@@ -39,7 +39,10 @@ def import_frf(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take a FRF from a file, with its error or a stated one; the files' keys are in docs/files.md."""
+    """Import an FRF from a file, with its error.
+
+    The error is the file's or a stated one; the files' keys are in docs/files.md.
+    """
     from loopshape.core.errors import WrongUseError
     from loopshape.io.frf_exchange import add_frfs, read_frf_file
     from loopshape.io.frf_foreign import Stated

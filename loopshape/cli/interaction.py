@@ -1,4 +1,4 @@
-"""`loopshape interaction`: how much the loops of a run meet in each other, by band."""
+"""`loopshape interaction`: coupling between the loops of a run, by band."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def interaction(
     outputs: Annotated[
         str | None, typer.Option(help="Their outputs in order, where names do not identify them.")
     ] = None,
-    limit_db: Annotated[float, typer.Option(help="Below it loops are decoupled; -20 is the source's.")] = -20.0,
+    limit_db: Annotated[float, typer.Option(help="Limit of decoupling; default -20 dB (van den Brink 2007).")] = -20.0,
     bands: Annotated[str | None, typer.Option(help="Bands in Hz, as 0.5-1,1-4; default: octaves.")] = None,
     controller: Annotated[Path | None, typer.Option(help="Controllers that close the others; default: run's.")] = None,
     require_decoupled: Annotated[bool, typer.Option(help="Exit code 1 unless every band is decoupled.")] = False,
@@ -32,7 +32,10 @@ def interaction(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Judge the interaction of loops, with bounds, from the matrix FRFs of a run; needs `frf RUN --matrix` before."""
+    """Assess the coupling between loops, with bounds.
+
+    From the matrix FRFs of a run; needs `frf RUN --matrix` before.
+    """
     from loopshape.identify.interaction import interaction as analyse
     from loopshape.io.frfs import read_several_loops
 

@@ -25,7 +25,9 @@ def learning(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Filters of iterative learning from a measured plant, with their convergence condition at each frequency.
+    """Design the filters of iterative learning control.
+
+    From a measured plant, with their convergence condition at each frequency.
 
     Exit code 1 where trials do not converge, or the FRF's error leaves it undecided.
     """

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
+from loopshape.cli import INTERRUPTED, script
 from loopshape.cli.bound import bound
 from loopshape.cli.campaign import campaign
 from loopshape.cli.check import check
@@ -30,7 +30,7 @@ from loopshape.cli.interaction import interaction
 from loopshape.cli.learning import learning
 from loopshape.cli.measure import measure
 from loopshape.cli.next_trial import next_trial
-from loopshape.cli.output import for_any_terminal
+from loopshape.cli.output import complain, for_any_terminal, safe
 from loopshape.cli.plan import plan
 from loopshape.cli.predict import predict
 from loopshape.cli.profiles import profiles
@@ -43,13 +43,14 @@ from loopshape.cli.tones import tones
 from loopshape.cli.tune import tune
 from loopshape.cli.verify import verify
 from loopshape.core.errors import LoopshapeError
+from loopshape.core.interrupts import ENDED, ended_soon, interrupted, say_once
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
 measure or import a run -> frf -> fit -> tune -> check -> predict; measure again -> compare; any run -> report, gap;
 frf -> interaction, plan, export; controller -> shape, export-controller, bound, schedule.
 Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse than a baseline, 2 wrong use or
-unreadable input.
+unreadable input, 130 interrupted.
 """
 
 #: commands by what they are for: name, function, an example
@@ -110,8 +111,41 @@ COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
 }
 
 
+def _shown(error: Exception) -> Exception:
+    """An error of use with the words of the command line as a terminal may show them: not every typer sees to it."""
+    if hasattr(error, "format_message") and isinstance(message := getattr(error, "message", None), str):
+        error.message = safe(message)  # type: ignore[attr-defined]
+    return error
+
+
 class Grouped(TyperGroup):
     """The commands under headings, in the order of the work."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """A command; an interrupt ends it in one sentence, whatever a library made of the exception."""
+        try:
+            done = super().invoke(ctx)
+        except typer.Exit:
+            raise
+        except KeyboardInterrupt as stopped:
+            said = str(stopped)
+        except Exception as error:
+            if not interrupted():
+                raise _shown(error) from None
+            said = ""
+        else:
+            if not interrupted():
+                return done
+            said = ""
+        say_once(said or INTERRUPTED)
+        raise typer.Exit(ENDED)
+
+    def make_context(self, *args: Any, **words: Any) -> Any:
+        """Of the program's own options; what is wrong with them steers no terminal."""
+        try:
+            return super().make_context(*args, **words)
+        except Exception as error:
+            raise _shown(error) from None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Each heading with its commands and what they do."""
@@ -149,11 +183,12 @@ def run() -> None:
 
     So does the end of a command whose files another process changed after they were read.
     """
+    from loopshape.io.files import remove_own_parts
     from loopshape.io.seen import noting, refuse_changed
 
     for_any_terminal()
     try:
-        with noting():
+        with noting(), ended_soon(INTERRUPTED, remove_own_parts):
             try:
                 app()
             except SystemExit as ended:
@@ -161,15 +196,12 @@ def run() -> None:
                     refuse_changed()
                 raise
     except LoopshapeError as error:
-        print(f"loopshape: {error}", file=sys.stderr)
+        complain(error)
         raise SystemExit(2) from None
     except OSError as error:  # a disk or a file that the system refuses
-        print(
-            f"loopshape: the system refuses; received {error}; check the file, its rights and the disk.",
-            file=sys.stderr,
-        )
+        complain(f"the system refuses; received {error}; check the file, its rights and the disk.")
         raise SystemExit(2) from None
 
 
 if __name__ == "__main__":
-    run()
+    script()

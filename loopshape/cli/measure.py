@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from loopshape.cli.output import AsJson, Output, Quiet, point
+from loopshape.cli.output import AsJson, Output, Quiet, complain, point
 
 if TYPE_CHECKING:
     from loopshape.data.experiment import LoopSetup
@@ -35,10 +35,16 @@ def measure(
     again: Annotated[
         bool, typer.Option("--again", help="Make what ended early again; its table is kept in RUN/earlier.")
     ] = False,
+    verdict: Annotated[
+        Path | None, typer.Option(help="A kept verdict (check --save-verdict) that must pass these controllers.")
+    ] = None,
+    allow_unverified: Annotated[
+        bool, typer.Option("--allow-unverified", help="Measure although a verdict is not passed; the journal keeps it.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Drive the rig of a study and write a run folder with its FRFs.
+    """Record the experiments of a study and estimate FRFs. Drives the rig and writes a run folder.
 
     Exit code 1 where a target passed a limit, 2 where a simulation ended early.
     """
@@ -50,14 +56,17 @@ def measure(
 
     output = Output(as_json, quiet)
     try:
-        made = record(study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again)
+        made = record(
+            study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again, verdict=verdict,
+            allow_unverified=allow_unverified,
+        )  # fmt: skip
     except StoppedAtLimitError as stopped:
-        print(f"loopshape: {stopped}", file=sys.stderr)
+        complain(stopped)
         early = [*ended_early(read_run(out)), *([str(stopped)] if as_json else [])]
         try:
             estimate_and_report(out, output, extra={"ended_early": early})
         except LoopshapeError as error:
-            print(f"loopshape: {error}", file=sys.stderr)
+            complain(error)
         except typer.Exit:
             pass
         raise typer.Exit(1) from None
@@ -72,7 +81,7 @@ def measure(
         except LoopshapeError as error:
             if not (ended and _is_target(study)):
                 raise
-            print(f"loopshape: {error}", file=sys.stderr)
+            complain(error)
             raise typer.Exit(1) from None
         return
     output.warn(ended)
@@ -99,20 +108,19 @@ def record(
     arm: bool = False,
     show: bool = False,
     again: bool = False,
+    verdict: Path | None = None,
+    allow_unverified: bool = False,
 ) -> Run:
-    """`verbs.machine.measure` with a terminal: what a target would do is shown first, Ctrl-C ends with code 130."""
+    """`verbs.machine.measure` with a terminal: what a target would do is shown first."""
     from loopshape.io.controllers import read_loop_controllers
     from loopshape.verbs.machine import measure as measure_study
 
     found = () if controllers is None else read_loop_controllers(controllers)
-    try:
-        return measure_study(
-            study, out, controllers=found, effects=effects, port=port, again=again, states=states,
-            confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
-        )  # fmt: skip
-    except KeyboardInterrupt as stopped:
-        output.warn([str(stopped)])
-        raise typer.Exit(130) from None
+    return measure_study(
+        study, out, controllers=found, effects=effects, port=port, again=again, states=states,
+        verdict=verdict, allow_unverified=allow_unverified,
+        confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
+    )  # fmt: skip
 
 
 def _confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:
@@ -151,6 +159,7 @@ def _show(motion: Motion, output: Output) -> None:
         rows.append((e.name, point(e.operating_point), e.injection, moved, e.duration_s))
     output.table("To be recorded:", ("recording", "operating point", "injection", "largest", "s"), rows)
     output.say("largest: of what is injected; what the machine makes of it depends on the loop\n")
+    output.warn(motion.notes)
 
 
 def _entered(loop: LoopSetup, injection: str) -> str:

@@ -24,7 +24,7 @@ def next_trial(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn a move's next feedforward from a run of its last trial, and say what error to expect.
+    """Learn a move's next feedforward from its last trial. Gives the error to expect too.
 
     A study plays the file by `feedforward = { LOOP = "next.csv" }` beside its references. Repetitions are averaged:
     what they do not share cannot be learned, and is told apart.

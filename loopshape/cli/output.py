@@ -6,7 +6,6 @@ import codecs
 import io
 import json
 import sys
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,13 +15,15 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 T = TypeVar("T")
-#: width of what is printed first
-COLUMNS = 80
 #: what a terminal shows that does not know a sign
 PLAIN = {
     "±": "+-", "²": "^2", "³": "^3", "·": "*", "∞": "inf", "≥": ">=", "≤": "<=", "≈": "~", "−": "-", "–": "-",
     "→": "->", "…": "...", "γ": "gamma", "π": "pi", "θ": "theta", "µ": "u",
 }  # fmt: skip
+
+#: what could steer a terminal (escapes, a carriage return, turned writing) and what is shown in its place
+STEERING = {k: ascii(chr(k))[1:-1] for k in (*range(9), *range(11, 32), *range(127, 160), *range(0x202A, 0x202F),
+                                             *range(0x2066, 0x206A))}  # fmt: skip
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 Details = Annotated[bool, typer.Option("--details", help="Print every table after the verdict.")]
@@ -55,10 +56,10 @@ class Output:
         rows = [list(row) for row in rows]
         for k, name in enumerate(columns):
             number = all(isinstance(row[k], (int, float)) for row in rows)
-            made.add_column(Text(name), no_wrap=True, justify="right" if number else "left")
+            made.add_column(Text(safe(name)), no_wrap=True, justify="right" if number else "left")
         for row in rows:
-            made.add_row(*(Text(text(cell)) for cell in row))
-        print(title)
+            made.add_row(*(Text(safe(text(cell))) for cell in row))
+        print(safe(title))
         Console(width=400, soft_wrap=True).print(
             made, crop=False, no_wrap=True
         )  # a narrow terminal folds, nothing is cut
@@ -67,23 +68,21 @@ class Output:
     def say(self, line: str) -> None:
         """One line."""
         if not (self.as_json or self.quiet):
-            print(line)
+            print(safe(line))
 
     def paragraph(self, words: str) -> None:
         """Sentences folded at 80 columns, each line of `words` a paragraph; what follows its first row is indented."""
+        from loopshape.data.verdict_words import folded
+
         for line in words.splitlines():
-            rest = " " * (2 + len(line) - len(line.lstrip()))
-            folded = textwrap.wrap(
-                line, COLUMNS, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
-            )
-            self.say("\n".join(folded))
+            self.say(folded(line))
 
     def warn(self, lines: Iterable[str]) -> None:
         """Warnings, each once, to standard error, beside JSON too; quiet prints nothing but errors."""
         if self.quiet:
             return
         for line in dict.fromkeys(lines):
-            print(f"warning: {line}", file=sys.stderr)
+            complain(line, "warning")
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """The JSON object of this command, where it was asked for; what is not known is null, never nan."""
@@ -104,7 +103,17 @@ class Output:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(label, total=total)
-            yield lambda word: bar.update(task, advance=1, description=f"{label}: {word}")
+            yield lambda word: bar.update(task, advance=1, description=safe(f"{label}: {word}"))
+
+
+def safe(words: str) -> str:
+    """Text of a file that steers no terminal: its escapes are shown, not obeyed."""
+    return words.translate(STEERING)
+
+
+def complain(words: object, who: str = "loopshape") -> None:
+    """A sentence on standard error."""
+    print(safe(f"{who}: {words}"), file=sys.stderr)
 
 
 def for_any_terminal() -> None:

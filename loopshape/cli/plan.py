@@ -40,14 +40,19 @@ def plan(
     to_hz: Annotated[
         float | None, typer.Option(help="Highest frequency; default: known, a decade above at most.")
     ] = None,
+    resolution_hz: Annotated[
+        float | None, typer.Option(help="Distance of lines in Hz; with --seconds, in place of an accuracy.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="Length in s; with --resolution-hz.")] = None,
     lines: Annotated[str, typer.Option(help="odd (shows distortion), log, or all.")] = "odd",
     out: Annotated[Path | None, typer.Option(help="The study to write; default: plan_LOOP.toml in the run.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Plan a multisine that reaches a wanted accuracy at the crossover; exit code 1 where it is out of reach.
+    """Plan a multisine for a given accuracy at the crossover. Exit code 1 where it is out of reach.
 
-    Where the first recording has that accuracy already nothing is proposed.
+    Where the first recording has that accuracy already nothing is proposed. With --resolution-hz and --seconds, as
+    `check` prints them for an undecided verdict, the experiment is that, in the band from --from-hz to --to-hz.
     """
     from loopshape.cli.pictures import save
     from loopshape.io.controllers import read_controllers
@@ -62,7 +67,7 @@ def plan(
         found = planned(
             held,
             recording,
-            std=_std(std_db, std_percent, std_deg),
+            std=_std(std_db, std_percent, std_deg, resolution_hz is not None or seconds is not None),
             controllers=() if controller is None else read_controllers(controller),
             at_hz=at,
             max_amplitude=max_amplitude,
@@ -72,6 +77,8 @@ def plan(
             f_low_hz=from_hz,
             f_high_hz=to_hz,
             kind=lines,
+            resolution_hz=resolution_hz,
+            seconds=seconds,
         )
         step(found.recording)
     if found.met:
@@ -90,18 +97,20 @@ def plan(
         raise typer.Exit(1)
 
 
-def _std(std_db: float | None, std_percent: float | None, std_deg: float | None) -> float:
-    """The required accuracy as a relative std of |G|; refuses none, or several."""
+def _std(std_db: float | None, std_percent: float | None, std_deg: float | None, told: bool) -> float | None:
+    """The required accuracy as a relative std of |G|, None where the experiment is told; refuses none, or several."""
     from loopshape.core.errors import WrongUseError
     from loopshape.core.units import from_db, rad
 
     given = {"--std-db": std_db, "--std-percent": std_percent, "--std-deg": std_deg}
     named = [name for name, value in given.items() if value is not None]
+    if told and not named:
+        return None
     if len(named) != 1:
         raise WrongUseError(
             "a plan needs one wanted accuracy",
             ", ".join(named) or "none",
-            "give --std-db, --std-percent or --std-deg: 0.1 dB is 1.16 % or 0.66 deg",
+            "give --std-db, --std-percent or --std-deg (0.1 dB: 1.16 % or 0.66 deg), or --resolution-hz and --seconds",
         )
     if std_db is not None:
         return float(from_db(std_db)) - 1.0

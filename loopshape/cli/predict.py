@@ -23,7 +23,10 @@ def predict(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Predict S, T and the step of each loop under a controller; `loopshape compare` holds a later run against it."""
+    """Predict S, T and the step of each loop.
+
+    Under a controller; `loopshape compare` compares a later run with it.
+    """
     from loopshape.cli.verdicts import fits_of
     from loopshape.core.errors import WrongUseError
     from loopshape.io.controllers import read_controllers

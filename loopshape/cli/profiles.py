@@ -16,7 +16,10 @@ def profiles(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the profiles that `check --profile` and `tune --profile` take: limits, standard, clause, who confirms."""
+    """List the standards whose limits `--profile` takes.
+
+    Of each for check and tune: limits, standard, clause, who confirms.
+    """
     from loopshape.io.profiles import OWN, read_profiles
 
     output = Output(as_json, quiet)

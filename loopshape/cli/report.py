@@ -9,9 +9,6 @@ import typer
 
 from loopshape.cli.output import AsJson, DiagramFile, Output, Quiet, RunFolder
 
-#: no page is to carry more
-MOST_MB = 1e6
-
 
 def report(
     run: RunFolder,
@@ -26,13 +23,13 @@ def report(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a run's report as one HTML file that opens offline; exit code 0 whatever the verdict."""
+    """Write a run's report as one HTML file. It opens offline; exit code 0 whatever the verdict."""
     from loopshape.data.verdict_words import WORDS
     from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.files import report_page
+    from loopshape.verbs.files import figure_bytes, report_page
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, data = report_page(run, controller, require, diagram, date, _bytes(figures_mb))
+    made, data = report_page(run, controller, require, diagram, date, figure_bytes(figures_mb))
     write_bytes_whole(path, data)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
@@ -49,15 +46,3 @@ def report(
             "figures_left_out": made.figures_left_out,
         }
     )
-
-
-def _bytes(megabytes: float) -> int:
-    if not 0.0 <= megabytes <= MOST_MB:
-        from loopshape.core.errors import WrongUseError
-
-        raise WrongUseError(
-            f"the size of the embedded pictures is a number of 0 .. {MOST_MB:g} MB",
-            f"{megabytes:g} MB",
-            "give --figures-mb such a number",
-        )
-    return int(1e6 * megabytes)

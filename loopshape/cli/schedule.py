@@ -25,7 +25,7 @@ def schedule(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tune each operating point alone and say what one robust controller costs in bandwidth."""
+    """The bandwidth that one robust controller costs. Each operating point is tuned alone for comparison."""
     schedule_run(run, require, controller, Output(as_json, quiet), seed=seed, starts=starts, figures=figures)
 
 

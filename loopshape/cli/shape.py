@@ -34,7 +34,7 @@ def shape(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a page on which loops are shaped by hand, with margins and intervals as check gives them.
+    """Write a page on which loops are shaped by hand. Margins and intervals on it are those of check.
 
     One HTML file that works offline: drag blocks, type numbers, see every operating point. It gives controller.toml
     back, which check signs.
@@ -68,11 +68,10 @@ def _closing(controller: Path | None) -> Path:
 
 def _serve(loops: list[Shaped], title: str, save: Path, several: SeveralLoops | None) -> None:
     """The page until Ctrl+C."""
-    from contextlib import suppress
-
+    from loopshape.core.interrupts import until_interrupted
     from loopshape.verbs.shape_server import ShapeServer
 
     server = ShapeServer(loops, title, save, several)
     print(f"open {server.url} in a browser; Ctrl+C ends it", flush=True)
-    with suppress(KeyboardInterrupt):
+    with until_interrupted():
         server.serve()

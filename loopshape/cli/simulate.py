@@ -27,7 +27,10 @@ def simulate(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate steps, profiles or open-loop experiments of a study; writes a run and a figure of each."""
+    """Simulate steps, profiles or open-loop experiments.
+
+    They are those of a study; a run and a figure of each are written.
+    """
     from loopshape.cli.pictures import save
     from loopshape.verbs.machine import ended_early
     from loopshape.view.time import responses

@@ -16,7 +16,7 @@ def stop(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Vent a target at once: through the process that measures into a run folder, or through a port."""
+    """Stop and vent a target at once. Through the process that measures into a run folder, or through a port."""
     from loopshape.verbs.stop import stop as stop_target
 
     output = Output(as_json, quiet)

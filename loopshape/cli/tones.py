@@ -33,7 +33,10 @@ def tones(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Rms of each channel, and its tones: frequency, amplitude and growth, without what the excitation causes."""
+    """Rms and tonal disturbances of each channel.
+
+    Frequency, amplitude and growth of each tone, without what the excitation causes.
+    """
     from loopshape.io.run_folder import read_run
     from loopshape.verbs.tones import tones as tones_of
 

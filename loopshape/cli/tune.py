@@ -34,18 +34,20 @@ def tune(
     ] = False,
     diagram: DiagramFile = None,
     disturbance: Annotated[
-        Path | None, typer.Option(help="A run of the closed loop that nothing excites: what error_rms is about.")
+        Path | None, typer.Option(help="A recording of the loop without excitation, for error_rms.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
-    starts: Annotated[int, typer.Option(min=1, help="Starts that are followed; 1 with --start: that one alone.")] = 16,
+    starts: Annotated[
+        int, typer.Option(min=1, help="Number of random restarts; 1 with --start: that start alone.")
+    ] = 16,
     grow: Annotated[int, typer.Option(min=0, help="Add up to so many blocks, each the one that pays most.")] = 0,
     least_gain: Annotated[
-        float, typer.Option(min=0.0, help="Stop growing where a block gains less of the bandwidth than this.")
+        float, typer.Option(min=0.0, help="Minimum relative gain in bandwidth per added block.")
     ] = 0.01,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Tune the structures of a requirements file against all FRFs of a run at once.
+    """Tune a controller for all FRFs of a run at once. Its structures are those of the requirements file.
 
     Where requirements cannot be met it says what holds them apart, and what to relax by how much. Exit code 1 then,
     and nothing is written. With --grow blocks are added to the structures as long as they pay.
@@ -211,7 +213,7 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
     if tuning.growth:
         report_growth(tuning.growth, output)
     binding = [[b.quantity, b.recording, b.at_hz] for b in tuning.binding]
-    output.table("What binds", ["requirement", "recording", "at [Hz]"], binding)
+    output.table("Active constraints", ["requirement", "recording", "at [Hz]"], binding)
     if any(b.quantity == "dip" for b in tuning.binding):
         output.say("dip: |L| comes down to 1 there below the bandwidth, which would jump there")
     if any(b.quantity == "stability" for b in tuning.binding):

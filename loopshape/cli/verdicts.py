@@ -12,14 +12,14 @@ from loopshape.data.verdict_words import (
     WORDS,
     comparison_counts,
     comparison_text,
-    headline,
     interval_or_bound_text,
     interval_text,
     line_change_words,
     longer_text,
     number_of,
-    outcome_of,
+    page_text,
     reach_text,
+    stability_of,
     unstable_text,
 )
 
@@ -40,7 +40,7 @@ def fits_of(run: Path) -> tuple[Fit, ...]:
 def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
     """Requirement lines, and the margins of each operating point."""
     for verdict in verdicts:
-        stable, at, word = _stability(verdict)
+        stable, at, word = stability_of(verdict)
         rows: list[list[object]] = (
             [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
         )
@@ -67,19 +67,9 @@ def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: boo
     warn_of(verdicts, output)
 
 
-def report_headline(verdicts: Sequence[Verdict], output: Output, more: str = "") -> None:
+def report_headline(verdicts: Sequence[Verdict], output: Output, more: str = "", run: Path | None = None) -> None:
     """The verdict in one sentence, and of each loop the requirements in a table of 80 columns."""
-    output.paragraph(f"verdict: {WORDS[outcome_of(verdicts)]}{more}: {headline(verdicts)}")
-    output.say("")
-    for verdict in verdicts:
-        stable, _, word = _stability(verdict)
-        rows: list[list[object]] = [["closed loop", "stable", stable, "-", word]] if verdict.margins else []
-        rows += [
-            [x.quantity, _cell(x, x.wished), _worst(x), interval_or_bound_text(x), WORDS[x.outcome]]
-            for x in verdict.lines
-        ]
-        columns = ["requirement", "required", "worst case", "95 % interval", "verdict"]
-        output.table(f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows)
+    output.say(f"{page_text(verdicts, more, 'RUN' if run is None else str(run))}\n")
 
 
 def _worst(line: Line) -> object:
@@ -89,18 +79,6 @@ def _worst(line: Line) -> object:
 def _cell(line: Line, value: float) -> object:
     """A number as a table rounds it, an error's as it is: its unit is as large as it likes."""
     return number_of(line, value) if line.quantity == "error_rms" else value
-
-
-def _stability(verdict: Verdict) -> tuple[str, str, str]:
-    """The closed loop at its worst operating point, where that is, and the outcome: a row of its own in each table."""
-    from loopshape.loop.points import STABLE_RANK
-
-    if not verdict.margins:
-        return "-", "-", "-"
-    name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
-    stable = verdict.margins[name].stable
-    word = {"stable": "passed", "unstable": "failed"}.get(stable, "undecided")
-    return stable, name, WORDS[word]
 
 
 def report_margins(verdicts: Sequence[Verdict], output: Output, *, details: bool = True) -> None:

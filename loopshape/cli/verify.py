@@ -16,7 +16,7 @@ def verify(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check a run's files against the hashes that were noted when they were written."""
+    """Check a run's files against their hashes. The hashes were noted when the files were written."""
     from loopshape.io.verify import verify as look
 
     output = Output(as_json, quiet)

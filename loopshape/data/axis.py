@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.machine import NO_EFFECT, Input, Model, ModelParameter, Output, Port
+from loopshape.core.errors import WrongUseError, refuse_unknown_keys
+from loopshape.data.machine import MATTERS, NO_EFFECT, Input, Model, ModelParameter, Output, Port
 
 #: unit of a rotary and of a linear axis, manufacturing tolerance, what a value beyond it means; "" is an error of it
 NUMBERS: dict[str, tuple[str, str, float, str]] = {
@@ -42,9 +42,10 @@ def axis(
     load_position: str | Output | None = None,
     *,
     rotary: bool = True,
-    window_s: float = 1.0,
+    window_s: float | None = None,
     name: str = "axis",
     without: tuple[str, ...] = (),
+    matters: float = MATTERS,
 ) -> Model:
     """A servo axis for `gap`, from its numbers and the columns of its recordings.
 
@@ -87,12 +88,12 @@ def axis(
         ports=tuple(ports),
         window_s=window_s,
         without=without,
+        matters=matters,
     )
 
 
 def _suitable(numbers: Mapping[str, Number], has_sensor: bool) -> None:
-    if unknown := [name for name in numbers if name not in NUMBERS]:
-        raise WrongUseError("a number of the axis is not known", repr(unknown[0]), f"use {', '.join(NUMBERS)}")
+    refuse_unknown_keys("a number of the axis is not known", numbers, NUMBERS)
     two = has_sensor or any(name.startswith(("load_", "coupling_")) for name in numbers)
     if missing := [name for name in (*NEEDED, *(OF_A_LOAD if two else ())) if name not in numbers]:
         what = "an axis with a load behind a coupling" if two else "an axis"

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, meant, refuse_unknown
 from loopshape.core.kernels.flat_loops import series
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 
@@ -204,7 +204,8 @@ def block_kind(table: Mapping[str, Any]) -> str:
         raise WrongUseError(
             "a controller block is not known",
             f"{dict(table)!r}",
-            "use kind gain, lead_lag, notch, pi, pid, section, or low_pass with order 1 or 2",
+            f"{meant(kind, ('low_pass', *BLOCK_KINDS))}use kind gain, lead_lag, notch, pi, pid, section, or"
+            " low_pass with order 1 or 2",
         )
     return str(name)
 
@@ -217,10 +218,7 @@ class Block:
     parameters: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        if self.kind not in BLOCK_KINDS:
-            raise WrongUseError(
-                "a controller block is not known", f"{self.kind!r}", f"use one of {', '.join(BLOCK_KINDS)}"
-            )
+        refuse_unknown("a controller block is not known", self.kind, BLOCK_KINDS, "use one of")
         wanted = BLOCK_KINDS[self.kind].parameters
         if set(self.parameters) != set(wanted):
             raise WrongUseError(

@@ -38,6 +38,11 @@ class Channel:
         )
 
 
+def unit_of(column: str) -> str:
+    """Suffix of a column's unit; "1" of a name that ends in none, as other programs give."""
+    return next((suffix for suffix in SUFFIXES if column.endswith("_" + suffix)), "1")
+
+
 def sum_terms(expression: str) -> tuple[str, ...]:
     """Columns of an output that is a column or a sum of columns (`"p_a_bar + p_b_bar"`)."""
     terms = tuple(term.strip() for term in expression.split("+"))

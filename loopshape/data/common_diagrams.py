@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
 from loopshape.data.diagram import Diagram, Part
@@ -54,9 +54,8 @@ def dual_stage(
     >>> ls.dual_stage(P1, P2, ls.controller(ls.gain(0.5), rate_hz=1000.0))
     Diagram dual stage, parallel: C1, C2, P1, P2; C1 is tuned, from outside: r
     """
-    way = Stage(kind) if kind in list(Stage) else None
-    if way is None:
-        raise WrongUseError("two actuators stand in parallel or as master-slave", repr(kind), f"use {', '.join(Stage)}")
+    refuse_unknown("two actuators stand in parallel or as master-slave", kind, Stage)
+    way = Stage(kind)
     if way is Stage.PARALLEL and estimate is not None:
         raise WrongUseError("an estimate of the fine actuator is the master's", "kind parallel", "leave it out")
     if P2 is None and way is Stage.MASTER_SLAVE and estimate is None:
@@ -90,6 +89,8 @@ def cascade(G: Plants, inner: Controller, requirements: Requirements | None = No
     >>> ls.equivalent(ls.cascade(G, C1, ls.Requirements(unstable_poles=0)))
     Equivalent: 1 operating point, unstable poles 0, inner loop inner passed
     """
+    if not _every(G):
+        raise WrongUseError("a cascade needs the FRF of its plant", "none", "measure or import one")
     for one in _every(G):
         if one.response.shape[1:] != (2, 1):
             raise WrongUseError(
@@ -136,8 +137,7 @@ def prefilter(P: Plants, F: Controller | Feedforward, *, to: str = "setpoint") -
     >>> ls.prefilter(P, ls.controller(ls.low_pass(20.0, order=1), rate_hz=1000.0))
     Diagram prefilter: C, P, F; C is tuned, from outside: r
     """
-    if to not in list(Path):
-        raise WrongUseError("a filter of the setpoint leads to the setpoint or to the input", repr(to))
+    refuse_unknown("a filter of the setpoint leads to the setpoint or to the input", to, Path)
     if isinstance(F, Controller) and F.integrators() > 0:
         raise WrongUseError("a filter outside the loop must not integrate", repr(F), "put the integrator into the loop")
     if to == Path.SETPOINT:

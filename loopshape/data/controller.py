@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import TOO_LARGE, pass_fields, received
 from loopshape.core.kernels import cascade
 from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, db, deg
+from loopshape.data.arrays import rate
 from loopshape.data.block import BLOCK_KINDS, Block, Polynomial, Section, block_kind, series_response
 from loopshape.data.precision import Precision
 
@@ -63,11 +65,10 @@ class Controller:
     precision: str = "double"
 
     def __post_init__(self) -> None:
+        pass_fields(self, "loop", "blocks")
         object.__setattr__(self, "blocks", tuple(self.blocks))
-        if self.discretisation != "tustin":
-            raise WrongUseError("a discretisation is not known", f"{self.discretisation!r}", 'use "tustin"')
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
-            raise WrongUseError("a controller's rate must be positive", f"{self.rate_hz!r} Hz")
+        refuse_unknown("a discretisation is not known", self.discretisation, ("tustin",))
+        rate(self.rate_hz, "a controller's rate")
         if not self.blocks:
             raise WrongUseError(
                 f"the controller of loop {self.loop!r} has no block", "an empty list", "give at least a gain"
@@ -201,14 +202,14 @@ def step(controller: Controller, inputs: ArrayLike) -> np.ndarray:
 
 
 def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return isinstance(value, int | float) and not isinstance(value, bool) and -TOO_LARGE < value < TOO_LARGE
 
 
 def _check_timing(c: Controller) -> None:
     if c.prewarp_hz is not None and not (_number(c.prewarp_hz) and 0.0 < c.prewarp_hz < 0.5 * c.rate_hz):
         raise WrongUseError(
             f"prewarp_hz of loop {c.loop!r} must lie above 0 and below half the rate, {0.5 * c.rate_hz:g} Hz",
-            f"{c.prewarp_hz!r}",
+            received(c.prewarp_hz),
             "name the frequency where the response is to be exact, or leave it out",
         )
     if not (_number(c.computation_delay_s) and c.computation_delay_s >= 0.0):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.gate import pass_fields
 from loopshape.core.json_ready import json_ready
 from loopshape.core.units import Array
 from loopshape.data.controller import Controller
@@ -40,14 +41,15 @@ class Part:
     """
 
     name: str
-    inputs: Sequence[str]
-    outputs: Sequence[str]
+    inputs: str | Sequence[str]
+    outputs: str | Sequence[str]
     what: FRF | Sequence[FRF] | Controller | Feedforward | None = None
     integrators: int | None = None
     unstable_poles: int | None = None
     requirements: Requirements | None = None
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         for name in ("inputs", "outputs"):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
@@ -107,6 +109,7 @@ class Diagram:
     _terms: Mapping[str, tuple[tuple[float, str], ...]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         object.__setattr__(self, "parts", tuple(self.parts))
         object.__setattr__(self, "sums", dict(self.sums))
         object.__setattr__(self, "_terms", {name: _terms(name, text) for name, text in self.sums.items()})

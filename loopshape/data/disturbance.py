@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.gate import gated, pass_fields
 from loopshape.core.units import Array
+from loopshape.data.arrays import real_array
 from loopshape.data.controller import Controller
 
 
@@ -32,9 +34,10 @@ class Disturbance:
     operating_point: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         for name in ("frequency_hz", "power", "scatter"):
-            values = np.array(getattr(self, name), dtype=float)
-            if values.ndim != 1 or values.shape != self.frequency_hz.shape or not np.isfinite(values).all():
+            values = real_array(getattr(self, name), f"{name} of a disturbance", ndim=1)
+            if values.shape != np.shape(self.frequency_hz):
                 raise WrongUseError(f"{name} of a disturbance is (nf,) and finite", f"{values.shape}")
             if values.min(initial=0.0) < 0.0:
                 raise WrongUseError(f"{name} of a disturbance must not be negative", f"{values.min():g}")
@@ -42,6 +45,7 @@ class Disturbance:
             object.__setattr__(self, name, values)
 
     @classmethod
+    @gated
     def from_spectrum(
         cls, frequency_hz: ArrayLike, density: ArrayLike, *, held_by: Controller | None = None, loop: str = ""
     ) -> Disturbance:
@@ -54,7 +58,8 @@ class Disturbance:
         >>> round(ls.Disturbance.from_spectrum([1.0, 11.0], [0.4, 0.4]).rms, 6)
         2.0
         """
-        f, values = np.asarray(frequency_hz, dtype=float), np.asarray(density, dtype=float)
+        f = real_array(frequency_hz, "frequency_hz of a disturbance")
+        values = real_array(density, "density of a disturbance")
         if f.ndim != 1 or f.size < 2 or values.shape != f.shape or f[0] < 0.0 or not (np.diff(f) > 0.0).all():
             raise WrongUseError(
                 "a spectrum is a density (nf,) at two rising frequencies in Hz at least",

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import TWO_PI, Array
 from loopshape.data.excitation_parts import (
     check_band,
@@ -81,8 +81,7 @@ class Sweep:
     def __post_init__(self) -> None:
         check_band(self.kind, self.f_low_hz, self.f_high_hz)
         check_positive(self.kind, duration_s=self.duration_s, amplitude=self.amplitude)
-        if self.spacing not in ("linear", "logarithmic"):
-            raise WrongUseError("a sweep's spacing is not known", f"{self.spacing!r}", "use linear or logarithmic")
+        refuse_unknown("a sweep's spacing is not known", self.spacing, ("linear", "logarithmic"))
 
     @property
     def band_hz(self) -> tuple[float, float]:

@@ -1,14 +1,28 @@
-"""What excitations share: lengths in whole samples, ramps, repetition, and the checks of their numbers."""
+"""What excitations share: lengths in whole samples, ramps, repetition, the checks of their numbers; and which signal
+is a sweep."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.stretches import AT_ONCE, Signal, extent
 from loopshape.core.units import TWO_PI, Array
 
 #: longest signal that is made, in samples
 MOST_SAMPLES = 50_000_000
+#: shares of the largest value nearby and anywhere that a signal must reach to have crossed zero
+NEARBY, ANYWHERE = 0.1, 0.02
+#: zero crossings that a sweep has at least, and over how many of them, or more of thousands, its frequency is taken
+CROSSINGS, SPAN = 40, 8
+#: share of the variance of a sweep's ln f that a frequency which only rises, then only falls explains
+MONOTONE = 0.997
+#: spread of a sweep's ln f between its quartiles, absolute and over the whole range
+SPREAD = 0.1
+#: mean |x| squared over mean square, cycle by cycle: 8 / pi^2 of a sine, 1 of a square wave, 2 / pi of Gaussian noise
+SINE = (0.77, 0.85)
 
 
 def samples(duration_s: float, rate_hz: float) -> int:
@@ -73,3 +87,72 @@ def repeated(one: Array, periods: int, ramp_s: float, rate_hz: float) -> Array:
     check_samples(periods * one.size + 2 * ramp_n)
     index = np.arange(-ramp_n, periods * one.size + ramp_n) % one.size
     return one[index] * ramp(index.size, ramp_n)
+
+
+def zero_crossings(x: Signal) -> Array:
+    """Where a signal (n,) crosses its mean, in samples; it must move clearly to the other side, so noise is none."""
+    whole = extent(x)
+    mean, least = whole.mean, ANYWHERE * max(whole.most - whole.mean, whole.mean - whole.least)
+    found, last = [], (0, 0.0)  # row and value of the last sample that lies clearly on a side
+    for start, part in _parts(x, mean):
+        size = np.abs(part)
+        blocks = np.arange(0, part.size, max(part.size // 20, 3))
+        near = np.repeat(np.maximum.reduceat(size, blocks), np.diff([*blocks, part.size]))
+        rows = np.flatnonzero(size > np.maximum(NEARBY * near, least))
+        k, values = np.concatenate([[last[0]], rows + start]), np.concatenate([[last[1]], part[rows]])
+        flips = np.flatnonzero(values[1:] * values[:-1] < 0.0)
+        a, b = values[flips], values[flips + 1]
+        found.append(k[flips] + (k[flips + 1] - k[flips]) * a / (a - b))
+        last = int(k[-1]), float(values[-1])
+    return np.concatenate(found)
+
+
+def is_sweep(x: Signal) -> bool:
+    """Whether a signal (n,) is a sine whose frequency only rises, only falls, or does one after the other.
+
+    By its zero crossings, 20 cycles at least: the frequency moves monotonically, all along and not at one end alone,
+    and each stretch of four cycles has the mean size of a sine. A single period of a multisine with Schroeder's phases
+    is a sweep in this sense; several periods, noise, PRBS and steps are none. An amplitude that falls to a tenth or
+    less while the sweep passes may hide it.
+    """
+    at = zero_crossings(x)
+    if at.size < CROSSINGS:
+        return False
+    span = max(SPAN, at.size // 200)
+    log_f = -np.log(at[span:] - at[:-span])
+    low, high = np.quantile(log_f, [0.25, 0.75])
+    if high - low < max(SPREAD, SPREAD * float(np.ptp(log_f))):
+        return False
+    if max(_monotone(log_f), _monotone(-log_f)) < MONOTONE:
+        return False
+    return bool(SINE[0] < _form(x, at) < SINE[1])
+
+
+def _monotone(y: Array) -> float:
+    """Share of the variance of y (n,) that a curve which rises up to its largest value, and falls on, explains."""
+    top = int(np.argmax(y))
+    left = float(sum(np.sum(_unsteady(part) ** 2) for part in (y[: top + 1], y[top:][::-1])))
+    return 1.0 - left / (y.size * float(np.var(y)))
+
+
+def _unsteady(y: Array) -> Array:
+    """What a rising curve, the mean of the largest so far and of the least from there on, leaves of y (n,)."""
+    return np.asarray(y - 0.5 * (np.maximum.accumulate(y) + np.minimum.accumulate(y[::-1])[::-1]))
+
+
+def _form(x: Signal, at: Array) -> float:
+    """Mean of |x| squared over mean square, each over `SPAN` zero crossings `at`, weighted by power."""
+    cells = at.size // SPAN
+    sums = np.zeros((3, cells + 1))
+    for start, part in _parts(x, extent(x).mean):
+        cell = np.searchsorted(at, np.arange(start, start + part.size)) // SPAN
+        for row, weights in zip(sums, (np.ones(part.size), np.abs(part), part**2), strict=True):
+            row += np.bincount(cell, weights, minlength=cells + 1)[: cells + 1]
+    count, size, power = sums[:, 1:cells]  # cells at the ends hold what lies outside the crossings
+    return float(np.sum(size**2 / np.maximum(count, 1.0)) / np.sum(power))
+
+
+def _parts(x: Signal, mean: float) -> Iterator[tuple[int, Array]]:
+    """First row and values of stretches of x (n,) less its mean."""
+    for start in range(0, x.size, AT_ONCE):
+        yield start, np.asarray(x[start : start + AT_ONCE] - mean)

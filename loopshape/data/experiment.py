@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.controller import Controller
@@ -17,6 +17,12 @@ from loopshape.data.gain_scheduled import GainScheduled
 KINDS = ("sweep", "multisine", "prbs", "noise", "staircase", "profile", "open_loop", "none")
 INJECTIONS = ("controller_input", "plant_input", "reference", "control")
 ROLES = ("estimation", "validation")
+
+
+def refuse_unknown_words(whose: str, kind: str, injection: str, role: str) -> None:
+    """Refuse a kind, an injection or a role that is none."""
+    for what, word, known in (("kind", kind, KINDS), ("injection", injection, INJECTIONS), ("role", role, ROLES)):
+        refuse_unknown(f"the {what} of {whose} is not known", word, known)
 
 
 def shared_unit(expression: str, what: str) -> str:
@@ -109,17 +115,7 @@ class Experiment(Told):
     excites_also: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for word, known, what in (
-            (self.kind, KINDS, "kind"),
-            (self.injection, INJECTIONS, "injection"),
-            (self.role, ROLES, "role"),
-        ):
-            if word not in known:
-                raise WrongUseError(
-                    f"the {what} of experiment {self.name!r} is not known",
-                    f"{word!r}",
-                    f"use {', '.join(known)}",
-                )
+        refuse_unknown_words(f"experiment {self.name!r}", self.kind, self.injection, self.role)
         excited = [self.excites, *self.excites_also]
         known_loops = [loop.name for loop in self.loops]
         if self.excites_also and (len(set(excited)) < len(excited) or not set(excited) <= set(known_loops)):

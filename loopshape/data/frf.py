@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from hashlib import sha256
 from typing import Any
@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown, refuse_unknown_keys
+from loopshape.core.gate import gated, pass_fields
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.arrays import number, rate
 from loopshape.data.controller import Controller
-from loopshape.data.frf_arrays import lines_of, stated_arrays
+from loopshape.data.frf_arrays import NEEDED, lines_of, passed, stated_arrays
 
 _ARRAYS = (
     "frequency_hz",
@@ -61,8 +63,8 @@ class FRF:
     `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
     which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
     a plant whose output stayed bounded has no unstable pole; `hold` says whether it is known to contain the zero-order
-    hold. `method` says in one line how it
-    was measured; `notes` are warnings.
+    hold. `method` says in one line how it was measured, `method_numbers` are the numbers in it by name, from which
+    `data.method.in_short` puts many methods into one line; `notes` are warnings.
     """
 
     frequency_hz: Array
@@ -94,35 +96,36 @@ class FRF:
     recordings: tuple[str, ...] = ()
     open_loop: bool = False
     hold: Hold = Hold.UNKNOWN
+    method_numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        nf, ny, nu = np.shape(self.frequency_hz)[0], len(self.outputs), len(self.inputs)
+        self._pass_arrays()
+        nf, ny, nu = self.frequency_hz.size, len(self.outputs), len(self.inputs)
         if np.shape(self.response) != (nf, ny, nu):
             raise WrongUseError("a response is (frequencies, outputs, inputs)", f"{np.shape(self.response)}")
         if np.shape(self.covariance) != (nf, ny * nu, ny * nu):
             raise WrongUseError("a covariance is (frequencies, outputs inputs, outputs inputs)")
         self._check_numbers()
         self._check_words()
+
+    def _pass_arrays(self) -> None:
+        """Copy the arrays, read-only; refuses what is no number and a response that is real."""
         for name in (*_ARRAYS, "trusted"):
             value = getattr(self, name)
-            if value is not None:
-                copy = np.array(value)
-                if name == "response" and not np.iscomplexobj(copy):
-                    copy = copy.astype(np.complex128)
+            if value is not None or name in NEEDED:
+                copy = passed(name, value)
                 copy.setflags(write=False)
                 object.__setattr__(self, name, copy)
+        pass_fields(self)
+        for name in ("inputs", "outputs", "notes", "recordings"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
 
     def _check_numbers(self) -> None:
-        f, nf = np.asarray(self.frequency_hz), np.shape(self.frequency_hz)[0]
-        rising = nf > 0 and np.isfinite(f).all() and f[0] > 0.0 and np.all(np.diff(f) > 0.0)
-        if not rising:
+        f, nf = self.frequency_hz, self.frequency_hz.size
+        if f.ndim != 1 or not (nf > 0 and f[0] > 0.0 and np.all(np.diff(f) > 0.0)):
             raise WrongUseError("frequency_hz must be finite, positive and strictly increasing", f"{nf} lines")
-        if not (np.isfinite(self.response).all() and np.isfinite(self.covariance).all()):
-            raise WrongUseError("the responses and covariances of a FRF are finite numbers")
         if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
             raise WrongUseError("the variances of a FRF are not negative")
-        if np.asarray(self.trusted).dtype != bool:
-            raise WrongUseError("trusted is a mask of true and false", f"{np.asarray(self.trusted).dtype}")
         ny, nu = len(self.outputs), len(self.inputs)
         shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
         shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
@@ -133,7 +136,7 @@ class FRF:
                 raise WrongUseError(f"{name} of a FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
 
     def _check_words(self) -> None:
-        if not 1.0 <= self.line_overlap < np.inf:
+        if not number(self.line_overlap, "the line overlap of a FRF") >= 1.0:
             raise WrongUseError("the line overlap of a FRF is finite and 1 at least", f"{self.line_overlap!r}")
         if not self.variance_freedom > 0.0:
             raise WrongUseError(
@@ -141,12 +144,15 @@ class FRF:
             )
         if not self.variance_pooled >= 1:
             raise WrongUseError("a FRF's variance is pooled over at least 1 frequency", f"{self.variance_pooled!r}")
-        if not 0.0 <= self.rate_hz < np.inf:
-            raise WrongUseError("the rate of a FRF is finite and not negative", f"{self.rate_hz!r} Hz")
-        if wrong := [f"{k} = {v!r}" for k, v in self.operating_point.items() if not np.isfinite(v)]:
-            raise WrongUseError("the operating point of a FRF has finite values", ", ".join(wrong))
+        object.__setattr__(self, "rate_hz", rate(self.rate_hz, "the rate of a FRF", unknown=True))
+        for name, value in self.operating_point.items():
+            number(value, f"{name} of a FRF's operating point")
+        refuse_unknown("what the powers of a FRF are per is not known", self.power_per, ("Hz", "line"))
+        refuse_unknown("the hold of a FRF is not known", self.hold, Hold)
+        object.__setattr__(self, "hold", Hold(self.hold))
 
     @classmethod
+    @gated
     def from_arrays(
         cls,
         frequency_hz: ArrayLike | None = None,
@@ -174,7 +180,8 @@ class FRF:
         follows from it. `words` are other fields of `FRF`: rate_hz (a controller is tuned at it), loop, recording,
         operating_point, open_loop, hold. A first frequency of 0 Hz is left out.
 
-        Raises WrongUseError for shapes that do not fit and an error stated twice or not at all, BadSignalError for NaN.
+        Raises WrongUseError for shapes that do not fit, a real response (a magnitude is none: write H + 0j where it is
+        one) and an error stated twice or not at all, BadSignalError for NaN and masked values.
         Misleads where the error that is stated is not that of the data: intervals and verdicts are as good as it.
 
         Examples
@@ -184,18 +191,20 @@ class FRF:
         >>> ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
         FRF: 100 frequencies, 0.5 to 200 Hz, 1 output x 1 input, rate 1000 Hz
         """
+        refuse_unknown_keys("a FRF has no such field", words, [f.name for f in fields(cls)])
         arrays = stated_arrays(
             *lines_of(frequency_hz, omega_rad_s, response, magnitude_db, phase_deg),
             std=std, relative_std=relative_std, covariance=covariance, coherence=coherence, averages=averages,
         )  # fmt: skip
         ny, nu = arrays["response"].shape[1:]
         names: dict[str, Any] = {
-            "inputs": tuple(inputs) or tuple(f"u{k + 1}_1" for k in range(nu)),
-            "outputs": tuple(outputs) or tuple(f"y{k + 1}_1" for k in range(ny)),
+            "inputs": inputs or tuple(f"u{k + 1}_1" for k in range(nu)),
+            "outputs": outputs or tuple(f"y{k + 1}_1" for k in range(ny)),
         }
         return cls(**arrays, **names, method=method, **words)
 
     @classmethod
+    @gated
     def from_control(cls, system: Any, frequency_hz: ArrayLike | None = None, **stated: Any) -> FRF:
         """The FRF of a python-control system: see `loopshape.from_control`, which this is."""
         from loopshape.data.control_frd import from_control

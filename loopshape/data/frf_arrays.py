@@ -11,12 +11,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
+from loopshape.data.arrays import complex_array, number, real_array, real_or_complex_array
 from loopshape.data.valid_band import trusted_lines
 
 #: below it a variance would not be finite
 LEAST_COHERENCE = 1e-12
+
+
+NEEDED = ("frequency_hz", "response", "covariance", "trusted")
+_COMPLEX = ("covariance", "cross_power", "noise_covariance")
+
+
+def passed(name: str, value: ArrayLike | None) -> np.ndarray:
+    """A copy of a FRF's field `name`, in the type that it has there."""
+    what = f"{name} of a FRF"
+    if name == "trusted":
+        try:
+            mask = np.array(value)
+        except ValueError as error:
+            raise WrongUseError(f"{what} is a mask of true and false", f"{error}", "give truth values (nf,)") from error
+        if mask.dtype != bool:
+            raise WrongUseError("trusted is a mask of true and false", f"{mask.dtype}", "give truth values (nf,)")
+        return mask
+    if name == "response":
+        return complex_array(value, what)
+    gate = real_or_complex_array if name in _COMPLEX else real_array
+    return gate(value, what, finite=name in NEEDED)
 
 
 def independent(variance: Array) -> ComplexArray:
@@ -40,7 +62,7 @@ def valid_frequencies(frequency_hz: Array, response: ComplexArray, covariance: C
 
 def polar(magnitude_db: ArrayLike, phase_deg: ArrayLike) -> ComplexArray:
     """Response from its magnitude in dB and its phase in degrees, wrapped or not, of one shape."""
-    magnitude, phase = from_db(magnitude_db), rad(phase_deg)
+    magnitude, phase = from_db(real_array(magnitude_db, "magnitude_db")), rad(real_array(phase_deg, "phase_deg"))
     if magnitude.shape != phase.shape:
         raise WrongUseError("magnitude and phase have one shape", f"{magnitude.shape} and {phase.shape}")
     return np.asarray(magnitude * np.exp(1j * phase))
@@ -52,8 +74,11 @@ def lines_of(
     response: ArrayLike | None,
     magnitude_db: ArrayLike | None,
     phase_deg: ArrayLike | None,
-) -> tuple[ArrayLike, ArrayLike]:
-    """Frequencies in Hz and response, of whichever way they were given; refuses none, both, and half of one."""
+) -> tuple[Array, ComplexArray]:
+    """Frequencies in Hz and response, of whichever way they were given; refuses none, both, and half of one.
+
+    A real response is refused: it may as well be a magnitude.
+    """
     if (frequency_hz is None) == (omega_rad_s is None):
         raise WrongUseError(
             "the frequencies of a response are given once", "both" if frequency_hz is not None else "none",
@@ -65,15 +90,18 @@ def lines_of(
             "a response is given once", f"response {'yes' if response is not None else 'no'}, {parts} of magnitude and"
             " phase", "give response, or magnitude_db and phase_deg",
         )  # fmt: skip
-    f = frequency_hz if omega_rad_s is None else np.asarray(omega_rad_s, dtype=float) / TWO_PI
+    if omega_rad_s is None:
+        f = real_array(frequency_hz, "frequency_hz of a FRF")
+    else:
+        f = real_array(omega_rad_s, "omega_rad_s of a FRF") / TWO_PI
     if magnitude_db is not None and phase_deg is not None:
-        return np.asarray(f, dtype=float), polar(magnitude_db, phase_deg)
-    return np.asarray(f, dtype=float), np.asarray(response)
+        return f, polar(magnitude_db, phase_deg)
+    return f, complex_array(response, "response of a FRF")
 
 
 def check_relative_std(share: float) -> None:
     """Refuse a relative standard deviation that is negative, or so large that it must be percent."""
-    if not 0.0 <= share < np.inf:
+    if number(share, "relative_std of a FRF") < 0.0:
         raise WrongUseError("a relative standard deviation must not be negative", f"{share:g}", "write 0.05 for 5 %")
     if share >= 2.0:
         raise WrongUseError(
@@ -83,8 +111,8 @@ def check_relative_std(share: float) -> None:
 
 
 def stated_arrays(
-    frequency_hz: ArrayLike,
-    response: ArrayLike,
+    f: Array,
+    H: ComplexArray,
     *,
     std: ArrayLike | None,
     relative_std: float | None,
@@ -94,21 +122,17 @@ def stated_arrays(
 ) -> dict[str, Any]:
     """Keywords of `FRF` for what the arrays say: frequencies, response (nf, ny, nu), covariance, valid band.
 
-    A first frequency of 0 Hz is left out. Refuses arrays that do not fit together or hold NaN, and an error that
-    is stated twice or not at all.
+    A first frequency of 0 Hz is left out. Refuses arrays that do not fit together, and an error that is stated twice
+    or not at all.
     """
-    f, H = np.asarray(frequency_hz, dtype=float), np.asarray(response, dtype=complex)
-    H = H[:, None, None] if H.ndim == 1 else H
-    if f.ndim != 1 or H.ndim != 3 or H.shape[0] != f.size:
+    given, H = H.shape, H[:, None, None] if H.ndim == 1 else H
+    if f.ndim != 1 or H.ndim != 3 or H.shape[0] != f.size or not H.size:
         raise WrongUseError(
             "a response has a value, or a matrix of outputs and inputs, for each frequency",
-            f"{f.shape} frequencies and a response {np.shape(response)}",
+            f"{f.shape} frequencies and a response {given}",
             "give frequency_hz (nf,) and response (nf,) or (nf, ny, nu)",
         )
     keep = slice(1, None) if f.size and f[0] == 0.0 else slice(None)
-    bad = f[keep][~np.isfinite(H[keep]).all(axis=(1, 2))]
-    if bad.size:
-        raise BadSignalError("the response holds values that are not numbers", f"at {bad[0]:g} Hz", "leave these out")
     stated = [x is not None for x in (std, relative_std, covariance, coherence)]
     if (coherence is None) != (averages is None):
         raise WrongUseError(
@@ -125,14 +149,26 @@ def stated_arrays(
         check_relative_std(relative_std)
     found: dict[str, Any] = {"frequency_hz": f[keep], "response": H[keep]}
     if covariance is not None:
-        found["covariance"] = np.asarray(covariance, dtype=complex)[keep]
+        found["covariance"] = _covariance(H, covariance)[keep]
     elif coherence is not None and averages is not None:
-        found |= _by_coherence(H, np.asarray(coherence, dtype=float), averages, keep)
+        found |= _by_coherence(H, real_array(coherence, "coherence of a FRF"), number(averages, "averages"), keep)
     else:
-        error = relative_std * np.abs(H) if relative_std is not None else _like(H, np.asarray(std, dtype=float))
+        error = relative_std * np.abs(H) if relative_std is not None else _like(H, real_array(std, "std of a FRF"))
         found["covariance"] = independent(np.asarray(error)[keep] ** 2)
     found["trusted"] = valid_frequencies(found["frequency_hz"], found["response"], found["covariance"])
     return found
+
+
+def _covariance(H: ComplexArray, covariance: ArrayLike) -> ComplexArray:
+    """Covariances (nf, ny nu, ny nu), which may be real; refuses those of another shape."""
+    made = real_or_complex_array(covariance, "covariance of a FRF")
+    size = H.shape[1] * H.shape[2]
+    if made.shape != (len(H), size, size):
+        raise WrongUseError(
+            "a covariance is (frequencies, outputs inputs, outputs inputs)", f"{made.shape}",
+            f"give ({len(H)}, {size}, {size}), or std in the response's shape",
+        )  # fmt: skip
+    return made
 
 
 def _like(H: ComplexArray, std: Array) -> Array:

@@ -19,7 +19,8 @@ from itertools import pairwise, permutations, product
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields
 from loopshape.core.kernels.scheduled import Scheduled, interval, step
 from loopshape.core.units import UNITS, Array
 from loopshape.data.block import Block, Section
@@ -53,7 +54,9 @@ class Variable:
     follows: Follows = Follows.REFERENCE
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         object.__setattr__(self, "knots", tuple(float(k) for k in self.knots))
+        refuse_unknown(f"what {self.name} follows of a loop is not known", self.follows, Follows)
         object.__setattr__(self, "follows", Follows(self.follows))
         if not self.knots or not np.all(np.isfinite(self.knots)) or any(b <= a for a, b in pairwise(self.knots)):
             raise WrongUseError(
@@ -84,6 +87,7 @@ class GainScheduled:
     lag_s: float = LAG_S
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         object.__setattr__(self, "variables", tuple(self.variables))
         object.__setattr__(self, "controllers", tuple(self.controllers))
         if not 1 <= len(self.variables) <= 3:
@@ -304,6 +308,11 @@ def gain_scheduled(
     7.0
     """
     names = tuple(follows)
+    if len(at) != len(controllers) or any(name not in point for name in names for point in at):
+        raise WrongUseError(
+            "a schedule has one operating point for each controller, with all that it follows",
+            f"{len(controllers)} controllers at {[dict(point) for point in at]}, following {', '.join(names)}",
+        )
     placed: dict[tuple[float, ...], Controller] = {}
     for point, controller in zip(at, controllers, strict=True):
         placed[tuple(float(point[name]) for name in names)] = controller
@@ -317,7 +326,7 @@ def gain_scheduled(
     variables = []
     for name, knots in zip(names, axes, strict=True):
         given = follows[name]
-        loop, what = (given, Follows.REFERENCE) if isinstance(given, str) else (given[0], Follows(given[1]))
-        variables.append(Variable(name, tuple(knots), loop, what))
+        loop, what = (given, Follows.REFERENCE) if isinstance(given, str) else given
+        variables.append(Variable(name, tuple(knots), loop, what))  # type: ignore[arg-type]  # refuses other words
     first = next(iter(placed.values()))
     return GainScheduled(first.loop, tuple(variables), tuple(placed[x] for x in product(*axes)), lag_s)

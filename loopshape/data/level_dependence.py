@@ -49,7 +49,8 @@ class LevelDependence(Plain):
     """Of one loop at one operating point: the two levels (rms of what was injected, in `unit`) and what changed.
 
     `resonance` (frequency) and `peak` (its height) are None where the recordings show none at both levels, `gain`
-    (below the resonance) where they share too few frequencies.
+    (below the resonance) where they share too few frequencies. `frequencies` known at both levels were compared; where
+    they are too few, `judged` is False and nothing is known of a dependence.
     """
 
     ALSO = keys("sentence")
@@ -62,17 +63,24 @@ class LevelDependence(Plain):
     resonance: Change | None = None
     peak: Change | None = None
     gain: Change | None = None
+    frequencies: int = 0
+    judged: bool = True
 
     @property
     def linear(self) -> bool:
-        """Whether nothing changed beyond noise."""
-        return all(c is None or c.bend is Bend.LINEAR for c in (self.resonance, self.peak, self.gain))
+        """Whether it was judged and nothing changed beyond noise."""
+        return self.judged and all(c is None or c.bend is Bend.LINEAR for c in (self.resonance, self.peak, self.gain))
 
     @property
     def sentence(self) -> str:
         """What changed from the smallest to the largest level, in one sentence; no cause beyond its kind."""
         unit = "" if self.unit == "1" else f" {SUFFIXES.get(self.unit, self.unit)}"
         between = f"{self.loop}, injected {self.levels[0]:.3g} to {self.levels[1]:.3g}{unit} rms"
+        if not self.judged:
+            return (
+                f"{between}: whether the response depends on the level was not judged, for only {self.frequencies}"
+                " frequencies are known at both levels; excite the same band at each."
+            )
         parts = [_resonance(self.resonance), _gain("the resonance's peak", self.peak), _below(self.gain)]
         return f"{between}: {'; '.join(p for p in parts if p) or 'no dependence on the level beyond noise'}."
 

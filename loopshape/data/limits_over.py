@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields
 from loopshape.core.units import Array, from_db
 
 #: how far the worst frequency lies beyond all masks of a kind, in the order of the kernel's columns
@@ -39,10 +40,9 @@ class Mask:
     sense: str = "at_most"
 
     def __post_init__(self) -> None:
-        if self.response not in _QUANTITY:
-            raise WrongUseError("a mask limits S, T, L, CS or PS", f"{self.response!r}")
-        if self.sense not in _SENSES:
-            raise WrongUseError("the sense of a mask is at_most or at_least", f"{self.sense!r}")
+        pass_fields(self)
+        refuse_unknown("a mask limits S, T, L, CS or PS", self.response, _QUANTITY)
+        refuse_unknown("the sense of a mask is at_most or at_least", self.sense, _SENSES)
         if self.sense == "at_least" and self.response != "L":
             raise WrongUseError(
                 f"a mask on |{self.response}| is an upper limit", "at_least",
@@ -119,6 +119,7 @@ class AtPoints:
     masks: tuple[Mask, ...] = ()
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         if not self.where or not (self.limits or self.masks):
             raise WrongUseError(
                 "limits at operating points need where and a limit", f"{dict(self.where)}, {dict(self.limits)}"

@@ -26,12 +26,28 @@ from loopshape.data.frf import FRF
 from loopshape.data.model import TransferFunction
 from loopshape.data.smoothed import Scatter
 
+#: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
+KNOWN_ABOVE = 0.2
 Values = TypeVar("Values", bound=np.ndarray)
 
 
 def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
     """Logarithmic grid above a last line, up to 0.45 times the rate; none where the line lies beyond."""
     return np.geomspace(last_hz, 0.45 * rate_hz, count)[1:] if last_hz < 0.45 * rate_hz else np.zeros(0)
+
+
+def known_above(beyond: FRF) -> np.ndarray:
+    """Which lines above those used (n,) are known well enough to tell what |L| is there.
+
+    Not those of the valid band, which only requirements that narrow it leave out, and a note says so.
+    """
+    known = np.sqrt(beyond.variance[:, 0, 0]) < KNOWN_ABOVE * np.abs(beyond.siso)
+    return np.asarray(known & ~beyond.trusted)
+
+
+def reach_above(beyond: FRF) -> Array:
+    """Radius (n,) of the 95 % circles of lines above those used; their responses lie at the circles' far ends."""
+    return np.asarray(np.sqrt(-np.log(0.05) * beyond.variance[:, 0, 0]))
 
 
 def _kept(values: Values) -> Values:
@@ -103,6 +119,20 @@ class Loop:
     def C_above(self) -> ComplexArray:
         """Controller on `above_hz`."""
         return _kept(self.controller.response(self.above_hz))
+
+    @cached_property
+    def largest_above(self) -> float:
+        """How far towards -1 lines above those used may reach that are known to `KNOWN_ABOVE`; 0 where none does.
+
+        1 less the smallest distance of their 95 % circles to -1: where L passes the negative real axis there, its size.
+        """
+        if self.beyond is None:
+            return 0.0
+        f, P, reach = self.beyond.frequency_hz, self.beyond.siso, reach_above(self.beyond)
+        rows = (reach < np.abs(P)) & known_above(self.beyond) & (f < 0.5 * self.controller.rate_hz)
+        C = self.controller.response(f[rows])
+        middle = C * P[rows] * (1.0 - reach[rows] / np.abs(P[rows]))
+        return float(np.max(1.0 - np.abs(1.0 + middle) + np.abs(C) * reach[rows], initial=0.0))
 
     @property
     def below_hz(self) -> Array:

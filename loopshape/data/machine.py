@@ -11,9 +11,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields
+from loopshape.data.channel import unit_of
 
 NO_EFFECT = "none"
+#: an effect that moves the outputs by less than this share of their motion within a window does not matter
+MATTERS = 0.01
+LAW = ("kp", "ki", "kd")  # of a motor's firmware: with one of them its command is a position
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,7 @@ class ModelParameter:
     `effect` names what a value beyond the tolerance means, as `kind@place` ("payload@arm"); "none" makes it no
     hypothesis. A parameter whose nominal value is 0 (a payload, a tilt) needs the `range` in which to look for it;
     `range` is of changes. `shaped_by` names a parameter that may change with it (where on the arm the payload sits).
+    `starts` are changes from which to look, where near the nominal value nothing depends on it.
     """
 
     name: str
@@ -32,8 +38,10 @@ class ModelParameter:
     effect: str = ""
     range: tuple[float, float] | None = None
     shaped_by: str = ""
+    starts: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         if not self.effect:
             object.__setattr__(self, "effect", f"parameter_error@{self.name}")
         if not 0.0 <= self.tolerance < 1.0:
@@ -49,7 +57,10 @@ class ModelParameter:
 class Input:
     """What drives the simulator, and the recorded column: input = `factor` * column; `tolerance` is that of its gain.
 
-    Without a column it is 0 in every recording: a place where effects alone act.
+    Without a column it is 0 in every recording: a place where effects alone act. One that `schedules` is a setting of
+    the machine (a gain, a payload, a mode): it has no actuator, so no delay, no limit and no sign of its own. A column
+    that is constant in every recording, where no port acts, is taken for one. Beyond `limits` it is the limit.
+    `without` names kinds of effects that it cannot have, as a position to go to has no dead zone.
     """
 
     name: str
@@ -57,17 +68,36 @@ class Input:
     factor: float = 1.0
     tolerance: float = 0.0
     unit: str = ""
+    schedules: bool = False
+    limits: tuple[float, float] | None = None
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        pass_fields(self)
+        if self.schedules and self.column is None:
+            raise WrongUseError(f"input {self.name} schedules, so its values are recorded", "no column", "name it")
+
+    @property
+    def acts(self) -> bool:
+        """Whether an actuator gives what is recorded."""
+        return self.column is not None and not self.schedules
 
 
 @dataclass(frozen=True)
 class Output:
-    """A state that a sensor reads, and the recorded column: output = `factor` * column."""
+    """A state that a sensor reads, and the recorded column: output = `factor` * column + `offset`."""
 
     name: str
     state: str
     column: str
     factor: float = 1.0
     unit: str = ""
+    offset: float = 0.0
+
+
+def is_angle(output: Output) -> bool:
+    """Whether an output is an angle in rad, by its unit or its column's name."""
+    return output.unit == "rad" or unit_of(output.column) in ("rad", "deg")
 
 
 @dataclass(frozen=True)
@@ -110,9 +140,11 @@ class Kind:
 class Model:
     """A simulator, what it is fed with, and what it gives; see `docs/machine.md`.
 
-    `window_s` is how long the simulation is left to itself before it is set to the recording again. `without` names
-    kinds of effects that this machine cannot have. `derived` makes of the parameters' values, in order, what `motion`
-    gets as p; without it p has the parameters by name. `kinds` are effects of the user's own.
+    `window_s` is how long the simulation is left to itself before it is set to the recording again; None where the
+    recordings are to tell. `without` names kinds of effects that this machine cannot have. `derived` makes of the
+    parameters' values, in order, what `motion` gets as p; without it p has the parameters by name. `kinds` are effects
+    of the user's own. `matters` is the share of the motion within a window that an effect has to move, or it is no
+    answer.
     """
 
     name: str
@@ -122,18 +154,21 @@ class Model:
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     ports: tuple[Port, ...] = ()
-    window_s: float = 1.0
+    window_s: float | None = None
     without: tuple[str, ...] = field(default=())
     derived: Callable[[tuple[float, ...]], Any] | None = None
     kinds: tuple[Kind, ...] = ()
+    matters: float = MATTERS
 
     def __post_init__(self) -> None:
         for name in ("states", "parameters", "inputs", "outputs", "ports", "without"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if not (self.states and self.inputs and self.outputs):
             raise WrongUseError("a model has states, inputs and outputs", f"{self.name}: one of them is empty")
-        if not self.window_s > 0.0:
+        if self.window_s is not None and not self.window_s > 0.0:
             raise WrongUseError("window_s is a time above 0", f"{self.window_s:g}")
+        if not 0.0 <= self.matters < 1.0:
+            raise WrongUseError("matters is a share of the motion from 0 to 1", f"{self.matters:g}")
         self._names()
         self._references()
 
@@ -147,6 +182,11 @@ class Model:
             _known(p.shaped_by or p.name, [o.name for o in self.parameters], f"parameter that shapes {p.name}")
         for port in self.ports:
             _known(port.input, [i.name for i in self.inputs], f"input of port {port.name}")
+            if any(i.schedules for i in self.inputs if i.name == port.input):
+                raise WrongUseError(
+                    f"a force acts at the input of port {port.name}", f"{port.input} schedules",
+                    "give the port an input that is a force, or leave schedules out",
+                )  # fmt: skip
             for state in (port.position, port.speed):
                 _known(state, self.states, f"state of port {port.name}")
             for key in ("motor_inertia", "motor_damping"):
@@ -172,19 +212,25 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
-    """A MuJoCo model and what belongs to it: an `MjSpec`, tolerances by kind and name, columns and factors by name.
+    """A MuJoCo model and what belongs to it: an `MjSpec`, tolerances by kind and name, columns and factors by name, of
+    sensors offsets too.
 
-    Kinds of `spread`: mass (of a body), damping and armature (of a joint), motor_constant (of an actuator).
+    Kinds of `spread`: mass (of a body), damping, armature and frictionloss (of a joint), motor_constant (of an
+    actuator). A joint may stand in `actuators`, an effort then, and in `sensors`, its position, with `_speed` behind it
+    its speed. `motors` are DC motors by numbers, by joint: resistance in ohm, torque_constant in N m/A, and back_emf in
+    V s/rad, gear, voltage of the supply, kp, ki, kd in V/rad of the joint where they have them.
     """
 
     name: str
     spec: Any
     spread: Mapping[str, Mapping[str, float]]
     actuators: Mapping[str, tuple[str, float]]
-    sensors: Mapping[str, tuple[str, float]]
-    window_s: float = 1.0
+    sensors: Mapping[str, tuple[str, float] | tuple[str, float, float]]
+    window_s: float | None = None
     without: tuple[str, ...] = ()
     kinds: tuple[Kind, ...] = ()
+    matters: float = MATTERS
+    motors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,9 +247,10 @@ class Unit:
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     ports: tuple[Port, ...] = ()
-    window_s: float = 1.0
+    window_s: float | None = None
     without: tuple[str, ...] = ()
     kinds: tuple[Kind, ...] = ()
+    matters: float = MATTERS
 
 
 def _once(names: Iterable[str], what: str) -> None:
@@ -212,5 +259,4 @@ def _once(names: Iterable[str], what: str) -> None:
 
 
 def _known(name: str, known: Iterable[str], what: str) -> None:
-    if name not in known:
-        raise WrongUseError(f"the {what} is not known", f"{name!r}", f"use one of {', '.join(known)}")
+    refuse_unknown(f"the {what} is not known", name, known, "use one of")

@@ -81,12 +81,15 @@ class Fit(Plain):
     the residual test's word: does what is left look like the noise? Intervals are widened by
     sqrt(chi2_per_dof) where the model misses more than the noise does. They then describe how well the
     numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
-    `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF.
+    `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF. Of the
+    `starts` that it was searched from `starts_agreeing` ended at this optimum; where `disputed`, the others
+    stopped at worse ones.
     """
 
     IN_JSON = keys(
         "recording", "loop", "operating_point", "structure", parameters="by_name", outcome="outcome",
         chi2_per_dof="chi2_per_dof", sufficient="sufficient", misfit_db="misfit_db", band_hz="band_hz",
+        starts="starts", starts_agreeing="starts_agreeing",
     )  # fmt: skip
 
     structure: str
@@ -106,6 +109,8 @@ class Fit(Plain):
     delay_free: bool = False
     rig_parameters: Mapping[str, float] = field(default_factory=dict)
     frf_digest: str = ""
+    starts: int = 1
+    starts_agreeing: int = 1
 
     def __repr__(self) -> str:
         """One line: structure, parameters, misfit and whether it leaves nothing but noise."""
@@ -117,6 +122,11 @@ class Fit(Plain):
     def sufficient(self) -> bool:
         """Whether the residual test accepts the model at 1 %."""
         return self.p_value > 0.01 and self.runs_p_value > 0.01
+
+    @property
+    def disputed(self) -> bool:
+        """Whether the optimum was reached from one of several starts alone: a better one may lie elsewhere."""
+        return self.starts > 1 and self.starts_agreeing < 2
 
     @property
     def by_name(self) -> dict[str, Estimate]:

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields
 
 #: terms that may stand alone
 TERMS = ("bandwidth", "disturbance", "weighted_norm")
@@ -34,6 +35,7 @@ class Objective:
     weighted_norm: float = 0.0
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         weights = (self.bandwidth, self.disturbance, self.weighted_norm)
         if not all(is_number(w) and 0.0 <= w < np.inf for w in weights) or max(weights) == 0.0:
             raise WrongUseError(
@@ -58,8 +60,7 @@ class Objective:
                 )
             below = {} if below_hz is None else {"disturbance_below_hz": below_hz}
             return cls(**({"bandwidth": 0.0} | below | dict(given)))
-        if given not in TERMS:
-            raise WrongUseError(f"an objective is one of {', '.join(TERMS)}, or a table of weights", f"{given!r}")
+        refuse_unknown("an objective is a word, or a table of weights", given, TERMS, "use one of")
         return cls(**({"bandwidth": 0.0, "disturbance_below_hz": below_hz} | {given: 1.0}))
 
 

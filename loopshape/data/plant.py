@@ -148,6 +148,44 @@ class Followable(Plant, Protocol):
     def paths(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated outputs relative to their noise floor, by path such as u -> p; inputs measured."""
 
+    def shapes(self, prepared: Sequence[Any]) -> Shapes | None:
+        """Shapes of nameless pushes over what these recordings show; None where nobody knows any."""
+
+
+class Axis(Protocol):
+    """A shape over one quantity: hat functions at `knots` (k,), or in proportion to it where there are none."""
+
+    @property
+    def over(self) -> str:
+        """Name of the quantity."""
+
+    @property
+    def knots(self) -> Array:
+        """Where its hats stand, (k,)."""
+
+    def values(self, x: Array) -> Array:
+        """Hat functions (n, k) of x (n,)."""
+
+
+class Shapes(Protocol):
+    """What a nameless force or signal at each place of a plant is made of."""
+
+    @property
+    def axes(self) -> Mapping[str, Sequence[Axis]]:
+        """Axes by place."""
+
+    def least(self, prepared: Any) -> float:
+        """Rms relative to the noise floor by which an effect has to move the outputs to matter."""
+
+    def units(self, place: str, over: str) -> tuple[str, str]:
+        """Unit of what acts at a place, and of what it is over."""
+
+    def named(self, place: str, over: str, x: Array, moves: Mapping[str, float]) -> Array | None:
+        """What named effects at a place, parameters moved as given, give over one quantity x (n,); None for nothing."""
+
+    def columns(self, prepared: Any, moves: Mapping[str, float], place: str) -> Array:
+        """What each shape at a place does to the residuals of a recording (n, k), channel by channel."""
+
 
 class Prepared(Protocol):
     """What a plant makes of a recording before it follows it."""

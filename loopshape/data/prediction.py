@@ -133,7 +133,7 @@ class Band:
     """A band of a comparison: its p-value, and by how much S and T came out larger than predicted, in dB.
 
     The decibels are of the mean ratio over the lines, weighted by what they are known to; `std_db` is the standard
-    deviation of that of S.
+    deviation of that of S. Of two plants `sensitivity_db` is that of |P|.
     """
 
     low_hz: float
@@ -147,11 +147,11 @@ class Band:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A prediction against a measurement under its controller, over the lines that both know.
+    """A prediction against a measurement under its controller, or a plant's FRF against another, over common lines.
 
     `outcome` is "held", "did not hold" (p-value below `level`) or "cannot tell" (the data are too few or too noisy
     to contradict: they would not notice a change of the plant's gain by `noticed_db` four times in five, or less).
-    `worst` is the band that differs most. Peaks of |S| are over the common lines, at face value.
+    `worst` is the band that differs most. Peaks of |S|, of two plants of |P|, are over the common lines, at face value.
     """
 
     loop: str

@@ -12,7 +12,7 @@ from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import ByStretches, LongSignal, Signal
 from loopshape.core.units import Array
 from loopshape.data.channel import sum_terms
-from loopshape.data.experiment import Experiment, Told
+from loopshape.data.experiment import Experiment, Told, refuse_unknown_words
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,9 @@ class RecordingInfo(Told):
     periodic_from_s: float | None = None
     ended_early: str | None = None
     excites_also: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        refuse_unknown_words(f"recording {self.file}", self.kind, self.injection, self.role)
 
     @classmethod
     def of(cls, e: Experiment, ended_early: str | None = None) -> RecordingInfo:

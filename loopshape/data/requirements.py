@@ -11,7 +11,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, meant
+from loopshape.core.gate import pass_fields
 from loopshape.core.json_ready import Plain
 from loopshape.data.block import BlockTemplate
 from loopshape.data.detuning import SEARCHED_PERCENT, Detuning
@@ -137,7 +138,8 @@ class Margins(Plain):
     those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
     `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
     `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
-    the number found is the worst that may be, and `bounds` holds the best. `last_hz` is that frequency, `last_gain`
+    the number found is the worst that may be, and `bounds` holds the best. `missing_hz` are holes between the
+    frequencies, in which a reading is a guess. `last_hz` is that frequency, `last_gain`
     |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
     `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
     it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
@@ -170,6 +172,7 @@ class Margins(Plain):
     crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
     phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
     bounds: Mapping[str, float] = field(default_factory=dict)
+    missing_hz: tuple[tuple[float, float], ...] = ()
     last_hz: float = float("nan")
     last_gain: float = float("nan")
     last_slope: float = float("nan")
@@ -250,6 +253,7 @@ class Requirements:
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         self._check_values()
         self._allow_nothing_over_masks()
         for one in self.at:
@@ -350,7 +354,7 @@ class Requirements:
             raise WrongUseError(
                 f"unknown key in the requirements of loop {given['loop']!r}",
                 ", ".join(sorted(unknown)),
-                f"known are name, {', '.join(sorted(known - {'loop'}))}",
+                f"{meant(min(unknown), known)}known are name, {', '.join(sorted(known - {'loop'}))}",
             )
         structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
         band = given.pop("band_hz", None)
@@ -360,7 +364,9 @@ class Requirements:
         objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
         for name, value in given.items():
             if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
-                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}")
+                bare = value.split()[0] if isinstance(value, str) and value.split() else ""
+                cure = f"leave the unit out: {name} = {bare}" if bare[-1:].isdigit() else ""
+                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}", cure)
         band = tuple(band) if isinstance(band, list) else band
         return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, weights=weights, at=at)
 

@@ -6,13 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import gated, pass_fields
+from loopshape.core.units import Array
+from loopshape.data.arrays import number, rate, real_array
 from loopshape.data.controller import Controller
+from loopshape.data.excitation_parts import is_sweep
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
+
+#: columns of the signals of `Run.from_arrays`
+_COLUMNS = {"u": "u_1", "y": "y_1", "excitation": "n_1", "reference": "r_1"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +36,12 @@ class Run:
     extra: Mapping[str, Any] = field(default_factory=dict)
     outputs: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        pass_fields(self)
+        rate(self.rate_hz, "rate_hz of a run")
+
     @classmethod
+    @gated
     def from_arrays(
         cls,
         *,
@@ -42,6 +53,7 @@ class Run:
         injection: str = "controller_input",
         loop: str = "loop",
         recording: str = "recording",
+        role: str = "estimation",
         period_s: float | None = None,
         controller: Controller | None = None,
         operating_point: Mapping[str, float] | None = None,
@@ -49,11 +61,17 @@ class Run:
         """A run of one recording (n,) of one loop: what the controller gives out, what the sensor says.
 
         With `excitation`, the signal that was injected, the loop was closed; it entered at the controller's input or,
-        with injection "plant_input", behind `u` (then it is added to `u`). Without, `u` was applied in open loop.
+        with injection "plant_input", behind `u` (then it is added to `u`; of a log taken behind the sum give
+        `u - excitation`). Without, `u` was applied in open loop.
         With `reference` the recording is one of a move along this setpoint, from which no FRF is estimated and
         `ls.next_trial` learns; an excitation beside it is the feedforward, and entered at the plant's input.
-        `period_s` says that the excitation repeats; `controller` is what closed the loop, and tells unstable poles.
-        Signs as drawn in `loopshape.data.loop`. Raises WrongUseError for lengths that differ.
+        `period_s` says that the excitation repeats; without it the excitation is taken for a sweep where its frequency
+        rises or falls steadily, else for noise. `controller` is what closed the loop, and tells unstable poles.
+        A recording with role "validation" is held out. Columns are `u_1`, `y_1`, `n_1`, `r_1`, by which a machine of
+        your own (`ls.gap(run, model=...)`) names them; recordings of several such runs make one run:
+        `ls.Run(rate_hz, (), [...])`.
+        Signs as drawn in `loopshape.data.loop`. Raises WrongUseError for lengths that differ, another word
+        for the injection, and what is no real number; BadSignalError for masked values, NaN and values above 1e50.
 
         Examples
         --------
@@ -62,18 +80,25 @@ class Run:
         >>> ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=1000.0)
         Run: 1 recording at 1000 Hz, loop loop
         """
-        given = {"u_1": u, "y_1": y, "n_1": excitation, "r_1": reference}
-        arrays = {name: np.array(values, dtype=float) for name, values in given.items() if values is not None}
-        if len({values.shape for values in arrays.values()}) != 1 or arrays["u_1"].ndim != 1:
+        refuse_unknown("an excitation enters at one of two places", injection, ("controller_input", "plant_input"))
+        given = {"u": u, "y": y, "excitation": excitation, "reference": reference}
+        arrays = {
+            _COLUMNS[name]: real_array(values, f"{name} of a run")
+            for name, values in given.items() if values is not None or name in ("u", "y")
+        }  # fmt: skip
+        if len({values.shape for values in arrays.values()}) != 1 or arrays["u_1"].ndim != 1 or not arrays["u_1"].size:
             shapes = ", ".join(f"{name[:-2]} {values.shape}" for name, values in arrays.items())
             raise WrongUseError("the signals of a recording are (n,) and of one length", shapes, "cut them alike")
+        if period_s is not None:
+            period_s = number(period_s, "period_s of a run", positive=True, unit="s")
         r, n = ("r_1" if "r_1" in arrays else None), ("n_1" if "n_1" in arrays else None)
         setup = LoopSetup(loop, r, n, "u_1", "y_1", controller)
         place = ("reference" if n is None else "plant_input") if r else ("control" if n is None else injection)
         info = RecordingInfo(
             file=f"{recording}.parquet",
-            kind="profile" if r else "noise" if period_s is None else "multisine",
+            kind="profile" if r else _kind(arrays[n or "u_1"], period_s),
             injection=place,
+            role=role,
             excites=None if r else loop,
             closed_loop=place != "control",
             operating_point=dict(operating_point or {}),
@@ -89,7 +114,9 @@ class Run:
         return f"Run: {count} {word} at {self.rate_hz:g} Hz, loop{'s' * (len(self.loops) > 1)} {names}"
 
     def loop(self, name: str) -> LoopSetup:
-        """A loop by name; refuses an unknown one."""
+        """A loop by name, the only one also without a name (""); refuses an unknown one."""
+        if name == "" and len(self.loops) == 1:
+            return self.loops[0]
         for loop in self.loops:
             if loop.name == name:
                 return loop
@@ -103,3 +130,8 @@ class Run:
             if name in (recording.info.name, recording.info.file):
                 return recording
         raise WrongUseError("the run has no such recording", f"{name!r}")
+
+
+def _kind(moved: Array, period_s: float | None) -> str:
+    """Of what kind the excitation (n,) is."""
+    return "multisine" if period_s is not None else "sweep" if is_sweep(moved) else "noise"

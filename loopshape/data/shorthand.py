@@ -32,7 +32,7 @@ def _block(kind: str, tie: dict[str, str] | None = None, **parameters: Parameter
     for name, value in parameters.items():
         if value is None:
             made[name] = OPEN
-        elif isinstance(value, tuple):
+        elif isinstance(value, tuple | list):
             if len(value) != 2 or not 0.0 < value[0] < value[1] < np.inf:
                 raise WrongUseError(f"bounds of {name} of a {kind} block are (low, high), 0 < low < high", f"{value!r}")
             made[name] = Free(float(value[0]), float(value[1]))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, deg
 from loopshape.data.channel import Channel
 
@@ -66,8 +66,7 @@ class TargetSettings:
     place: bool = True
 
     def __post_init__(self) -> None:
-        if self.on_limit not in ON_LIMIT:
-            raise WrongUseError("on_limit is not known", f"{self.on_limit!r}", f"use {' or '.join(ON_LIMIT)}")
+        refuse_unknown("on_limit is not known", self.on_limit, ON_LIMIT)
         if not 20 <= self.watchdog_ms <= 10_000:
             raise WrongUseError("watchdog_ms lies between 20 and 10000", f"{self.watchdog_ms}")
         if not self.commands:

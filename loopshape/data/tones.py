@@ -12,8 +12,13 @@ from loopshape.data.channel import Channel
 Interval = tuple[float, float]
 
 
+#: growth in dB over the part that shows a tone, from which on it is one: what the supply's tolerance of 10 % (IEC
+#: 60038) makes of a tone that it drives when it moves from one end to the other
+LEAST_GROWTH_DB = 20.0 * log10(1.1 / 0.9)
+
+
 class Growth(Enum):
-    """What a tone's amplitude does while it is seen."""
+    """What a tone's amplitude does while it is seen, where that is clearly more than `LEAST_GROWTH_DB`."""
 
     GROWS = "grows"
     DECAYS = "decays"
@@ -66,7 +71,7 @@ class Tones:
     """A channel of a recording: rms about its mean with 95 % interval, in `unit`, and its tones, the clearest first.
 
     `chance` is that of any tone being reported in a channel of noise alone; `lowest_hz` and `highest_hz` bound where
-    tones are looked for.
+    tones are looked for. `closed_loop` tells whether a loop was closed around the channel, None where nothing does.
     """
 
     recording: str
@@ -80,6 +85,7 @@ class Tones:
     lowest_hz: float
     highest_hz: float
     tones: tuple[Tone, ...]
+    closed_loop: bool | None = None
 
     @property
     def growing(self) -> tuple[Tone, ...]:
@@ -93,11 +99,12 @@ class Tones:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A sentence for each tone that grows."""
+        """A sentence for each tone that grows; of stability where a loop was closed."""
+        why = ": the loop may be unstable or close to it" if self.closed_loop else ""
         return tuple(
             f"{self.recording}: {self.channel} holds a tone at {tone.frequency_hz:.4g} Hz that is not the excitation's"
-            f" and grows by {tone.growth_db:.3g} dB from {tone.from_s:.3g} to {tone.to_s:.3g} s: the loop may be"
-            " unstable or close to it; look at it with loopshape tones"
+            f" and grows by {tone.growth_db:.3g} dB from {tone.from_s:.3g} to {tone.to_s:.3g} s{why}; look at it with"
+            " loopshape tones"
             for tone in self.growing
         )
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from html import escape
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,48 @@ class Outcome(StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     UNDECIDED = "undecided"
+
+
+class SettledBy(StrEnum):
+    """What settles an undecided operating point: a measurement, a word in the requirements, or neither."""
+
+    MEASUREMENT = "measurement"
+    DECLARATION = "declaration"
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True)
+class Order(Plain):
+    """What would settle an undecided operating point; where that is a measurement its band, spacing and length.
+
+    `low_hz` to `high_hz` is the band, `resolution_hz` the distance of its lines, `seconds` the length at the signal to
+    noise ratio per Hz of `recording`; None where `by` is no measurement. Frequencies of one recording may need several.
+    """
+
+    ALSO = keys("command")
+
+    recording: str
+    by: SettledBy
+    low_hz: float | None = None
+    high_hz: float | None = None
+    resolution_hz: float | None = None
+    seconds: float | None = None
+
+    @property
+    def command(self) -> str | None:
+        """The measurement as a command, for the run in place of RUN; None where measuring does not settle it."""
+        return self.command_for("RUN") if self.by is SettledBy.MEASUREMENT else None
+
+    def command_for(self, run: str) -> str:
+        """The same for a run's folder."""
+        numbers = zip(
+            ("--from-hz", "--to-hz", "--resolution-hz", "--seconds"),
+            (self.low_hz, self.high_hz, self.resolution_hz, self.seconds),
+            strict=True,
+        )
+        asked = " ".join(f"{name} {value:.6g}" for name, value in numbers)
+        of = f" --recording {quote(self.recording)}" if self.recording else ""
+        return f"loopshape plan {quote(run)}{of} --lines all {asked}"
 
 
 @dataclass(frozen=True)
@@ -111,16 +154,18 @@ class Verdict(Plain):
     `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
 
     Of several loops `margins` are those of all together (`SeveralMargins`), and `each` holds a verdict a loop, with the
-    others closed; the outcome needs them too.
+    others closed; the outcome needs them too. An undecided verdict on single loops says in `orders` what would settle
+    it.
     """
 
-    IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "each")
+    IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "orders", "each")
 
     loop: str
     lines: tuple[Line, ...]
     margins: Mapping[str, Margins]
     warnings: tuple[str, ...] = ()
     each: tuple[Verdict, ...] = ()
+    orders: tuple[Order, ...] = ()
 
     @property
     def parts(self) -> tuple[Verdict, ...]:
@@ -153,6 +198,13 @@ class Verdict(Plain):
         missed += [f"{self.margins[name].stable} at {name}" for name in self.unstable]
         of, why = f" {self.loop}" if self.loop else "", f" ({', '.join(missed)})" if missed else ""
         return f"Verdict{of}: {self.outcome}{why}"
+
+    def __str__(self) -> str:
+        """The verdict in one sentence and a table of the requirements in 80 columns, as `loopshape check` prints it."""
+        from loopshape.data.verdict_words import folded, page_text
+
+        parts = [part for part in self.parts if part.margins or part.lines]
+        return "\n".join([page_text(parts), *(folded(f"warning: {warning}") for warning in self.warnings)])
 
     def table(self) -> pd.DataFrame:
         """A row a requirement at its worst operating point: limit, worst case, 95 % interval, slack, where, outcome."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -11,10 +12,15 @@ if TYPE_CHECKING:
     from loopshape.data.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.controller import Controller
     from loopshape.data.requirements import Margins
-    from loopshape.data.verdict import Line, Verdict
+    from loopshape.data.verdict import Line, Order, Verdict
 
 #: how an outcome is printed
 WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
+#: stability from bad to good
+STABLE_RANK = {"unstable": 0, "undecided": 1, "stable": 2}
+#: width of what is printed first
+COLUMNS = 80
+_HEADINGS = ("requirement", "required", "worst case", "95 % interval", "verdict")
 _SENSE = {"at_least": "at least", "at_most": "at most"}
 
 
@@ -104,7 +110,7 @@ def _band(low_hz: float, high_hz: float) -> str:
 def unstable_text(verdict: Verdict, name: str) -> str:
     """An operating point whose loop is not known to be stable, in one sentence."""
     margins = verdict.margins[name]
-    return f"loop {verdict.loop} is {margins.stable} at {name}{_why(margins)}"
+    return f"{_loop(verdict)} is {margins.stable} at {name}{_why(margins)}"
 
 
 def detuning_warnings(found: Mapping[str, Margins], controller: Controller) -> tuple[str, ...]:
@@ -155,18 +161,75 @@ def headline(verdicts: Sequence[Verdict]) -> str:
     if outcome == "passed":
         many = sum(len(verdict.lines) for verdict in verdicts)
         points = len({name for verdict in verdicts for name in verdict.margins})
-        return f"all requirements hold ({many}) and the closed loop is stable at every operating point ({points})"
+        held = f"all requirements hold ({many})" if many else "no requirement given"
+        return f"{held} and the closed loop is stable at every operating point ({points})"
     short = [(word, words) for verdict in verdicts for word, words in _shortcomings(verdict)]
     short.sort(key=lambda one: one[0] != WORDS[outcome])
     others = f"; {len(short) - 1} more not met or undecided" if len(short) > 1 else ""
     return short[0][1] + others
 
 
+def page_text(verdicts: Sequence[Verdict], more: str = "", run: str = "RUN") -> str:
+    """The verdict in one sentence, and of each loop its requirements with values and intervals, in 80 columns.
+
+    Under them stands what would settle an undecided loop, a command on one row, for the folder `run`.
+    """
+    first = f"verdict: {WORDS[outcome_of(verdicts)]}{more}: {headline(verdicts)}"
+    orders = dict.fromkeys(order_text(order, run) for verdict in verdicts for order in verdict.orders)
+    after = ["", *orders] if orders else []
+    return "\n".join([folded(first), *(f"\n{_requirements(verdict)}" for verdict in verdicts), *after])
+
+
+def order_text(order: Order, run: str = "RUN") -> str:
+    """What would settle an undecided operating point, on one row."""
+    if order.command is not None:
+        return f"to settle it: {order.command_for(run)}"
+    word = "what the requirements declare" if order.by == "declaration" else "no measurement of the plant"
+    return f"to settle it in {order.recording}: {word}"
+
+
+def folded(line: str) -> str:
+    """A line folded at 80 columns; what follows its first row is indented."""
+    rest = " " * (2 + len(line) - len(line.lstrip()))
+    rows = textwrap.wrap(line, COLUMNS, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(rows)
+
+
+def _requirements(verdict: Verdict) -> str:
+    stable, _, word = stability_of(verdict)
+    rows = [("closed loop", "stable", stable, "-", word)] if verdict.margins else []
+    rows += [
+        (x.quantity, number_of(x, x.wished), worst_text(x), interval_or_bound_text(x), WORDS[x.outcome])
+        for x in verdict.lines
+    ]
+    widths = [max(map(len, column)) for column in zip(_HEADINGS, *rows, strict=True)]
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in (_HEADINGS, *rows)]
+    return "\n".join([f"{f'Loop {verdict.loop}'.rstrip()}: {WORDS[verdict.outcome]}", *lines])
+
+
+def worst_text(line: Line) -> str:
+    """The number found, and whether it is the largest that was searched."""
+    return f"> {line.found:g}" if line.beyond else number_of(line, line.found)
+
+
+def stability_of(verdict: Verdict) -> tuple[str, str, str]:
+    """The closed loop at its worst operating point, where that is, and the outcome: a row of its own in each table."""
+    if not verdict.margins:
+        return "-", "-", "-"
+    name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
+    stable = verdict.margins[name].stable
+    return stable, name, WORDS[{"stable": "passed", "unstable": "failed"}.get(stable, "undecided")]
+
+
 def _shortcomings(verdict: Verdict) -> list[tuple[str, str]]:
     """What does not hold of one loop: its word, and a sentence."""
     unstable = [(_stable_word(verdict, name), unstable_text(verdict, name)) for name in verdict.unstable]
     lines = [x for x in verdict.lines if not x.passed]
-    return unstable + [(WORDS[x.outcome], f"{x.quantity} of loop {verdict.loop}: {line_text(x)}") for x in lines]
+    return unstable + [(WORDS[x.outcome], f"{x.quantity} of {_loop(verdict)}: {line_text(x)}") for x in lines]
+
+
+def _loop(verdict: Verdict) -> str:
+    return f"loop {verdict.loop}" if verdict.loop else "the loop"
 
 
 def _stable_word(verdict: Verdict, name: str) -> str:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields, received
 from loopshape.core.units import Array, angular, from_db
 from loopshape.data.block import BlockTemplate, Free, series_response
 from loopshape.data.fixed import roots_of
@@ -46,8 +47,8 @@ class Weight:
     size: Any
 
     def __post_init__(self) -> None:
-        if self.response not in WEIGHTED:
-            raise WrongUseError("a weight is on S, T, CS or PS", f"{self.response!r}", "|L| has masks alone")
+        pass_fields(self)
+        refuse_unknown("a weight is on S, T, CS or PS (|L| has masks alone)", self.response, WEIGHTED)
         object.__setattr__(self, "_of", _function(self.response, self.size))
 
     def at(self, frequency_hz: ArrayLike) -> Array:
@@ -55,7 +56,13 @@ class Weight:
         f = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
         of: Callable[[Array], Any] = getattr(self, "_of")  # noqa: B009
         with np.errstate(all="ignore"):
-            found = np.abs(np.asarray(of(f)))
+            try:
+                found = np.abs(np.asarray(of(f)))
+            except (TypeError, ValueError) as error:
+                raise WrongUseError(
+                    f"the weight on |{self.response}| is no function of frequencies", f"{error}",
+                    "give a function of an array (nf,) in Hz",
+                ) from error  # fmt: skip
         if found.shape != f.shape or not np.isfinite(found).all():
             bad = f[~np.isfinite(found)][:1] if found.shape == f.shape else f[:1]
             raise WrongUseError(
@@ -78,6 +85,8 @@ class Weight:
 def _function(response: str, size: Any) -> Callable[[Array], Any]:
     """|W| or W as a function of frequencies (nf,) in Hz."""
     if isinstance(size, int | float) and not isinstance(size, bool):
+        if not abs(size) < 1e50:
+            raise WrongUseError(f"the weight on |{response}| must be finite", received(size))
         return lambda f: np.full(f.shape, float(size))
     if isinstance(size, BlockTemplate):
         return _of_blocks(response, (size,))

@@ -30,6 +30,7 @@ from loopshape.design.settle import Judge, Settled, settle
 from loopshape.design.shifts import Copy, closer, judged, shifted_loops
 from loopshape.design.starts import leaps
 from loopshape.loop.error_rms import error_warnings, of_points
+from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
 
 #: a block that gains less of the bandwidth than this is not added
@@ -83,7 +84,8 @@ class Task:
         named = dict(zip(points_of(self.frfs), loops, strict=True))
         found = verdict_from(best.verdict.margins, named, self.requirements)
         notes = error_warnings(named, of_points(named, self.disturbances), self.requirements)
-        return with_warnings(found, loops, self.requirements, (*self.notes, *notes))
+        found = with_warnings(found, loops, self.requirements, (*self.notes, *notes))
+        return with_orders(found, loops, self.frfs, self.requirements)
 
 
 @dataclass(frozen=True, eq=False)

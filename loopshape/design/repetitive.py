@@ -107,7 +107,8 @@ def _low_pass(q_filter: float | BlockTemplate | Sequence[BlockTemplate], rate_hz
         return tuple(q_filter)
     if not 0.0 < q_filter < 0.5 * rate_hz:
         raise WrongUseError("Q's corner lies below half the rate", f"{q_filter:g} Hz", f"rate {rate_hz:g} Hz")
-    many = int(np.ceil(np.log(0.5) / (4.0 * np.log(np.cos(np.pi * q_filter / rate_hz)))))
+    turn = max(np.pi * q_filter / rate_hz, 1e-6)  # below, its cosine is 1
+    many = int(np.ceil(np.log(0.5) / (4.0 * np.log(np.cos(turn)))))
     if many > SECTIONS:
         lowest = rate_hz / np.pi * np.arccos(0.5 ** (0.25 / SECTIONS))
         raise WrongUseError(

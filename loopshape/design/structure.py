@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
-from loopshape.data.block import BLOCK_KINDS, BlockTemplate, Free
+from loopshape.data.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import LIMITS, Requirements
 
@@ -60,6 +60,12 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -
             f"lowest frequencies that fit no whole number at {', '.join(unknown)}",
             "declare integrators in the requirements' [[loop]], or fit a model that follows the measured FRF",
         )
+    if any(loop.integrators is not None and loop.integrators < 0 for loop in loops) and _integrates(requirements):
+        raise WrongUseError(
+            f"the structure of loop {requirements.loop!r} has an integrator that the plant's zero at 0 Hz cancels",
+            "integrators below 0, and a pole at s = 0 in the structure",
+            "leave it out: the controller's output would drift without bound, and no margin shows it",
+        )
     unknown = [loop.plant.recording for loop in loops if loop.unstable_poles is None]
     if unknown:
         raise WrongUseError(
@@ -76,6 +82,13 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -
             f"none that is judged at {', '.join(blind)}",
             "measure lower, or raise disturbance_below_hz",
         )
+
+
+def _integrates(requirements: Requirements) -> bool:
+    """Whether a block of the structure has a pole at s = 0, whatever its free parameters."""
+    variables = variables_of(requirements)
+    low = values_at(requirements.structure, variables, np.log([v.low for v in variables]))
+    return any(Block(t.kind, own).integrators() > 0 for t, own in zip(requirements.structure, low, strict=True))
 
 
 def variables_of(requirements: Requirements) -> tuple[Variable, ...]:

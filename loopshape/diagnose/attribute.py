@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,54 +72,62 @@ def worth_fitting(guesses: Sequence[Guess], base: Fitted) -> list[Guess]:
 
 #: share of mean squares below which a start is taken to change nothing
 _ROUNDING = 1e-10
+_TINY = 1e-100  # of a start, and its inverse: squares of what lies between are numbers
 
 
 def started(evidence: Evidence, hypotheses: Sequence[Hypothesis], base: Fitted, brief: bool = False) -> list[Guess]:
-    """Each hypothesis at its best start, the magnitude scaled and the spread answering, both by straight lines."""
+    """Each hypothesis at its best start, the magnitude scaled and the tolerance answering, by straight lines.
+
+    `brief` tries one start each, and follows the recordings whole; the numbers of the base's effects answer too where
+    prices are not calibrated without that.
+    """
     every = [(h, h.starts(base.phi)[: 1 if brief else None]) for h in hypotheses]
-    residuals = iter(evidence.residuals([h.moves(phi) for h, starts in every for phi in starts]))
-    n_spread = base.phi.size - base.hypothesis.n_free
-    known = np.column_stack([base.slopes[:, base.phi.size - n_spread :], base.residual])
+    near, tried = base.hypothesis.moves(base.phi), [h.moves(phi) for h, starts in every for phi in starts]
+    residuals = iter(evidence.residuals(tried) if brief else evidence.nearby(near, tried))
+    slopes = base.slopes.copy()
+    slopes[:, : base.hypothesis.n_free if not brief or evidence.plant.calibrated else 0] = 0.0
+    known = np.column_stack([slopes, base.residual])
     table = fitting.normal(evidence, known, base.residual).squares
     out = []
     for hypothesis, starts in every:
-        tried = []
+        guesses = []
         for phi in starts:
             residual = np.nan_to_num(next(residuals), nan=1e9, posinf=1e9, neginf=-1e9)
             products = fitting.products(evidence, known, residual)
             squares = evidence.mean_squares(residual)
-            tried += _guesses(hypothesis, phi, base, table, products, squares)
-        out.append(min(tried, key=lambda g: g.cost))
+            guesses += _guesses(hypothesis, phi, replace(base, slopes=slopes), table, products, squares)
+        out.append(min(guesses, key=lambda g: g.cost))
     return out
 
 
 def _guesses(
     hypothesis: Hypothesis, phi: Array, base: Fitted, table: Array, products: Array, squares: Array
 ) -> list[Guess]:
-    """The spread moved once; and the newest magnitude with it, scaled as if its effect went in proportion.
+    """The base's numbers moved once; and the newest magnitude with them, scaled as if its effect went in proportion.
 
-    All by cell: `table` (cells, k, k) of the products of the spread's slopes and the base's residual, `products`
-    (cells, k) of them with the residual at this start, whose mean squares are `squares` (cells,).
+    All by cell: `table` (cells, k, k) of the products of the base's slopes and its residual, `products` (cells, k) of
+    them with the residual at this start, whose mean squares are `squares` (cells,).
     """
-    n_spread = products.shape[1] - 1
-    spread = np.zeros(phi.size, dtype=bool)
-    spread[phi.size - n_spread :] = True
+    place = base.hypothesis.n_free  # the newest magnitude stands behind those of the base, before the spread
+    n_spread = base.phi.size - place
+    mine = np.concatenate([np.arange(place), np.arange(phi.size - n_spread, phi.size)])
+    free = np.zeros(phi.size, dtype=bool)
+    free[mine] = np.any(base.slopes != 0.0, axis=0)
     h = np.zeros((len(squares), phi.size, phi.size))
     g = np.zeros((len(squares), phi.size))
-    h[:, phi.size - n_spread :, phi.size - n_spread :] = table[:, :-1, :-1]
-    g[:, phi.size - n_spread :] = products[:, :-1]
-    out = [_guess(hypothesis, phi, fitting.Normal(h, g), squares, fitting.weights(squares), spread)]
-    place = sum(len(f.free) for f in hypothesis.forms[:-1])
+    h[:, mine[:, None], mine] = table[:, :-1, :-1]
+    g[:, mine] = products[:, :-1]
+    out = [_guess(hypothesis, phi, fitting.Normal(h, g), squares, fitting.weights(squares), free)]
     across, own = products[:, -1], table[:, -1, -1]
     changed = np.maximum(squares - 2.0 * across + own, 0.0)  # rounding is left where the start changes nothing
-    if (start := phi[place]) != 0.0 and np.any(changed > _ROUNDING * (squares + own)):
+    if _TINY < abs(start := phi[place]) < 1.0 / _TINY and np.any(changed > _ROUNDING * (squares + own)):
         h[:, place, place] = changed / start**2
-        h[:, place, phi.size - n_spread :] = (products[:, :-1] - table[:, -1, :-1]) / start
-        h[:, phi.size - n_spread :, place] = h[:, place, phi.size - n_spread :]
+        h[:, place, mine] = (products[:, :-1] - table[:, -1, :-1]) / start
+        h[:, mine, place] = h[:, place, mine]
         g[:, place] = (squares - across) / start
         weight = fitting.weights(np.minimum(squares, base.mean_squares))
-        spread[place] = True
-        out.append(_guess(hypothesis, phi, fitting.Normal(h, g), squares, weight, spread))
+        free[place] = True
+        out.append(_guess(hypothesis, phi, fitting.Normal(h, g), squares, weight, free))
     return out
 
 
@@ -138,19 +146,27 @@ def again(evidence: Evidence, fitted: Fitted, rounds: int) -> Fitted:
 
 
 def best_forms(fitted: Sequence[Fitted]) -> list[Fitted]:
-    """The best form of each effect (or pair), best first."""
+    """The best form of each effect (or pair), best first; one that is another and more has to be clearly better."""
     best: dict[str, Fitted] = {}
-    for f in sorted(fitted, key=lambda f: f.cost):
+    for f in sorted(fitted, key=lambda f: f.cost + _MORE * sum(bool(form.extends) for form in f.hypothesis.forms)):
         best.setdefault(f.hypothesis.name, f)
-    return list(best.values())
+    return sorted(best.values(), key=lambda f: f.cost)
+
+
+_MORE = 7.5  # of cost: what a second effect costs at the highest temperature
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What leaving each recording out of a fit gives: cost of predicting it, and the numbers phi (recordings, p)."""
+    """What leaving each recording out of a fit gives: mean squares (cells,) of its prediction, phi (recordings, p)."""
 
-    cost: float
+    squares: Array
     phi: Array
+
+    @property
+    def cost(self) -> float:
+        """Sum over cells of log(1 + ms)."""
+        return fitting.cost(self.squares)
 
 
 def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
@@ -168,33 +184,51 @@ def left_out(evidence: Evidence, fitted: Fitted) -> LeftOut:
         change = 2.0 * equations.products @ step + equations.squares @ step @ step
         left[own] = np.maximum(fitted.mean_squares + change, 0.0)[own]
         moved.append(fitted.phi + step)
-    return LeftOut(fitting.cost(left), np.array(moved))
+    return LeftOut(left, np.array(moved))
 
 
-def share_left(fitted: Fitted, healthy: Fitted) -> float:
-    """Share of the healthy model's gap, rms beyond the noise floor, that a hypothesis leaves; 1 without a gap."""
-    left, gap = (max(float(f.mean_squares.mean()) - 1.0, 0.0) for f in (fitted, healthy))
-    return float(np.sqrt(left / gap)) if gap > left else 1.0
+def share_left(fitted: Fitted, healthy: Fitted, reached: float = 1.0) -> float:
+    """Share of the healthy model's gap, rms beyond the noise floor, that a hypothesis leaves; 1 without a gap.
+
+    With `reached` (a mean square) beyond what can be reached at all: the rest is not its form's.
+    """
+    left, gap = (float(f.mean_squares.mean()) - 1.0 for f in (fitted, healthy))
+    if gap <= max(left, 0.0):
+        return 1.0
+    return float(np.sqrt(max(left - max(reached - 1.0, 0.0), 0.0) / gap))
 
 
-def deviation_of_magnitude(evidence: Evidence, fitted: Fitted, left: LeftOut, healthy: Fitted, place: int) -> float:
+def deviation_of_magnitude(
+    evidence: Evidence,
+    fitted: Fitted,
+    left: LeftOut,
+    healthy: Fitted,
+    place: int,
+    ceilings: Mapping[str, float] | None = None,
+) -> float:
     """Standard deviation of a form's magnitude: recordings, tolerance, and forms that are never quite right.
 
     Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
     prior. For the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %, and
     OF_WHAT_IS_LEFT times the share of the gap that the form leaves: what arms of one form of the catalogue showed when
-    the others were fitted (`experiments/effects`, forms.csv).
+    the others were fitted (`experiments/effects`, forms.csv). What a nameless push at the place (`ceilings`, mean
+    squares; the best where the place has none) leaves as well is really unmodelled, and counts OF_THE_UNMODELLED.
     """
     at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
     scale = fitted.hypothesis.forms[place].scale
     values = scale * left.phi[:, at]
     n = len(values)
     jackknife = (n - 1) / n * float(np.sum((values - values.mean()) ** 2))
-    form = np.hypot(FORM_ERROR, OF_WHAT_IS_LEFT * share_left(fitted, healthy)) * scale * float(fitted.phi[at])
+    name = fitted.hypothesis.forms[place].effect.partition("@")[2]
+    reached = ceilings.get(name, min(ceilings.values())) if ceilings else 1.0
+    whole, own = share_left(fitted, healthy), share_left(fitted, healthy, reached)
+    unmodelled = OF_THE_UNMODELLED * np.sqrt(max(whole**2 - own**2, 0.0))
+    form = np.linalg.norm([FORM_ERROR, OF_WHAT_IS_LEFT * own, unmodelled]) * scale * float(fitted.phi[at])
     return float(np.sqrt(jackknife + scale**2 * _prior_variance(evidence, fitted, at) + form**2))
 
 
 FORM_ERROR, OF_WHAT_IS_LEFT = 0.04, 1.6
+OF_THE_UNMODELLED = 0.4  # errors of right names over that share, rms over ten falsified models of EMPS and QUBE: 0.37
 _WORTH = 20.0  # independent observations that a cell is taken for
 
 

@@ -15,13 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loopshape.core.units import Array
 from loopshape.data.effect import EffectForm
+from loopshape.data.gap_report import SMALLEST_GAP
 from loopshape.data.plant import Followable
 from loopshape.diagnose.attribute import LeftOut, deviation_of_magnitude, left_out
+from loopshape.diagnose.ceiling import Ceiling
 from loopshape.diagnose.evidence import Evidence
 from loopshape.diagnose.fitting import Fitted
 from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.diagnose.shrink import SMALLEST
 
 SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
 ONE_EFFECT, TWO_EFFECTS = 1.0, 3.975  # the second what it cost development arms of eight recordings
@@ -64,11 +66,16 @@ def unusual(form: EffectForm, magnitude: float) -> float:
     return float(_UNUSUAL * max(off - _SLACK, 0.0) ** 2)
 
 
-def candidate(evidence: Evidence, fitted: Fitted, healthy: Fitted) -> Candidate:
-    """A fitted hypothesis with its energy; `healthy` is the fit without an effect."""
+def candidate(
+    evidence: Evidence, fitted: Fitted, healthy: Fitted, ceilings: Mapping[str, float] | None = None
+) -> Candidate:
+    """A fitted hypothesis with its energy; `healthy` is the fit without an effect.
+
+    `ceilings` are mean squares that a nameless push leaves, by place.
+    """
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
-    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, healthy, k) for k in range(len(forms)))
+    deviations = tuple(deviation_of_magnitude(evidence, fitted, left, healthy, k, ceilings) for k in range(len(forms)))
     cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
     cost += sum(TWO_EFFECTS - ONE_EFFECT for f in forms if f.extends)
@@ -76,18 +83,71 @@ def candidate(evidence: Evidence, fitted: Fitted, healthy: Fitted) -> Candidate:
     return Candidate(fitted, left, deviations, left.cost - evidence.quiet, cost + odd)
 
 
-def energies(evidence: Evidence, none: Candidate, scored: Mapping[str, Candidate]) -> dict[str, float]:
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What explanations leave of recordings that no fit saw: mean squares (cells,) by name, none among them, and of a
+    nameless push at each place; `channels` as of the cells."""
+
+    squares: Mapping[str, Array]
+    nameless: Mapping[str, Array]
+    channels: tuple[str, ...]
+
+
+def energies(
+    evidence: Evidence,
+    none: Candidate,
+    scored: Mapping[str, Candidate],
+    ceiling: Ceiling | None = None,
+    held: HeldOut | None = None,
+) -> dict[str, float]:
     """Energy of every name scored, of every other effect of the catalogue, and of `unknown`.
 
-    Where the best explains all but noise its form is right, and differences count for more.
+    Where the best explains all but noise its form is right, and differences count for more. With a ceiling `unknown`
+    is what it leaves, but no less than UNKNOWN_LEAVES of the gap (it has to explain clearly more than a name), and
+    everything is told in units of what even the best explanation leaves: a real machine never comes down to its noise.
+    Recordings that no fit saw count as those that were left out; a name that was not followed there leaves what none
+    does.
     """
-    best = max(min(c.excess for c in scored.values()), 0.0)
+
+    def every(left: Array, name: str) -> Array:
+        return left if held is None else np.concatenate([left, held.squares.get(name, held.squares["none"])])
+
+    squares = {name: every(c.left.squares, name) for name, c in scored.items()}
+    idle = every(none.left.squares, "none")
+    quiet, scale, nameless = len(idle) * float(np.log(2.0)), np.ones(len(idle)), idle
+    if ceiling is not None:
+        nameless = ceiling.squares if held is None else np.concatenate([ceiling.squares, held.nameless[ceiling.place]])
+        nameless = np.maximum(nameless, np.minimum(1.0, idle) + UNKNOWN_LEAVES**2 * np.maximum(idle - 1.0, 0.0))
+        channels = [c.channel for c in evidence.cells] + list(held.channels if held else ())
+        scale += discrepancy(channels, [*squares.values(), nameless])
+
+    def excess(values: Array) -> float:
+        return float(np.sum(np.log1p(values / scale))) - quiet
+
+    left = {name: excess(values) for name, values in squares.items()}
+    healthy = excess(idle)
+    best = max(min(left.values()), 0.0)
     sharpness = SHARPNESS + SHARPER * float(np.exp(-best / _EXPLAINED))
-    out = {name: sharpness * c.excess + c.price for name, c in scored.items()}
-    out["none"] = sharpness * none.excess + max(none.excess - HEALTHY_EXCESS, 0.0) - healthy_prior(evidence.plant)
-    out["unknown"] = UNKNOWN + sharpness * unknown_excess(evidence, none)
+    out = {name: sharpness * left[name] + c.price for name, c in scored.items()}
+    out["none"] = sharpness * healthy + max(healthy - HEALTHY_EXCESS, 0.0) - healthy_prior(evidence.plant)
+    out["unknown"] = UNKNOWN + sharpness * (unknown_excess(evidence, none) if ceiling is None else excess(nameless))
     for form in evidence.plant.effects:  # what was not worth fitting explains no more than nothing does
-        out.setdefault(form.effect, sharpness * none.excess + ONE_EFFECT + _NOT_FITTED)
+        out.setdefault(form.effect, sharpness * healthy + ONE_EFFECT + _NOT_FITTED)
+    return out
+
+
+def discrepancy(of: Sequence[str], explanations: Sequence[Array]) -> Array:
+    """Mean square over the floor that even the best explanation leaves beyond noise, (cells,), one size a channel.
+
+    `of` are the cells' channels, `explanations` mean squares (cells,) of recordings left out. The median over a
+    channel's recordings: a few that one explanation leaves are its own (Kennedy and O'Hagan 2001 for the frame).
+    """
+    best = min(explanations, key=lambda squares: float(np.sum(np.log1p(squares))))
+    channels = np.array(of)
+    out = np.zeros(len(channels))
+    for name in dict.fromkeys(channels.tolist()):
+        mine = channels == name
+        out[mine] = max(float(np.median(best[mine])) - 1.0, 0.0)
     return out
 
 
@@ -127,29 +187,59 @@ def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
 
 
 def judged(
-    probabilities: Mapping[str, float], pairs: Collection[str], before: float, after: Mapping[str, float]
+    probabilities: Mapping[str, float],
+    pairs: Collection[str],
+    before: float,
+    after: Mapping[str, float],
+    ceiling: float | None = None,
+    matters: float = 0.0,
+    main: str | None = None,
 ) -> dict[str, float]:
     """Probabilities once recordings that no fit saw were followed: `before` floors without an effect, `after` by name.
 
+    All is told in units of the least that is left, by a name or by a nameless push (`ceiling`, None where none is
+    known), but no less than the noise. A name that takes less than LEAST_SHARE of the gap away explains nothing; where
+    no name and no push moves the outputs by `matters` floors, there is no gap that matters.
+
     A form that does not quite fit may leave up to UNKNOWN_LEAVES of the gap. A second effect would take up what the
-    first one's form leaves, so a pair has to leave what noise explains; where it does not, single effects and `unknown`
-    are judged without pairs. Where the leading explanation is refuted, `unknown` has most.
+    first one's form leaves, so a pair has to leave what noise explains, or on a machine that never comes down to it
+    UNKNOWN_LEAVES of the gap less than the single effect, and its second effect has to matter. Where it does not,
+    single effects and `unknown` are judged without pairs, and its probability goes to `main`, the effect of the leading
+    pair that moves the machine most: the other takes up what is really unmodelled. Where the leading explanation is
+    refuted, `unknown` has most.
 
     What a form gets wrong repeats in every recording, so that recordings do not add up as evidence against its kind:
     `unknown` and a pair stand at most as far above the best single effects as a wrong form of those is rare.
     """
     out = dict(probabilities)
     singles = [n for n in out if n not in pairs and n not in ("none", "unknown")]
-    if (leader := next(iter(out))) in pairs and after[leader] > SMALLEST:
-        out = _reduced(out, [n for n in out if n in pairs])
+    together = SMALLEST_GAP
+    if ceiling is not None:
+        least = max(1.0, min([ceiling, *after.values()]))
+        gap = before - 1.0
+        idle = {n for n, left in after.items() if before - left < LEAST_SHARE * gap}
+        if (leader := next(iter(out))) in idle:
+            out = _reduced(out, [n for n in out if n not in ("none", "unknown")])
+        if before < np.hypot(matters, 1.0):
+            return _reduced(out, [n for n in out if n != "none"], to="none")
+        alone = min((left for n, left in after.items() if n not in pairs), default=before)
+        together = max(SMALLEST_GAP, alone - UNKNOWN_LEAVES * gap)
+        together = min(together, float(np.sqrt(max(alone**2 - matters**2, 0.0))))
+    if (leader := next(iter(out))) in pairs and after[leader] > together:
+        out = _reduced(out, [n for n in out if n in pairs], to=main)
+        after = {**after, main: after[leader]} if main is not None else after
+    if ceiling is not None:
+        after, before = {n: left / least for n, left in after.items()}, before / least
     leader = next(iter(out))
     if leader not in pairs and after.get(leader, 0.0) > max(_EXPLAINED, UNKNOWN_LEAVES * before):
         out = _reduced(out, [n for n in out if n not in ("none", "unknown")], to="unknown")
     leader = next(iter(out))
-    rare = {"unknown": WRONG_FORM_LEAVES} | dict.fromkeys(pairs, WRONG_FORM_PAIRS)
+    rare = dict.fromkeys(pairs, WRONG_FORM_PAIRS) | ({"unknown": WRONG_FORM_LEAVES} if ceiling is None else {})
     return _capped(out, leader, singles, rare[leader]) if leader in rare else out
 
 
+#: a name has to take away this share of the held-out gap to be an answer
+LEAST_SHARE = 0.1
 #: how often the right kind in a wrong form leaves more than UNKNOWN_LEAVES of a plain gap, and how often a second
 #: effect beside it leaves noise alone: 19 of 32 and 1 of 8 in `experiments/machines_exam/forms.csv`, by Laplace's rule
 WRONG_FORM_LEAVES, WRONG_FORM_PAIRS = 20.0 / 34.0, 2.0 / 10.0

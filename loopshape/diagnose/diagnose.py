@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import t as student
 
-from loopshape.data.gap_report import GapReport, Ranked, Shrink, Trace, Where
+from loopshape.core.units import Array
+from loopshape.data.effect import Fix, fix_of
+from loopshape.data.gap_report import (
+    SMALLEST_GAP,
+    BudgetPart,
+    BudgetStep,
+    Curve,
+    GapReport,
+    Ranked,
+    Shrink,
+    Trace,
+    Where,
+)
 from loopshape.data.plant import Followable
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
-from loopshape.diagnose import attribute, decide, locate, shrink
+from loopshape.diagnose import attribute, decide, locate, shrink, told_apart, windows
+from loopshape.diagnose.ceiling import Nameless, nameless
 from loopshape.diagnose.decide import Candidate
 from loopshape.diagnose.evidence import Evidence, Moves
 from loopshape.diagnose.hypothesis import candidates
@@ -38,6 +51,17 @@ class Attribution:
     scored: dict[str, Candidate]
     energies: dict[str, float]
     probabilities: dict[str, float]
+    nameless: Nameless | None = None
+    budget: tuple[BudgetStep, ...] = ()
+    ceilings: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def scale(self) -> told_apart.Scale:
+        """What even the best explanation leaves."""
+        cells, left = self.evidence.cells, [c.left.squares for c in self.scored.values()]
+        if self.nameless is not None:
+            left.append(self.nameless.best.squares)
+        return told_apart.Scale(self.evidence, 1.0 + decide.discrepancy([c.channel for c in cells], left))
 
     @property
     def verdict(self) -> str:
@@ -45,11 +69,16 @@ class Attribution:
         return next(iter(self.probabilities))
 
     @property
+    def nearest(self) -> str:
+        """Where something unknown would act: the place of the budget's ceiling."""
+        return next((step.effects[0] for step in self.budget if step.step is BudgetPart.CEILING), "unknown")
+
+    @property
     def leading(self) -> Candidate:
         """The candidate of the verdict; for unknown, the best effect; for none, the healthy machine."""
         if self.verdict in self.scored:
             return self.scored[self.verdict]
-        return next(c for n, c in self.scored.items() if n != "none")
+        return next(self.scored[n] for n in self.probabilities if n in self.scored and n != "none")
 
     @property
     def rival(self) -> Candidate | None:
@@ -62,29 +91,67 @@ def attribute_effect(
     plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say
 ) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
-    plant, run, names = plant.readied(run, names)
+    plant, run, names = windows.chosen(plant, run, names, threads, say).readied(run, names)
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
     brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S)
     say("healthy machine")
     rough = attribute.healthy(brief)
     healthy = attribute.again(evidence, rough, rounds=2)
     none = decide.candidate(evidence, healthy, healthy)
+    say("what a nameless force would explain")
+    found = nameless(evidence, healthy.hypothesis.moves(healthy.phi), healthy.residual)
+    reached = found.reached if found else None
     say("single effects")
     coarse = attribute.screened(brief, candidates(plant), rough)
     best = attribute.best_forms(coarse)
     say("best effects")
     fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:REFINED]), coarse)]
-    singles = decide.best_by_name([decide.candidate(evidence, f, healthy) for f in fine])
+    singles = decide.best_by_name([decide.candidate(evidence, f, healthy, reached) for f in fine])
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
         say(f"pairs with {base.name}")
-        everything += _pairs(evidence, brief, base, healthy)
+        everything += _pairs(evidence, brief, base, healthy, reached)
     scored = decide.best_by_name([none, *everything])
-    energies = decide.energies(evidence, none, scored)
-    return Attribution(evidence, none, scored, energies, decide.probabilities(energies))
+    energies = decide.energies(evidence, none, scored, found.best if found else None)
+    probabilities = decide.probabilities(energies)
+    return _with_budget(Attribution(evidence, none, scored, energies, probabilities, found))
 
 
-def _pairs(evidence: Evidence, brief: Evidence, base: Candidate, healthy: attribute.Fitted) -> list[Candidate]:
+def _with_budget(
+    a: Attribution, held_out: Sequence[Array] = (), ceilings: Mapping[str, Array] | None = None
+) -> Attribution:
+    """Where the gap goes, by mean squares (recordings, paths, windows): of none, the leaders, and a push at each place.
+
+    By recordings that were left out of the fit where none is held out.
+    """
+    leaders, count = _leaders(a), len(a.evidence.recordings)
+    squares = held_out or [c.left.squares.reshape(count, -1, 1) for c in (a.none, *(a.scored[n] for n in leaders))]
+    if ceilings is None:
+        ceilings = {c.place: c.squares.reshape(count, -1, 1) for c in a.nameless.ceilings} if a.nameless else {}
+    after = dict(zip(leaders, squares[1:], strict=True))
+    singles, best = [n for n in leaders if "+" not in n], sorted(leaders, key=lambda n: float(after[n].mean()))[:1]
+    steps: list[tuple[BudgetPart, tuple[str, ...], Array]] = [(BudgetPart.BEST_NAME, (n,), after[n]) for n in singles]
+    steps += [(BudgetPart.BEST_SET, tuple(n.split("+")), after[n]) for n in best]
+    if ceilings:
+        place = min(ceilings, key=lambda name: float(ceilings[name].mean()))
+        steps.append((BudgetPart.CEILING, (place,), ceilings[place]))
+    return replace(a, budget=shrink.budget(squares[0], steps), ceilings=ceilings)
+
+
+def _leaders(a: Attribution) -> list[str]:
+    """The most probable pair and the most probable single effect that were fitted."""
+    pairs = {n for n, c in a.scored.items() if len(c.fitted.hypothesis.forms) > 1}
+    named = [n for n in a.probabilities if n in a.scored and n != "none"]
+    return [*[n for n in named if n in pairs][:1], *[n for n in named if n not in pairs][:1]]
+
+
+def _pairs(
+    evidence: Evidence,
+    brief: Evidence,
+    base: Candidate,
+    healthy: attribute.Fitted,
+    reached: Mapping[str, float] | None,
+) -> list[Candidate]:
     """The best pairs with a base; of the leading second effect all forms."""
     effects = evidence.plant.effects
     ground = attribute.again(brief, base.fitted, rounds=1)
@@ -97,7 +164,7 @@ def _pairs(evidence: Evidence, brief: Evidence, base: Candidate, healthy: attrib
         attribute.again(evidence, f, rounds=2)
         for f in attribute.within_reach(attribute.best_forms(found)[:PAIRS_REFINED])
     ]
-    return [decide.candidate(evidence, f, healthy) for f in refined]
+    return [decide.candidate(evidence, f, healthy, reached) for f in refined]
 
 
 def _both_forms(best: Sequence[attribute.Fitted], coarse: Sequence[attribute.Fitted]) -> list[attribute.Fitted]:
@@ -135,7 +202,7 @@ def diagnose(
     a = attribute_effect(plant, run, names, threads=threads, say=say)
     plant = a.evidence.plant  # with the run's own nominal numbers
     say("held-out recordings")
-    if validation and not plant.calibrated:
+    if validation:
         a = _judged(a, run, validation)
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
@@ -144,22 +211,23 @@ def diagnose(
     healed = a.verdict not in ("none", "unknown")
     gap = None
     if validation:
-        after = held[1] if healed else held[0]
+        after = held[0] if a.verdict == "none" else held[1]
+        of = None if a.verdict == "none" else a.leading.name
         files = [r.info.file for r in validation]
-        gap = shrink.summary(held[0], after, (rival.name, held[2]) if rival and healed else None, files)
+        gap = shrink.summary(held[0], after, of, (rival.name, held[2]) if rival and healed else None, files)
     tables = _tables(plant, run, usable, many, say, notes) if table else (None, None)
     say("next experiment")
     other = (rival.name, many[2]) if rival else (a.none.name, many[0])
     first = (a.leading.name, many[1])
     proposal = propose(plant, run, first, other, threads) or repeat(plant, run, usable, first, other)
     ranking = ranked(a)
-    place = locate.where(run, a.evidence, a.none, a.probabilities)
+    place = locate.where(run, a.evidence, a.none, a.probabilities, a.nearest)
     return GapReport(
         run=name,
         plant=plant.name,
         verdict=a.verdict,
         ranking=ranking,
-        ambiguity=ambiguity(a.probabilities),
+        ambiguity=told_apart.groups(a.scale, a.scored, a.probabilities),
         where=place,
         gap=gap,
         submodels=shrink.submodels(every[0], every[1] if healed else None, every[2] if rival and healed else None),
@@ -168,21 +236,78 @@ def diagnose(
         table_after=tables[1] if healed else None,
         traces=_traces(plant, run, validation or estimation, many),
         sentence=sentence(name, a, ranking, place, gap),
+        budget=a.budget,
+        missing=_missing(a, many[1]),
+        by_recording=told_apart.by_recording(a.scale, a.scored),
+        window_s=getattr(plant, "window_s", None),
+        windows_s=getattr(plant, "windows_s", ()),
         moves=many[1] if healed else many[0],
+        fix=_fix(a, many[1]),
         notes=notes,
         proposal=proposal,
     )
 
 
 def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
-    """Judged again by recordings that no fit saw: the leading pair and the leading single effect."""
-    pairs = {n for n, c in a.scored.items() if len(c.fitted.hypothesis.forms) > 1}
-    named = [n for n in a.probabilities if n in a.scored and n != "none"]
-    leading = [*[n for n in named if n in pairs][:1], *[n for n in named if n not in pairs][:1]]
-    many = [a.none, *(a.scored[n] for n in leading)]
-    floors = shrink.levels(a.evidence.plant, run, held_out, [c.fitted.hypothesis.moves(c.fitted.phi) for c in many])
-    after = {n: left.size for n, left in zip(leading, floors[1:], strict=True)}
-    return replace(a, probabilities=decide.judged(a.probabilities, pairs, floors[0].size, after))
+    """With a budget by recordings that no fit saw, and judged again by them where prices are not calibrated."""
+    plant = a.evidence.plant
+    followed = _leaders(a) if a.nameless is None else _followed(a)
+    moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.none, *(a.scored[n] for n in followed))]
+    levels = shrink.levels(plant, run, held_out, moves)
+    found = dict(zip(("none", *followed), (level.squares for level in levels), strict=True))
+    prepared = [plant.prepare(r, run, None) for r in held_out]
+    ceilings = a.nameless.held_out(prepared, moves[0]) if a.nameless else {}
+    if a.nameless is not None:
+        squares, pushed = ({n: x.mean(axis=2).ravel() for n, x in of.items()} for of in (found, ceilings))
+        channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
+        held = decide.HeldOut(squares, pushed, channels)
+        energies = decide.energies(a.evidence, a.none, a.scored, a.nameless.best, held)
+        a = replace(a, energies=energies, probabilities=decide.probabilities(energies))
+    leading = _leaders(a)
+    a = _with_budget(a, [found["none"], *(found[n] for n in leading)], ceilings)
+    if plant.calibrated:
+        return a
+    pairs = {n for n in a.scored if "+" in n}
+    sizes = {n: float(np.sqrt(x.mean())) for n, x in found.items()}
+    after, ceiling, matters, main = {n: sizes[n] for n in leading}, None, 0.0, None
+    if a.nameless is not None:
+        ceiling = float(np.sqrt(ceilings[a.nameless.best.place].mean()))
+        matters = float(np.sqrt(np.mean([a.nameless.shapes.least(p) ** 2 for p in prepared])))
+        main = next((told_apart.main_effect(a.evidence, a.scored[n]) for n in leading if n in pairs), None)
+        main = main if main in a.scored else None
+    found_out = decide.judged(a.probabilities, pairs, sizes["none"], after, ceiling, matters, main)
+    return replace(a, probabilities=found_out)
+
+
+def _followed(a: Attribution) -> list[str]:
+    """Names that are followed on held-out recordings: the leaders, and others as long as they are probable."""
+    leaders = _leaders(a)
+    others = [n for n, p in a.probabilities.items() if p >= _RARE and n in a.scored and n not in ("none", *leaders)]
+    return [*leaders, *others[: FOLLOWED - len(leaders)]]
+
+
+FOLLOWED, _RARE = 6, 0.01
+
+
+def _missing(a: Attribution, moves: Moves) -> tuple[Curve, ...]:
+    """Curves of what would close the gap at each place, the one that explains most first."""
+    if a.nameless is None:
+        return ()
+    before = next(step.gap for step in a.budget if step.step is BudgetPart.BEFORE)
+    shares = {name: _share(before, float(np.sqrt(x.mean()))) for name, x in a.ceilings.items()}
+    order = sorted(a.ceilings, key=lambda name: float(a.ceilings[name].mean()))
+    return tuple(curve for name in order for curve in a.nameless.curves(name, moves, shares[name]))
+
+
+def _fix(a: Attribution, moves: Moves) -> Fix | None:
+    """The change of the model that the verdict stands for, of unknown that of the nearest name; None for none."""
+    forms = () if a.verdict == "none" else a.leading.fitted.hypothesis.forms
+    nominal = {row.name: (row.value, row.unit) for row in a.evidence.plant.parameters.rows}
+    return fix_of(forms, moves, nominal, a.verdict == a.leading.name) if forms else None
+
+
+def _share(before: float, after: float) -> float | None:
+    return None if before < SMALLEST_GAP else (before - after) / (before - 1.0)
 
 
 def ranked(a: Attribution) -> list[Ranked]:
@@ -200,26 +325,14 @@ def ranked(a: Attribution) -> list[Ranked]:
             f.effect: (m, (m - width * d, m + width * d) if n > 1 else None, f.unit)
             for f, m, d in zip(forms, found.fitted.magnitudes, found.deviations, strict=True)
         }
+        quantities = {f.effect: f.quantity for f in forms if f.quantity}
         if len(forms) == 1:
             m, interval, unit = parts[name]
-            out.append(Ranked(name, probability, m, interval, unit, forms[0].form))
+            out.append(Ranked(name, probability, m, interval, unit, forms[0].form, quantities=quantities))
         else:
-            out.append(Ranked(name, probability, form=found.fitted.hypothesis.form, parts=parts))
+            form = found.fitted.hypothesis.form
+            out.append(Ranked(name, probability, form=form, parts=parts, quantities=quantities))
     return out
-
-
-def ambiguity(probabilities: Mapping[str, float]) -> list[str]:
-    """The most probable names that together hold nine tenths."""
-    out, total = [], 0.0
-    for name, p in probabilities.items():
-        out.append(name)
-        total += p
-        if total >= AMBIGUITY:
-            break
-    return out
-
-
-AMBIGUITY = 0.9
 
 
 def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where, gap: Shrink | None) -> str:
@@ -229,12 +342,21 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
         return f"{name}: no gap beyond noise and manufacturing tolerance (probability {first.probability:.0%})."
     if a.verdict == "unknown":
         near = a.leading.name.replace("_", " ")
+        steps = {step.step: step for step in a.budget}
+        if (ceiling := steps.get(BudgetPart.CEILING)) is not None:
+            nearest = steps[BudgetPart.BEST_NAME].share or 0.0
+            return (
+                f"{name}: a gap that no known effect explains (probability {first.probability:.0%}): a force or"
+                f" signal at {ceiling.effects[0]} would take {ceiling.share or 0.0:.0%} of it away, the nearest effect,"
+                f" {near}, {nearest:.0%}; plainest in {place.channel} at"
+                f" {place.band_hz[0]:.2g}-{place.band_hz[1]:.2g} Hz."
+            )
         return (
             f"{name}: a gap that no known effect explains (probability {first.probability:.0%}), plainest in "
             f"{place.channel} at {place.band_hz[0]:.2g}-{place.band_hz[1]:.2g} Hz; the nearest is {near}."
         )
-    sizes = [(first.effect, (first.magnitude, first.interval, first.unit))] if not first.parts else first.parts.items()
-    what = " with ".join(f"{effect.replace('_', ' ')} {m:.3g} {_unit(unit)}".strip() for effect, (m, _, unit) in sizes)
+    comma = {name: "," if name in first.quantities else "" for name in first.sizes}
+    what = " with ".join(f"{name.replace('_', ' ')}{comma[name]} {size}" for name, (size, _) in first.sizes.items())
     text = f"{name}: {what} (probability {first.probability:.0%}) in {place.block}"
     if gap is None or gap.shrink is None:
         return f"{text}; no held-out gap to shrink."
@@ -242,10 +364,6 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
         f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times the noise floor"
         f" ({gap.shrink:.0%})."
     )
-
-
-def _unit(unit: str | None) -> str:
-    return "" if unit in (None, "1") else str(unit)
 
 
 def _traces(plant: Followable, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Trace]:

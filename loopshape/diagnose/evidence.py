@@ -93,6 +93,23 @@ class Evidence:
             self.known.pop(next(iter(self.known)))
         return out
 
+    def nearby(self, near: Moves, many: Sequence[Moves]) -> list[Array]:
+        """Residual vectors for moves beside `near`: what a first look needs.
+
+        A plant that knows no short cut follows each whole.
+        """
+        short = getattr(self.plant, "nearby", None)
+        if short is None:
+            return self.residuals(many)
+        self.evaluations += len(many)
+
+        def rows(prepared: Any) -> list[dict[str, Array]]:
+            return [short(prepared, near, moves) for moves in many]
+
+        with ThreadPoolExecutor(self.threads) as pool:
+            parts = list(pool.map(rows, self.prepared))
+        return [np.concatenate([x for part in parts for x in part[k].values()]) for k in range(len(many))]
+
     def mean_squares(self, residual: Array) -> Array:
         """Mean square of each cell relative to its noise floor's, (cells,)."""
         return np.array([np.mean((residual[c.part] / c.floor) ** 2) for c in self.cells])

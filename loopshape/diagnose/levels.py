@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from loopshape.core.errors import BadSignalError, WrongUseError
@@ -32,6 +34,7 @@ NEAR = 0.3  # a resonance that moves further is another
 TAIL = 4.0  # half widths about a resonance that are left out of the gain
 CHANCE = 0.005  # of calling a quantity of a linear machine dependent
 _NEPER_DB = 8.685889638
+MISSED = 16.0  # squared error of a cubic over every second line, over that of the cubic itself, at the least
 LEAST_GAIN_DB, LEAST_SHIFT = 0.02, 2e-4  # what estimators may bias a FRF by
 
 
@@ -81,33 +84,75 @@ def dependences(many: Sequence[AtLevel]) -> tuple[LevelDependence, ...]:
     for group in groups.values():
         small, large = (pick(group, key=lambda one: one.level) for pick in (min, max))
         if small.level > 0.0 and large.level > APART * small.level:
-            found += _dependence(small, large)
+            found.append(_dependence(small, large))
     return tuple(found)
 
 
-def _dependence(small: AtLevel, large: AtLevel) -> list[LevelDependence]:
-    """What changed between two levels; nothing where they share no frequency."""
-    try:
-        one, two = on_common_lines(small.frf, large.frf)
-    except WrongUseError:
-        return []
-    known = known_lines(one, two)
-    if np.count_nonzero(known) < FEWEST:
-        return []
-    one, two = one.select(known), two.select(known)
+def _dependence(small: AtLevel, large: AtLevel) -> LevelDependence:
+    """What changed between two levels; not judged where too few frequencies are known at both."""
+    both = _on_one_grid(small.frf, large.frf)
+    known = known_lines(*both) if both else np.zeros(0, dtype=bool)
+    common = int(np.count_nonzero(known))
+    found = LevelDependence(
+        loop=small.frf.loop,
+        operating_point=dict(small.frf.operating_point),
+        recordings=(small.frf.recording, large.frf.recording),
+        levels=(small.level, large.level),
+        unit=large.unit,
+        frequencies=common,
+        judged=common >= FEWEST,
+    )
+    if both is None or not found.judged:
+        return found
+    one, two = (x.select(known) for x in both)
     pair = _same_resonance(resonances(one), resonances(two))
-    return [
-        LevelDependence(
-            loop=small.frf.loop,
-            operating_point=dict(small.frf.operating_point),
-            recordings=(small.frf.recording, large.frf.recording),
-            levels=(small.level, large.level),
-            unit=large.unit,
-            resonance=None if pair is None else _moved(*pair, one),
-            peak=None if pair is None else _peak(*pair, one),
-            gain=_gain(one, two, pair),
-        )
-    ]
+    if pair is None:
+        return replace(found, gain=_gain(one, two, None))
+    return replace(found, resonance=_moved(*pair, one), peak=_peak(*pair, one), gain=_gain(one, two, pair))
+
+
+def _on_one_grid(one: FRF, two: FRF) -> tuple[FRF, FRF] | None:
+    """Both FRFs on the lines of the coarser one within the other's band, or on those that both have; None without any.
+
+    Lines of noise and sweeps may be drawn between, lines of a periodic excitation may not: nothing was measured there.
+    """
+    spacing = [float(np.median(np.diff(x.frequency_hz))) if x.frequency_hz.size > 8 else 0.0 for x in (one, two)]
+    fine = int(np.argmin(spacing)) if one.power_per == two.power_per else int(two.power_per == "Hz")
+    if (one, two)[fine].power_per != "Hz" or min(spacing) == 0.0:
+        with suppress(WrongUseError):
+            return on_common_lines(one, two)
+        return None
+    if fine == 0:
+        both = _interpolated(two, one)
+        return None if both is None else (both[1], both[0])
+    return _interpolated(one, two)
+
+
+def _interpolated(coarse: FRF, fine: FRF) -> tuple[FRF, FRF] | None:
+    """The coarser FRF on its lines within the finer one's band, and the finer one on these, by a cubic.
+
+    What the cubic may miss counts in the variance: a quarter at most of what one over every second line misses.
+    """
+    f, g, G = coarse.frequency_hz, fine.frequency_hz, fine.siso
+    above = np.clip(np.searchsorted(g, f), 1, g.size - 1)
+    near = above - (f - g[above - 1] < g[above] - f)
+    inside = (f >= g[0]) & (f <= g[-1]) & (np.diff(near, prepend=-1) > 0)
+    if not inside.any():
+        return None
+    coarse, f, near = coarse.select(inside), f[inside], near[inside]
+    halves = [np.abs(CubicSpline(g[k::2], G[k::2])(g) - G) ** 2 for k in (0, 1)]
+    missed = uniform_filter1d(np.sum(halves, axis=0), 3, mode="nearest") / MISSED
+    variance = np.interp(f, g, fine.variance[:, 0, 0] + missed)
+    thinned = float(np.median(np.diff(f)) / np.median(np.diff(g))) if f.size > 1 else 1.0
+    moved = replace(
+        fine.select(near),
+        frequency_hz=f,
+        response=CubicSpline(g, G)(f)[:, None, None],
+        covariance=variance[:, None, None].astype(complex),
+        noise_covariance=None,
+        line_overlap=max(1.0, float(fine.line_overlap) / thinned),
+    )
+    return coarse, moved
 
 
 def _same_resonance(one: Sequence[Resonance], two: Sequence[Resonance]) -> tuple[Resonance, Resonance] | None:

@@ -15,10 +15,15 @@ from loopshape.diagnose.decide import Candidate
 from loopshape.diagnose.evidence import Cell, Evidence
 
 
-def where(run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[str, float]) -> Where:
-    """The place of a gap, from the healthy model's residuals and the probabilities of the effects."""
+def where(
+    run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[str, float], nearest: str = "unknown"
+) -> Where:
+    """The place of a gap, from the healthy model's residuals and the probabilities of the effects.
+
+    `nearest` is where something unknown would act.
+    """
     plant = evidence.plant
-    blocks = block_probabilities(plant, probabilities)
+    blocks = block_probabilities(plant, probabilities, nearest)
     verdict = next(iter(probabilities))
     excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
     channels = {c.channel: 0.0 for c in evidence.cells}
@@ -30,7 +35,7 @@ def where(run: Run, evidence: Evidence, none: Candidate, probabilities: Mapping[
     clear = [c for c, e in mine if e >= 0.25 * worst]
     points = {tuple(sorted(_point(run, c.recording).items())): None for c in clear}
     return Where(
-        block="+".join(sorted(block_of(plant, part) for part in verdict.split("+"))),
+        block="+".join(sorted(block_of(plant, part, nearest) for part in verdict.split("+"))),
         blocks=blocks,
         channel=channel,
         band_hz=_band(clear, none.fitted.residual, plant.residual_rate_hz(evidence.prepared[0], channel)),
@@ -63,16 +68,18 @@ def _point(run: Run, recording: str) -> Mapping[str, float]:
     return whole[max(parents, key=len)] if parents else {}
 
 
-def block_of(plant: Followable, effect: str) -> str:
-    """The block an effect lives in; none and unknown are their own."""
-    return next((f.block for f in plant.effects if f.effect == effect), effect)
+def block_of(plant: Followable, effect: str, nearest: str = "unknown") -> str:
+    """The block an effect lives in; none is its own, and unknown lives at `nearest`."""
+    return next((f.block for f in plant.effects if f.effect == effect), nearest if effect == "unknown" else effect)
 
 
-def block_probabilities(plant: Followable, probabilities: Mapping[str, float]) -> dict[str, float]:
+def block_probabilities(
+    plant: Followable, probabilities: Mapping[str, float], nearest: str = "unknown"
+) -> dict[str, float]:
     """Probabilities summed over the effects and pairs of each block (a+b for pairs), most probable first."""
     out: dict[str, float] = {}
     for name, value in probabilities.items():
-        block = "+".join(sorted(block_of(plant, part) for part in name.split("+")))
+        block = "+".join(sorted(block_of(plant, part, nearest) for part in name.split("+")))
         out[block] = out.get(block, 0.0) + value
     return dict(sorted(out.items(), key=lambda item: -item[1]))
 

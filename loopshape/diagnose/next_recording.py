@@ -1,7 +1,8 @@
 """The next recording of a machine that is followed with measured inputs, since its controller is not known.
 
-Candidates are the run's own recordings again, with commands and motion smaller, alike, or larger. Each is simulated
-under the first hypothesis and followed under the second, which may choose initial states but no other numbers; what it
+Candidates are the run's own recordings again, with commands and motion smaller, alike, or larger, as long as commands
+and motion stay within those of all recordings: nobody has said what the machine bears beyond. Each is simulated under
+the first hypothesis and followed under the second, which may choose initial states but no other numbers; what it
 leaves, in noise floors, is the separation. It is an upper bound, and holds as far as the model does.
 """
 
@@ -18,7 +19,7 @@ from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.diagnose.evidence import Moves
 
-SHARES = (0.4, 1.0, 2.0)  # of the recording's own size
+SHARES = (0.4, 0.7, 1.0, 1.4, 2.0)  # of the recording's own size
 NOTHING = 2.0  # floors, below which nothing is separated
 _MOST = 1e4  # floors: a simulation that is further off has run away
 
@@ -30,6 +31,9 @@ class Repeatable(Protocol):
     def repeated(self, prepared: Any, moves: Mapping[str, float], share: float) -> Any:
         """The recording, prepared, with commands and motion `share` times as large."""
 
+    def within(self, again: Any, every: Sequence[Any]) -> bool:
+        """Whether a repeated recording's commands and outputs stay within those of every prepared one."""
+
 
 def repeat(
     plant: Followable, run: Run, recordings: Sequence[Recording], first: tuple[str, Moves], second: tuple[str, Moves]
@@ -38,13 +42,17 @@ def repeat(
     if first[0] == second[0] or not isinstance(plant, Repeatable):
         return None
     prepared = {r.info.name: plant.prepare(r, run, None) for r in recordings}
+    every = list(prepared.values())
     values = {
-        (name, share): separation(plant, plant.repeated(p, first[1], share), second[1])
+        (name, share): separation(plant, again, second[1])
         for name, p in prepared.items()
         for share in SHARES
+        if plant.within(again := plant.repeated(p, first[1], share), every) or share == 1.0
     }
     (name, share), best = max(values.items(), key=lambda item: item[1])
-    size = "as it was" if share == 1.0 else f"with commands {share:g} times as large"
+    size = "as it was"
+    if share != 1.0:
+        size = f"with commands {share:g} times as large, within the commands and outputs seen"
     parts = f"{first[0]} from {second[0]} by {best:.2g} noise floors"
     here = "" if share == 1.0 else f" ({values[name, 1.0]:.2g} at its own size)"
     verb = f"separates {parts}" if best >= NOTHING else f"is the best that was found, yet it separates {parts} only"

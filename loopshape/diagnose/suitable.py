@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
@@ -35,14 +38,34 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
         )
     points = {tuple(sorted(r.info.operating_point.items())) for r in estimation}
     if len(points) == 1:
-        keys = " or ".join(estimation[0].info.operating_point)
-        notes.append(
-            f"one operating point: effects that differ only by {keys or 'operating point'} stay together in the "
-            "ambiguity set; record at two more"
-        )
+        notes += _one_point(plant, estimation)
     if len(estimation) == 1:
         notes.append("one estimation recording: intervals by leaving recordings out do not exist; record more")
     return notes, usable
+
+
+@runtime_checkable
+class Moving(Protocol):
+    """A followed plant that can say which positions it was seen at."""
+
+    def stays(self, recordings: Sequence[Recording]) -> Mapping[str, tuple[float, float]]:
+        """Positions, by column, that were seen about one point alone, with their range."""
+
+
+def _one_point(plant: Followable, recordings: Sequence[Recording]) -> list[str]:
+    """What recordings at one operating point cannot tell; nothing where positions themselves cover a range."""
+    keys = " or ".join(recordings[0].info.operating_point)
+    where, differ = "", keys or "operating point"
+    if isinstance(plant, Moving):
+        stays = plant.stays(recordings)
+        if not stays:
+            return []
+        ranges = [f"{name} from {low:.3g} to {high:.3g}" for name, (low, high) in stays.items()]
+        where, differ = f" ({', '.join(ranges)})", " or ".join(stays)
+    return [
+        f"one operating point{where}: effects that differ only by {differ} stay together in the ambiguity set; "
+        "record at two more"
+    ]
 
 
 def _usable(plant: Followable, run: Run, recording: Recording, notes: list[str]) -> bool:

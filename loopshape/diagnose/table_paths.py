@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f as fisher
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.channel import Channel
 from loopshape.data.experiment import LoopSetup
@@ -259,8 +259,7 @@ def _mean_log_ratio(real: ComplexArray, sim: ComplexArray) -> complex:
 def bands_hz(kind: str, f_low_hz: float, f_high_hz: float) -> list[tuple[float, float]]:
     """Octaves or thirds of a decade on a fixed grid about 1 Hz that cover a range; refuses another word."""
     steps = {"octave": 2.0, "third_decade": 10.0 ** (1.0 / 3.0)}
-    if kind not in steps:
-        raise WrongUseError("a kind of band is not known", repr(kind), f"use {' or '.join(steps)}")
+    refuse_unknown("a kind of band is not known", kind, steps)
     base = np.log(steps[kind])
     first, last = np.floor(np.log(f_low_hz) / base + 1e-9), np.floor(np.log(f_high_hz) / base + 1e-9)
     edges = np.exp(base * np.arange(first, last + 2.0))

@@ -6,8 +6,8 @@ what the instrument did not cause averages out, in closed loop too (van den Hof 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -40,6 +40,7 @@ class Answers:
     noise: ComplexArray | None = None
     notes: tuple[str, ...] = ()
     unresolved: np.ndarray | None = None
+    method_numbers: Mapping[str, float] = field(default_factory=dict)
 
     def select(self, lines: np.ndarray | slice) -> Answers:
         """The same on a mask, index or slice of lines; no copy of a slice, nor of a mask that is one."""

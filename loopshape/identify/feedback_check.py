@@ -20,18 +20,27 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array
+from loopshape.data.excitation_parts import is_sweep, zero_crossings
 
 #: samples of the past that enter one by one, how far means over stretches go on, and how far into the future
 NEAR, PAST, FUTURE = 32, 512, 64
 #: share of an input's power that its past does not foretell: below the first it is rounding, below the second the
 #: input is a sweep, a multisine or the like, which a nonlinear plant answers as if it were fed back
 ROUNDING, FORETOLD = 1e-14, 1e-2
+#: share of an output's residual that a sweep's future explains where it is feedback: 30 % and more in closed loops,
+#: 1.3 % at most without feedback, where noise of the input's sensor makes the sweep less predictable
+CLEAR = 0.05
 #: difference between periods, of the input's rms, up to which it repeats; noise that is fed back moves it by more
 REPEATED = 1e-6
 #: mean square, of the input's, by which it must have changed before it can repeat
 MOVED = 0.1
 #: an input of no more values than this, in its first rows, is switched: it may repeat under feedback too
 FEW_VALUES, MOST_UNIQUE = 20, 20_000
+#: ticks of a clock, and the share of a switched signal's power that two levels hold
+TICKS, TWO_LEVELS = 8, 0.98
+#: zero crossings and rows over which a sweep is taken out at least, and the share of its power below which nothing is
+#: left of it but what the fit rounds off
+CYCLES, LEAST_ROWS, SWEPT = 8, 80, 1e-5
 
 
 @dataclass(frozen=True)
@@ -72,10 +81,15 @@ def feedback_check(
     """
     if not 0.0 < false_alarms < 0.5:
         raise WrongUseError("a rate of false alarms lies between 0 and 0.5", f"{false_alarms!r}")
-    if repeats(u, period):
+    if repeats(u, period) or _clocked(u):
         return _nothing_new(false_alarms, u.size, name, True, True)
-    rows = _Rows.of(u.size + min(answers_after, 0), period or 0)
     x, z = (_scaled(s) for s in (u, y))
+    swept = None if period else _without_sweep(x, z)
+    if swept is not None:
+        if float(np.mean(swept[0] ** 2)) < SWEPT:
+            return _nothing_new(false_alarms, u.size, name, False, True)
+        x, z = (_scaled(s) for s in swept)
+    rows = _Rows.of(x.size + min(answers_after, 0), period or 0)
     past = np.stack([*_lagged(z, rows, -1, -1), *_lagged(x, rows, -answers_after, -1)], axis=1)
     future = np.stack(_lagged(x, rows, 1 - answers_after, 1), axis=1)
     target, past, ahead = (rows.without_period(a) for a in (rows.take(z)[:, None], past, future))
@@ -91,7 +105,7 @@ def feedback_check(
     probability = float(f_distribution.sf(ratio, added, spare))
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
-    found = probability < false_alarms
+    found = probability < false_alarms and (swept is None or explained >= CLEAR)
     words = _sentence(found, probability, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
     return FeedbackCheck(found, probability, explained, lags, false_alarms, True, e.size, words)
 
@@ -110,6 +124,21 @@ def repeats(u: Array, period: int | None = None) -> bool:
     return 0 < period <= x.size // 2 and bool(np.abs(x[period:] - x[:-period]).max() <= REPEATED)
 
 
+def _clocked(u: Array) -> bool:
+    """Whether an input (n,) switches between two levels as a clock does, to a sample all along: a relay's limit cycle
+    that noise goes round loses the beat."""
+    at, x = zero_crossings(u), u - 0.5 * (u.max() + u.min())
+    if at.size < 2 * TICKS or np.mean(np.abs(x)) ** 2 < TWO_LEVELS * np.mean(x**2):
+        return False
+    return all(_late(part) <= 1.0 for part in (at[::2], at[1::2]))
+
+
+def _late(at: Array) -> float:
+    """By how much times `at` (n,) leave a steady beat, at most."""
+    k = np.arange(at.size)
+    return float(np.abs(at - np.polyval(np.polyfit(k, at, 1), k)).max())
+
+
 def _best_lag(x: Array) -> int:
     """The first lag of half a signal (n,) at most with which it differs least from itself; 0 where none stands out."""
     n, half = x.size, x.size // 2
@@ -120,6 +149,33 @@ def _best_lag(x: Array) -> int:
     moved = np.flatnonzero(left > MOVED)  # a slow signal is like itself a sample later, and does not repeat for it
     close = np.flatnonzero((left < 1e-9) & (lags > (moved[0] + 1 if moved.size else half)))
     return int(lags[close[np.argmin(left[close])]]) if close.size else 0
+
+
+def _without_sweep(x: Array, z: Array) -> tuple[Array, Array] | None:
+    """An input x (n,) that is a sweep, and its output z, without what follows its phase; None for another input.
+
+    Some cycles at a time sine and cosine of a smooth phase are fitted with amplitudes of order two, and a parabola. A
+    measured sweep's own past foretells it less well than the output's past does, which no noise went round for.
+    """
+    if not is_sweep(x):
+        return None
+    at = zero_crossings(x)
+    left: list[Array] = []
+    start = 0
+    while start + CYCLES < at.size:
+        stop = min(max(start + CYCLES, int(np.searchsorted(at, at[start] + LEAST_ROWS))), at.size - 1)
+        rows = np.arange(int(np.ceil(at[start])), int(np.ceil(at[stop])))
+        middle, half = 0.5 * (at[start] + at[stop]), 0.5 * (at[stop] - at[start])
+        t = (rows - middle) / half
+        near = slice(max(start - 2, 0), stop + 3)
+        phase = np.polyval(np.polyfit((at[near] - middle) / half, np.pi * np.arange(at[near].size), 4), t)
+        powers = np.stack([np.ones(t.size), t, t * t, t**3])
+        basis = np.concatenate([powers, powers * np.cos(phase), powers * np.sin(phase)]).T
+        both = np.stack([x[rows], z[rows]], axis=1)
+        left.append(both - basis @ np.linalg.lstsq(basis, both, rcond=None)[0])
+        start = stop
+    columns = np.concatenate(left)
+    return columns[:, 0], columns[:, 1]
 
 
 @dataclass(frozen=True)

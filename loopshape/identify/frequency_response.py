@@ -15,7 +15,7 @@ from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
-from loopshape.identify.feedback import controller_lines, controller_note, direct_signals
+from loopshape.identify.feedback import biased_lines, direct_signals
 from loopshape.identify.periods import by_periods
 from loopshape.identify.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
 from loopshape.identify.respond import respond
@@ -129,6 +129,7 @@ def _loop_frf(
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
         method=f"{settings.estimator} estimator, {a.method}",
+        method_numbers=a.method_numbers,
         recording=joined([r.info.name for r in recordings]),
         recordings=tuple(r.info.name for r in recordings),
         loop=loop.name,
@@ -145,7 +146,7 @@ def _loop_frf(
         averages=a.averages,
         parameters=dict(info.parameters),
         held_by=loop.controller if info.closed_loop else None,
-        open_loop=stayed_bounded(recordings, [loop.output]),
+        open_loop=stayed_bounded(recordings, [loop], [loop.output]),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -192,14 +193,14 @@ def _valid(
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Lines (nf,) of the valid band of an estimate G (nf,) of this variance, and why others are outside."""
     sound = plant.sound(rows)
+    notes = drowned_note(a.frequency_hz, sound)
+    if settings.estimator == "direct":
+        biased, why = biased_lines(recording, loop, settings, a, G, variance)
+        sound, notes = sound & ~biased, notes + why
     relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
     trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
-    notes = drowned_note(a.frequency_hz, sound)
     if a.unresolved is not None:
         trusted = trusted & ~a.unresolved
-    if settings.estimator == "direct" and recording.info.closed_loop and loop.controller is not None:
-        inverse = controller_lines(a, G, variance, loop.controller)
-        trusted, notes = trusted & ~inverse, notes + controller_note(a.frequency_hz, inverse)
     return trusted, notes
 
 

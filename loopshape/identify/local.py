@@ -238,6 +238,7 @@ def _at_every(recording: Recording, lines: Lines, window: Window, step: int) -> 
         freedom=2.0 * independent,
         pooled=1,
         method=f"{window.words} of {n / recording.rate_hz:.4g} s, {lines.frequency_hz[1] * step:.3g} Hz apart",
+        method_numbers={"record_s": n / recording.rate_hz, "resolution_hz": float(lines.frequency_hz[1] * step)},
     )
 
 

@@ -25,7 +25,15 @@ from loopshape.identify.periods import by_periods
 from loopshape.identify.quality import stayed_bounded, unfed_notes
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import BY_INSTRUMENT, Settings
-from loopshape.identify.signals import held_note, instrument, output_channel, plant_input, refuse_alike, wiring_notes
+from loopshape.identify.signals import (
+    held_note,
+    instrument,
+    output_channel,
+    plant_input,
+    refuse_alike,
+    refuse_sum,
+    wiring_notes,
+)
 
 
 def estimate_matrix(run: Run, recordings: Sequence[Recording], settings: Settings | None = None) -> FRF:
@@ -164,7 +172,7 @@ def _reordered(parts: Sequence[Answers], order: Sequence[int]) -> Answers:
     return Answers(
         first.frequency_hz, H, covariance[:, place][:, :, place], first.power, first.excited,
         min(p.averages for p in parts), first.power_per, first.line_overlap, min(p.freedom for p in parts),
-        first.pooled, first.method,
+        first.pooled, first.method, method_numbers=first.method_numbers,
     )  # fmt: skip
 
 
@@ -198,6 +206,9 @@ def _in_blocks(recordings: Sequence[Recording], names: Sequence[str]) -> list[Re
 
 def _signals(recording: Recording, loops: Sequence[LoopSetup], outputs: Sequence[str], alone: bool) -> list[Array]:
     """Outputs, then plant inputs; these are left out where they are the instruments themselves."""
+    for loop in loops:
+        if loop.name in recording.info.excited:
+            refuse_sum(recording, loop)
     y = [recording.output(expression) for expression in outputs]
     free = recording.info.injection == "control" or not recording.info.closed_loop
     return y if alone and free else y + [plant_input(recording, loop) for loop in loops]
@@ -258,6 +269,7 @@ def _frf(
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",
+        method_numbers=parts[0].method_numbers,
         recording=joined([r.info.name for r in recordings]),
         recordings=tuple(r.info.name for r in recordings),
         loop="+".join(loop.name for loop in loops),
@@ -272,7 +284,7 @@ def _frf(
         variance_freedom=min(p.freedom for p in parts),
         variance_pooled=parts[0].pooled,
         notes=notes,
-        open_loop=stayed_bounded(recordings, outputs),
+        open_loop=stayed_bounded(recordings, loops, outputs),
     )
 
 

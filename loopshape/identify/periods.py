@@ -75,6 +75,7 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
         freedom=freedom,
         pooled=pooled,
         method=_words(spectra, len(blocks)),
+        method_numbers=_numbers(spectra, len(blocks)),
         noise=noise if len(blocks) > 1 else None,
         notes=tuple(dict.fromkeys(note for t in spectra for note in t.notes)),
     )
@@ -165,3 +166,9 @@ def _words(spectra: Sequence[Transforms], blocks: int) -> str:
     """How it was measured: periods of each recording, and how many realisations."""
     words = "; ".join(dict.fromkeys(t.method for t in spectra))
     return f"{words}, {blocks} realisations" if blocks > 1 else words
+
+
+def _numbers(spectra: Sequence[Transforms], blocks: int) -> dict[str, float]:
+    """The numbers of these words."""
+    numbers = {"periods": float(spectra[0].signals.shape[1]), "period_s": 1.0 / float(spectra[0].frequency_hz[1])}
+    return numbers | {"realisations": float(blocks)} if blocks > 1 else numbers

@@ -66,10 +66,15 @@ def plan(first: FirstRecord, required: Required, controller: Controller | None =
     `controller` says where the crossover is; without it the loop's own. At four periods the amplitude is what the wish
     needs, yet that of the first record at least, for which distortion is known. Where that stands above it the
     plan has several realisations, over which it averages. Refuses an accuracy beside what the record knows, limits that
-    the noise alone breaks, and a longest time in which no four periods of the lowest line fit.
+    the noise alone breaks, and a longest time in which no four periods of the lowest line fit. An experiment that is
+    told, not wanted for its accuracy, may lie in a band that the first record does not know: predicted as at its edge.
     """
-    crossover_hz = crossover_of(first, controller or first.loop.controller, required.at_hz)
-    band = _band(first, required, crossover_hz)
+    if required.std is None:
+        band = _told_band(first, required)
+        crossover_hz = required.at_hz or float(np.sqrt(band[0] * band[1]))
+    else:
+        crossover_hz = crossover_of(first, controller or first.loop.controller, required.at_hz)
+        band = _band(first, required, crossover_hz)
     shape, notes = _shape(first, required, crossover_hz, band)
     x, e = shape.crossover, shape.excitation
     most, binds = _most(first, required, shape)
@@ -103,7 +108,7 @@ def plan(first: FirstRecord, required: Required, controller: Controller | None =
         peak_output=made.amplitude * shape.peak_output + NOISE_PEAK * first.output_noise,
         binds=made.binds,
         reached=made.reached,
-        short_by=1.0 if made.reached else float(std[x] / required.std),
+        short_by=1.0 if made.reached or required.std is None else float(std[x] / required.std),
         needed_s=made.needed_s,
         needed_amplitude=made.needed_amplitude,
         notes=(*notes, *plan_words.cannot_know(first, required, shape.floor[x], made.amplitude)),
@@ -126,6 +131,9 @@ class _Size:
 def _size(required: Required, shape: _Shape, most: float, binds: str, least: float) -> _Size:
     """Realisations, periods and amplitude (between `least` and `most`) that reach the accuracy, or come nearest."""
     x, period_s, ramps_s = shape.crossover, shape.excitation.period_s, 2.0 * shape.excitation.ramp_s
+    if required.std is None:
+        periods = max(FEW_PERIODS, round(float(required.seconds or 0.0) / period_s))
+        return _Size(1, periods, most, "seconds", True, periods * period_s + ramps_s, most)
     floor = float(shape.floor[x]) ** 2
     count = max(1, int(np.ceil(floor / (DISTORTION_SHARE * required.std**2) - 1e-9)))
     each_s = float(shape.need[x] / shape.power[x]) / most**2  # std² times seconds of noise alone, at most
@@ -170,6 +178,19 @@ def _band(first: FirstRecord, required: Required, crossover_hz: float) -> tuple[
             "ask for less, or record a first one that excites more",
         )
     return asked
+
+
+def _told_band(first: FirstRecord, required: Required) -> tuple[float, float]:
+    """The band of an experiment that is told; refuses one that no multisine of the rate has."""
+    f, rate_hz = first.frequency_hz, first.recording.rate_hz
+    band = required.f_low_hz or float(f[0]), required.f_high_hz or float(f[-1])
+    if not band[0] < band[1] < 0.5 * rate_hz:
+        raise WrongUseError(
+            "a band to excite begins below its end, which lies below half the rate",
+            f"{band[0]:g} to {band[1]:g} Hz at {rate_hz:g} Hz",
+            "give --from-hz and --to-hz, in Python f_low_hz and f_high_hz",
+        )
+    return band
 
 
 def _shape(
@@ -219,6 +240,9 @@ def _period(
     def ramp_of(period: float) -> float:
         return max(2.0, np.ceil(min(settle_s, period) * rate_hz)) / rate_hz
 
+    if required.resolution_hz is not None:
+        period_s = float(np.ceil(rate_hz / required.resolution_hz - 1e-6) / rate_hz)
+        return period_s, float(ramp_of(period_s)), ()
     if LEAST_PERIODS * period_s + 2.0 * ramp_of(period_s) <= required.longest_s:
         return period_s, float(ramp_of(period_s)), ()
     ramp_s = float(ramp_of(min(period_s, 0.1 * required.longest_s)))

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import pass_fields
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.multisine import Multisine
@@ -24,9 +25,12 @@ class Required:
     injected peak (None: that of the first recording), `max_input` |u| with its resting value, `max_output` the
     excursion of y from rest. `kind` of lines: `odd` (one in four left out), `log`, or `all`. The band defaults to the
     valid one within a decade of the crossover.
+
+    Without `std` the experiment is told: `seconds` of periods that resolve `resolution_hz`, in a band that may lie
+    beside the one that is known, at the largest amplitude allowed; `longest_s` does not count then.
     """
 
-    std: float
+    std: float | None = None
     at_hz: float | None = None
     max_amplitude: float | None = None
     max_input: float | None = None
@@ -38,19 +42,29 @@ class Required:
     per_octave: float = 12.0
     level_ratio: float = 10.0
     seed: int = 1
+    resolution_hz: float | None = None
+    seconds: float | None = None
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         numbers = ("std", "at_hz", "max_amplitude", "max_input", "max_output", "longest_s", "f_low_hz", "f_high_hz")
-        for name in (*numbers, "per_octave", "level_ratio"):
+        for name in (*numbers, "per_octave", "level_ratio", "resolution_hz", "seconds"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise WrongUseError(f"{name.replace('_', ' ')} of a plan must be positive", f"{value!r}")
-        if self.std >= 0.5 or self.level_ratio < 1.0:
+        told = {"resolution_hz": self.resolution_hz, "seconds": self.seconds}
+        given = [name for name, value in told.items() if value is not None]
+        if len(given) != (2 if self.std is None else 0):
+            raise WrongUseError(
+                "a plan needs a wanted accuracy, or a resolution and a time instead",
+                ", ".join([*["std"] * (self.std is not None), *given]) or "none",
+                "give std, or resolution_hz and seconds; to the command --std-db, or --resolution-hz and --seconds",
+            )
+        if (self.std or 0.0) >= 0.5 or self.level_ratio < 1.0:
             raise WrongUseError(
                 "a plan's std is below 50 % and its level ratio 1 at least", f"{self.std!r}, {self.level_ratio!r}"
             )
-        if self.kind not in KINDS:
-            raise WrongUseError("a kind of frequency grid is not known", f"{self.kind!r}", f"use {', '.join(KINDS)}")
+        refuse_unknown("a kind of frequency grid is not known", self.kind, KINDS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +75,8 @@ class Plan(Plain):
     of each sine; `column` is what is injected, in `unit`. `before_std` (nf,) on `before_hz`, and `before` at the
     crossover, are those of the first record, distortion included. `at_crossover` is the planned std there, known
     itself to about `sure` (relative). `binds` is what keeps the experiment from being better or shorter: amplitude,
-    input, output, distortion, or shortest (nothing else: a plan has four periods). `short_by` is std over the
-    required one, 1 where reached; `needed_s` and `needed_amplitude` would each reach it, the latter infinite where
+    input, output, distortion, shortest (nothing else: a plan has four periods), seconds (told). `short_by` is std over
+    the required one, 1 where reached; `needed_s` and `needed_amplitude` would each reach it, the latter infinite where
     distortion forbids. Of several `realisations` each is recorded with phases of its own, and `std` and `floor` are
     those of their mean. Peaks hold the noise of the first record too. What a plan cannot know is in `notes`.
     """
@@ -112,7 +126,7 @@ class Plan(Plain):
     @property
     def met(self) -> bool:
         """Whether the first record already has what is wanted, so that nothing is to be measured."""
-        return self.before <= self.required.std
+        return self.required.std is not None and self.before <= self.required.std
 
     @property
     def sentence(self) -> str:

@@ -19,6 +19,8 @@ _BINDS = {
     "output": "the output's limit",
     "distortion": "the distortion that the first record shows",
 }
+#: and what of a length that nothing binds
+_LENGTHS = {"shortest": "no shorter record is sensible", "seconds": "length and resolution are as given"}
 
 
 def accuracy(std: float) -> str:
@@ -35,13 +37,13 @@ def sentence(p: Plan) -> str:
         f" {p.unit}"
     )
     there = f"at {p.crossover_hz:.3g} Hz"
-    if p.met:
+    if p.met and p.required.std is not None:
         return (
             f"{p.recording} already has a std of {accuracy(p.before)} {there}, within the required"
             f" {accuracy(p.required.std)}: no further experiment is proposed"
         )
     if p.reached:
-        why = "no shorter record is sensible" if p.binds == "shortest" else f"{_BINDS[p.binds]} sets the length"
+        why = _LENGTHS.get(p.binds) or f"{_BINDS[p.binds]} sets the length"
         return f"{does}: std {there} from {accuracy(p.before)} to {accuracy(p.at_crossover)}; {why}"
     short = f"out of reach: {does} brings the std {there} to {accuracy(p.at_crossover)}"
     short += f", {p.short_by:.2g} times the required one; {p.needed_s:.3g} s would be needed"
@@ -63,6 +65,11 @@ def cannot_know(first: FirstRecord, required: Required, floor: float, amplitude:
         notes.append(f"the first record cannot separate distortion from the response: {found.verdict}")
     elif floor > 0.0:
         notes.append(f"distortion in the first record counts as a noise floor, {accuracy(floor)} at the crossover")
+    known = first.frequency_hz[[0, -1]]
+    if (required.f_low_hz or known[0]) < 0.999 * known[0] or (required.f_high_hz or known[1]) > 1.001 * known[1]:
+        notes.append(
+            f"the first record knows {known[0]:.3g} to {known[1]:.3g} Hz: beside that it is predicted as at its edge"
+        )
     change = amplitude / first.amplitude
     if abs(np.log(change)) > 0.1:
         turns = (

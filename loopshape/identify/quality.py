@@ -15,37 +15,60 @@ from loopshape.data.recording import Recording
 from loopshape.identify.faults import Fault, saturated, spikes, stuck
 from loopshape.identify.feedback_check import FeedbackCheck, feedback_check, repeats
 from loopshape.identify.input_power import unfed_bands
+from loopshape.identify.roles import rows_of_a_period
 from loopshape.identify.signals import input_signal, plant_input
+from loopshape.identify.transforms import measured_period
 
 #: rows of a record that are looked at for feedback; more tell no more and take longer
 MOST_ROWS = 200_000
+#: rows that are looked at for feedback, at the least
+LEAST_ROWS = 200
 
 
-#: the output of a record in open loop may grow by this much from its first third to its last, rms; an unstable pole
-#: whose frequency the record resolves makes it grow by exp(4) and more
+#: the output of a record in open loop may grow by this much from the first third of what moved to the last, rms; an
+#: unstable pole whose frequency the record resolves makes it grow by exp(4) and more
 GROWN = 10.0
+#: share of its range by which an input leaves its first value when it begins to move
+BEGUN = 0.1
 
 
-def stayed_bounded(recordings: Sequence[Recording], outputs: Sequence[str]) -> bool:
-    """Whether all recordings were made without feedback and no output grows along any: no pole is unstable then."""
+def stayed_bounded(recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str]) -> bool:
+    """Whether all recordings were made without feedback and no output grows along any: no pole is unstable then.
+
+    What rested before the first input moved is left out: an output grows there because it was at rest.
+    """
     if any(r.info.closed_loop for r in recordings):
         return False
     for recording in recordings:
+        start = min(_begins(input_signal(recording, loop)) for loop in loops)
         for expression in outputs:
-            y = recording.signal(expression)
-            first, last = (extent(part).std for part in _first_and_last_third(y))
+            first, last = (extent(part).std for part in _first_and_last_third(recording.signal(expression), start))
             if not last <= GROWN * first:
                 return False
     return True
 
 
-def _first_and_last_third(y: Signal) -> tuple[Signal, Signal]:
-    """Parts of a signal (n,), read when they are used."""
-    third = y.size // 3
+def _begins(u: Signal) -> int:
+    """The row at which an input (n,) begins to move, in the first half."""
+    whole, first, start = extent(u), float(u[:1][0]), 0
+    for (part,) in stretches(u):
+        moved = np.flatnonzero(np.abs(part - first) > BEGUN * (whole.most - whole.least))
+        if moved.size:
+            return min(start + int(moved[0]), u.size // 2)
+        start += part.size
+    return 0
+
+
+def _first_and_last_third(y: Signal, start: int) -> tuple[Signal, Signal]:
+    """Parts of what follows the row `start` of a signal (n,), read when they are used."""
+    third = (y.size - start) // 3
     if isinstance(y, LongSignal):
         rest = y.size - third
-        return LongSignal(third, y.read), LongSignal(third, lambda start, stop: y.read(rest + start, rest + stop))
-    return y[:third], y[-third:]
+        return (
+            LongSignal(third, lambda a, b: y.read(start + a, start + b)),
+            LongSignal(third, lambda a, b: y.read(rest + a, rest + b)),
+        )
+    return y[start : start + third], y[-third:]
 
 
 def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0.01) -> FeedbackCheck:
@@ -62,14 +85,31 @@ def loop_feedback(recording: Recording, loop: LoopSetup, false_alarms: float = 0
     first = round((info.periodic_from_s or 0.0) * rate) if info.period_s else 0
     rows = slice(first, first + MOST_ROWS)
     u, y = input_signal(recording, loop)[rows], recording.signal(loop.output)[rows]
-    period = round(info.period_s * rate) if info.period_s else None
-    if period is not None and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
-        period = None
-    name = f"the input of loop {loop.name} in {info.file}"
-    found = feedback_check(u, y, period=period, false_alarms=false_alarms, name=name)
-    if found.told:
-        return found
-    return feedback_check(u, y, answers_after=1, period=period, false_alarms=false_alarms, name=name)
+    stated = round(info.period_s * rate) if info.period_s else None
+    return signal_feedback(u, y, stated, false_alarms, f"the input of loop {loop.name} in {info.file}")
+
+
+def signal_feedback(
+    u: Array, y: Array, stated: int | None, false_alarms: float, name: str, *, later: bool = False
+) -> FeedbackCheck:
+    """Whether an input u (n,) answers noise of the output y (n,); its period is measured, `stated` or not (samples).
+
+    With `later` the plant is known to answer from the next row on.
+    """
+    if stated:
+        period = measured_period(u, stated)
+    else:
+        period, first = rows_of_a_period(u)
+        if u.size - first < LEAST_ROWS:  # a few rows at the end that happen to repeat
+            period = first = 0
+        u, y = u[first:], y[first:]
+    if u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
+        period = 0
+    if not later:
+        found = feedback_check(u, y, period=period or None, false_alarms=false_alarms, name=name)
+        if found.told:
+            return found
+    return feedback_check(u, y, answers_after=1, period=period or None, false_alarms=false_alarms, name=name)
 
 
 def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
@@ -78,7 +118,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     An input that repeats exactly is none. Where only neighbouring samples show it, as behind a filter, that is added.
     """
     u = recording.signal(loop.control)[:MOST_ROWS]
-    if recording.info.closed_loop or u.size < 200:
+    if recording.info.closed_loop or u.size < LEAST_ROWS:
         return ()
     found = loop_feedback(recording, loop, false_alarms=1e-4)
     if not found.found:

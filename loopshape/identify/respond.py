@@ -13,9 +13,9 @@ from loopshape.core.units import Array, db
 from loopshape.data.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.local import by_local_fits, compared
+from loopshape.identify.long_sweeps import by_sweep_in_parts
 from loopshape.identify.periods import by_periods
 from loopshape.identify.settings import Settings
-from loopshape.identify.sweeps import by_sweep
 from loopshape.identify.welch import by_welch
 
 
@@ -29,10 +29,10 @@ def respond(
     """Answers of signals (n,), the first `outputs` of them plant outputs, to instruments (n,) of one recording.
 
     By whole periods where the excitation repeats; else by local fits or Welch's segments as `settings` say. One sweep
-    has local fits of its own (`by_sweep`); of several at once, and of noise with a resolution asked for, `auto` takes
-    Welch's segments, and of other noise whichever of both predicts best what it has not seen. Of a long recording's
-    noise `auto` takes Welch's segments, which alone are read a stretch at a time; of a sweep one signal after the
-    other is taken whole, of others all.
+    has local fits of its own, and a long one in parts (`by_sweep_in_parts`); of several at once, and of noise with a
+    resolution asked for, `auto` takes Welch's segments, and of other noise whichever of both predicts best what it has
+    not seen. Of a long recording's noise `auto` takes Welch's segments, which are read a stretch at a time; of a sweep
+    both ways one signal after the other is taken whole, of others all.
     """
     sweep = recording.info.kind == "sweep"
     long = any(isinstance(x, LongSignal) for x in (*signals, *instruments))
@@ -42,7 +42,7 @@ def respond(
     if recording.info.period_s is None and welch:
         return by_welch(recording, signals, instruments, settings)
     if recording.info.period_s is None and once:
-        return by_sweep(recording, signals, instruments[0], outputs, settings)
+        return by_sweep_in_parts(recording, signals, instruments[0], outputs, settings)
     whole, moved = [np.asarray(x) for x in signals], [np.asarray(x) for x in instruments]
     if recording.info.period_s is not None:
         if settings.method != "auto" or settings.recipe:

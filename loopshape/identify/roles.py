@@ -17,6 +17,9 @@ _LAGS = 8
 _ROWS = 20_000  # rows looked at
 _EXACT = 1e-4  # of a signal's rms, up to which a sum is one
 _PREDICTED = 1e-9  # share of a signal that its own past leaves: below it nothing is said of it
+_COPIED = 1e-5  # of a signal's rms, up to which a column is a copy of another
+_ONE_WAY = 0.2  # of what one column explains of another, up to which the other way counts as none
+_MEANS = (1, 4, 16)  # rows averaged
 _REPEATED = 0.1  # of a signal's rms, by which two of its periods may differ
 _LEAST = 0.005  # share of what its own past leaves open, from which on others' past may explain a signal
 
@@ -24,6 +27,50 @@ _LEAST = 0.005  # share of what its own past leaves open, from which on others' 
 def constants(x: Array) -> np.ndarray:
     """Mask (m,) of the columns that do not move."""
     return np.asarray(np.ptp(x, axis=0) <= 1e-12 * np.maximum(np.abs(x).max(axis=0), 1e-300))
+
+
+def copies(x: Array) -> list[tuple[int, int, float]]:
+    """Pairs (a, b, factor) of columns, a < b, with b = factor a + constant to `_COPIED` of b's rms, each b once.
+
+    The factor is 1 exactly where b equals a, to that.
+    """
+    moved = np.flatnonzero(~constants(x)).tolist()
+    scaled = _scaled(x, len(x))
+    found: list[tuple[int, int, float]] = []
+    for k, b in enumerate(moved):
+        for a in moved[:k]:
+            share = float(scaled[:, a] @ scaled[:, b] / len(scaled))
+            left = scaled[:, b] - share * scaled[:, a]
+            if a not in {pair[1] for pair in found} and np.sqrt(np.mean(left**2)) <= _COPIED:
+                equal = np.abs(x[:, a] - x[:, b]).max() <= _COPIED * float(np.ptp(x[:, b]))
+                found.append((a, b, 1.0 if equal else share * float(np.std(x[:, b]) / np.std(x[:, a]))))
+                break
+    return found
+
+
+def drives(x: Array, first: int, second: int) -> int:
+    """1 where the second of two columns answers the first, -1 where the first answers the second, 0 where none is told.
+
+    Told is a direction in which the past explains far more of what is new than in the other, at this rate or at means
+    of 4 or 16 rows (slow plants answer late). In a closed loop both answer each other, and nothing is told.
+    """
+    pair = x[:, [first, second]]
+    for rows in _MEANS:
+        part = pair[: len(pair) // rows * rows].reshape(-1, rows, 2).mean(axis=1)
+        back, on = answers(part)
+        if np.isnan(back) or np.isnan(on) or max(back, on) < beyond_chance(*part.shape):
+            continue
+        if min(back, on) < _ONE_WAY * max(back, on):
+            return 1 if on > back else -1
+    return 0
+
+
+def adds(x: Array, source: int, control: int, output: int) -> float:
+    """What the past of `source` explains of what the pasts of output and control leave open of the output.
+
+    Nothing where the control is all that enters the plant; nan as for `answers`.
+    """
+    return float(answers(x[:, [output, control, source]], apart=2)[0])
 
 
 def differences(x: Array) -> list[tuple[int, int, int]]:
@@ -37,10 +84,11 @@ def differences(x: Array) -> list[tuple[int, int, int]]:
     return found
 
 
-def answers(x: Array) -> Array:
+def answers(x: Array, apart: int = 1) -> Array:
     """How much each column answers the others, (m,): the share of what its own past leaves open that theirs explains.
 
-    nan where its own past leaves nothing open, or where the record is too short to tell.
+    With `apart` 2 the first column alone is asked, and what its own past and that of the second leave open. nan where
+    that is nothing, or where the record is too short to tell.
     """
     x = _scaled(x)
     n, m = x.shape
@@ -48,12 +96,13 @@ def answers(x: Array) -> Array:
     if n < 4 * _LAGS * m + 50:
         return out
     past = np.concatenate([x[_LAGS - k : n - k] for k in range(1, _LAGS + 1)], axis=1)
-    for j in range(m):
-        own = _left(past[:, j::m], x[_LAGS:, j])
-        if np.mean(own**2) <= _PREDICTED:
+    for j in range(m if apart == 1 else 1):
+        mine = [k for k in range(past.shape[1]) if j <= k % m < j + apart]
+        own = _left(past[:, mine], x[_LAGS:, j])
+        if not np.mean(own**2) > _PREDICTED:
             continue
         every = _left(past, x[_LAGS:, j])
-        out[j] = 1.0 - np.sum(every**2) / np.sum(own**2) * (n - _LAGS) / (n - _LAGS - _LAGS * (m - 1))
+        out[j] = 1.0 - np.sum(every**2) / np.sum(own**2) * (n - _LAGS) / (n - _LAGS - _LAGS * (m - apart))
     return out
 
 
@@ -70,7 +119,7 @@ def at_once(x: Array, source: int, answer: int) -> float:
         return float("nan")
     past = np.concatenate([x[_LAGS - k : n - k] for k in range(1, _LAGS + 1)], axis=1)
     a, b = (_left(past, x[_LAGS:, j]) for j in (source, answer))
-    if min(np.mean(a**2), np.mean(b**2)) <= _PREDICTED:
+    if not min(np.mean(a**2), np.mean(b**2)) > _PREDICTED:
         return float("nan")
     return float(a @ b / np.sqrt((a @ a) * (b @ b)))
 
@@ -106,25 +155,18 @@ def _last_crowd(marked: np.ndarray, width: int) -> int:
     return int(crowds[-1] + np.flatnonzero(marked[crowds[-1] : crowds[-1] + width])[-1]) + 1 if crowds.size else 0
 
 
-def rises(x: Array) -> bool:
-    """Whether the frequency of a signal (n,) rises or falls steadily, as a sweep's does, by a factor of three."""
-    moved = np.flatnonzero(np.abs(np.diff(x)) > 1e-6 * max(float(np.ptp(x)), 1e-300))
-    if moved.size < 100:
-        return False
-    inner = x[moved[0] : moved[-1] + 1]
-    inner = inner - 0.5 * (inner.max() + inner.min())
-    crossed = np.array([np.count_nonzero(np.diff(np.signbit(part))) for part in np.array_split(inner, 6)])
-    steps = np.diff(crossed[1:] if crossed[0] < 3 else crossed)
-    return bool((np.all(steps > 0) or np.all(steps < 0)) and crossed.max() >= 3 * max(1, crossed.min()))
-
-
-def _scaled(x: Array) -> Array:
-    """The middle rows, at most `_ROWS`, without mean, each with an rms of 1."""
-    n = x.shape[0]
-    start = max(0, (n - _ROWS) // 2)
-    x = x[start : start + _ROWS] - x[start : start + _ROWS].mean(axis=0)
+def _scaled(x: Array, rows: int = _ROWS) -> Array:
+    """The middle rows, at most so many, without mean, each with an rms of 1; what is not finite counts as 0."""
+    start = max(0, (x.shape[0] - rows) // 2)
+    x = np.nan_to_num(x[start : start + rows], posinf=0.0, neginf=0.0)
+    x = x / np.maximum(np.abs(x).max(axis=0), 1e-300)  # before squares: 1e300 of a damaged file has none
+    x = x - x.mean(axis=0)
     return np.asarray(x / np.maximum(np.sqrt(np.mean(x**2, axis=0)), 1e-300))
 
 
 def _left(columns: Array, y: Array) -> Array:
-    return np.asarray(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0])
+    """What least squares leave of y; nan where they do not converge."""
+    try:
+        return np.asarray(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0])
+    except np.linalg.LinAlgError:
+        return np.full(y.shape, np.nan)

@@ -54,6 +54,7 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
         inputs=(column,),
         outputs=(column,),
         method=f"sensitivity from the injected signal, {a.method}",
+        method_numbers=a.method_numbers,
         recording=info.name,
         recordings=(info.name,),
         loop=loop.name,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown, refuse_unknown_keys
+from loopshape.core.gate import pass_fields
 
 #: from averaged spectra of a record in open loop
 SPECTRAL = ("h1", "h2", "hv")
@@ -40,6 +43,7 @@ class Settings:
     segment_samples: int | None = None
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         words = (
             ("an estimator", self.estimator, ESTIMATORS),
             ("a method", self.method, METHODS),
@@ -47,8 +51,7 @@ class Settings:
             ("a detrending", self.detrend, DETRENDS),
         )
         for what, word, known in words:
-            if word not in known:
-                raise WrongUseError(f"{what} is not known", f"{word!r}", f"use {' or '.join(known)}")
+            refuse_unknown(f"{what} is not known", word, known)
         if not 0.0 <= self.overlap <= 0.9:
             raise WrongUseError("the overlap of segments lies between 0 and 0.9", f"{self.overlap!r}")
         if self.resolution_hz is not None and not self.resolution_hz > 0.0:
@@ -70,3 +73,9 @@ class Settings:
     def recipe(self) -> bool:
         """Whether something was asked for that Welch's segments alone have."""
         return self.window != "hann" or self.symmetric or self.detrend != "mean" or self.segment_samples is not None
+
+
+def settings_of(given: Mapping[str, Any]) -> Settings:
+    """Settings from keywords; refuses names that are none of them."""
+    refuse_unknown_keys("an estimate has no such setting", given, [f.name for f in fields(Settings)])
+    return Settings(**given)

@@ -46,10 +46,12 @@ def read_signals(recording: Recording, loop: LoopSetup) -> LoopSignals[Signal]:
     """Signals of a loop in a recording that excites it; those of a long recording are read a stretch at a time.
 
     Refuses a closed loop without a signal that only we moved (there the data cannot tell plant from
-    inverse controller), constant signals, and an output that is the same column as another signal.
+    inverse controller), constant signals, an output that is the same column as another signal, and a control that was
+    logged behind the injection and is not stated to be.
     """
     info = recording.info
     refuse_alike(recording, loop)
+    refuse_sum(recording, loop)
     u, y = input_signal(recording, loop), recording.signal(loop.output)
     source = moved_signal(recording, loop)
     for signal, what in ((u, "input"), (y, "output"), (source, "injected signal")):
@@ -76,6 +78,50 @@ def refuse_alike(recording: Recording, loop: LoopSetup) -> None:
                 f"{y.size} equal rows, the first {y[:1][0]:g}",
                 "map each to a column of its own in the file",
             )
+
+
+#: rows and samples of the past by which what a controller gave out is told from its sum with the injection, and how
+#: many times less must be left of the one than of the other; less than the last share of its power is rounding
+SUM_ROWS, SUM_PAST, CLEARLY, SUM_ROUNDING = 20_000, 8, 10.0, 1e-14
+
+
+def refuse_sum(recording: Recording, loop: LoopSetup) -> None:
+    """Refuse a control that holds the injected signal where it is stated to be logged in front of it."""
+    info = recording.info
+    if info.injection != "plant_input" or loop.injected not in recording.columns:
+        return
+    u, n, y = (recording.signal(str(x))[:SUM_ROWS] for x in (loop.control, loop.injected, loop.output))
+    if sum_was_logged(*(np.asarray(x, dtype=np.float64) for x in (u, n, y))):
+        raise BadSignalError(
+            f"{loop.control} of loop {loop.name} in {info.file} holds the injected signal, which would count twice",
+            "it answers the injection in the same sample, one to one",
+            f"give {loop.control} - {loop.injected} (Run.from_arrays: u - excitation), or in run.toml"
+            ' injection = "reference" with the injected column as reference',
+        )
+
+
+def sum_was_logged(u: Array, n: Array, y: Array) -> bool:
+    """Whether u (n,) is a controller's output plus the injected n, not the output itself, by which of both the measured
+    y of the same sample and a short past of itself and of y foretell far better.
+
+    Not told (False) where noise that the controller never saw, or its nonlinearity, outweighs what is new in n.
+    """
+    if u.size < 20 * SUM_PAST or not n.any():
+        return False
+    alone, without = (_not_foretold(x, y) for x in (u, u - n))
+    return alone > max(CLEARLY * without, SUM_ROUNDING * float(np.var(u)))
+
+
+def _not_foretold(x: Array, y: Array) -> float:
+    """Mean square of what the same sample of y (n,) and the past of x and y leave of x (n,)."""
+    size = x.size - SUM_PAST
+    past = [x[SUM_PAST - k :][:size] for k in range(1, SUM_PAST + 1)] + [
+        y[SUM_PAST - k :][:size] for k in range(SUM_PAST + 1)
+    ]
+    basis = np.stack([*past, np.ones(size)], axis=1)
+    basis /= np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+    left = x[SUM_PAST:] - basis @ np.linalg.lstsq(basis, x[SUM_PAST:], rcond=None)[0]
+    return float(np.mean(left**2))
 
 
 def plant_input(recording: Recording, loop: LoopSetup) -> Array:
@@ -154,8 +200,6 @@ def wiring_notes(
 
     With a known controller, z must be its answer to the error; where it is not, the injection or the
     controller is other than stated. Frequencies at which z, with `z_std` (nf,), is mostly noise say nothing of that.
-    A plant-input log whose z follows the injected signal one to one at high frequency was taken after the sum, and
-    the plant's input is then counted twice.
     """
     injection, controller = recording.info.injection, loop.controller
     if not recording.info.closed_loop or injection == "control" or not frequency_hz.size:
@@ -174,10 +218,4 @@ def wiring_notes(
                 f"the logged control of loop {loop.name} is not its controller's answer to the error (off by"
                 f" {100.0 * off:.0f} % where it is worst): check injection, controller, units and signs",
             )
-    top = z[3 * z.size // 4 :]
-    if injection == "plant_input" and top.size and float(np.median(np.abs(top - 1.0))) < 0.2:
-        notes += (
-            f"the control of loop {loop.name} follows the injected signal one to one at high frequency: it seems logged"
-            ' after the sum; then say injection = "reference" and name the injected column as reference',
-        )
     return notes

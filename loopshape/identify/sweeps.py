@@ -15,13 +15,14 @@ import numpy as np
 from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import AT_ONCE, Signal
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.excitation_parts import zero_crossings
 from loopshape.data.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.averages import smoothed
 from loopshape.identify.local_models import Fits, influences, solve, window_moments
 from loopshape.identify.long_transforms import low_lines
 from loopshape.identify.settings import Settings
-from loopshape.identify.sweep_harmonics import harmonics
+from loopshape.identify.sweep_harmonics import Harmonics, harmonics
 from loopshape.identify.sweep_windows import HALVES, HEARD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
 from loopshape.identify.transforms import FLOOR, fast_length
 
@@ -43,9 +44,16 @@ def by_sweep(
     narrowest window. Misleads where the plant changes while the sweep passes:
     one direction alone cannot show it.
     """
+    return fitted(recording, signals, instrument, outputs, settings)[0]
+
+
+def fitted(
+    recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
+) -> tuple[Answers, Harmonics]:
+    """As `by_sweep`, and the harmonics that were taken out."""
     n = fast_length(instrument.size)
     unit = recording.rate_hz / n
-    low_hz, high_hz = swept_band(np.asarray(instrument), recording.rate_hz)
+    low_hz, high_hz = swept_band(instrument, recording.rate_hz)
     low, high = max(2, int(0.5 * low_hz / unit)), min(n // 2 - 1, int(1.3 * high_hz / unit))
     lines = _grid(max(low, int(np.ceil(low_hz / unit))), min(high, int(high_hz / unit)), unit, settings)
     if high - low < 2 * HALVES[0] + 2 or lines.size < 2:
@@ -63,7 +71,7 @@ def by_sweep(
     order = [*range(2, z.shape[1]), 0]
     density = 2.0 / (recording.rate_hz * recording.rate_hz / unit)
     share, fed = float(np.mean(chosen.rational)), power[:, 0, 0].real
-    return Answers(
+    answers = Answers(
         frequency_hz=lines * unit,
         response=(response * to_unit)[:, :, None],
         covariance=covariance * (to_unit[:, None] * to_unit),
@@ -77,7 +85,9 @@ def by_sweep(
         method=f"local fits of a sweep of {1.0 / unit:.4g} s, windows of {width.min() * unit:.3g} to"
         f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals"
         f"{nonlinear}",
+        method_numbers={"sweep_s": 1.0 / unit, "rationals_percent": 100.0 * share},
     )
+    return answers, nonlinear
 
 
 def _transforms(signals: Sequence[Signal], instrument: Signal, n: int, high: int) -> tuple[ComplexArray, Array]:
@@ -109,21 +119,27 @@ def _without_trend(x: Array) -> Array:
     return np.asarray(x)
 
 
-def swept_band(instrument: Array, rate_hz: float) -> tuple[float, float]:
+def swept_band(instrument: Signal, rate_hz: float) -> tuple[float, float]:
     """Lowest and highest frequency in Hz that a sweep (n,) crosses: by its zero crossings, and one more at each end.
 
     Refuses a signal of fewer than four cycles.
     """
-    x = instrument - instrument.mean()
-    k = np.flatnonzero(np.diff(np.signbit(x)))
-    if k.size < 8:
-        raise BadSignalError("a sweep has four cycles at least", f"{0.5 * k.size:g} of them", "record longer")
-    at = (k + x[k] / (x[k] - x[k + 1])) / rate_hz
+    at = _crossings(instrument) / rate_hz
+    if at.size < 8:
+        raise BadSignalError("a sweep has four cycles at least", f"{0.5 * at.size:g} of them", "record longer")
     f, t = 1.0 / (at[2:] - at[:-2]), 0.5 * (at[2:] + at[:-2])  # whole cycles: an offset moves every second crossing
     logarithmic = _straighter(np.log(f), t, f)
-    reverse = x.size / rate_hz - t[::-1]
+    reverse = instrument.size / rate_hz - t[::-1]
     ends = _before_first(f, t, logarithmic), _before_first(f[::-1], reverse, logarithmic)
     return float(min(f.min(), *ends)), float(min(max(f.max(), *ends), 0.5 * rate_hz))
+
+
+def _crossings(x: Signal) -> Array:
+    """Zero crossings of a sweep (n,) in samples: all of them, but of one with noise those that are clear."""
+    clear, values = zero_crossings(x), np.asarray(x)
+    values = values - values.mean()
+    k = np.flatnonzero(np.diff(np.signbit(values)))
+    return clear if k.size > clear.size + 2 else np.asarray(k + values[k] / (values[k] - values[k + 1]))
 
 
 def _straighter(one: Array, at: Array, other: Array) -> bool:

@@ -28,7 +28,7 @@ from loopshape.core.errors import BadSignalError
 from loopshape.core.noise import rms_interval
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
-from loopshape.data.tones import Growth, Interval, Tone, Tones
+from loopshape.data.tones import LEAST_GROWTH_DB, Growth, Interval, Tone, Tones
 from loopshape.identify.tone_fit import ToneFit, fit_tone
 
 #: lines on each side that tell the noise, and lines next to a tone that tell nothing
@@ -42,6 +42,8 @@ CHANCE, MOST = 0.01, 20
 ROUNDING = 1e-12
 #: how often tones and the mean over periods are taken in turn
 PASSES = 4
+#: power of a sweep's line, relative to its strongest of the same part, from which on it may have caused a tone there
+SWEPT = 1e-4
 #: chance below which the excitation is taken to have a line of its own
 KNOWN = 1e-3
 
@@ -79,10 +81,14 @@ def tones_of(
     recording: str = "recording",
     channel: str = "signal",
     unit: str = "",
+    swept: bool = False,
+    closed_loop: bool | None = None,
 ) -> Tones:
     """Rms and tones of a signal (n,), n at least 512; `known` are signals (n,) of the excitation.
 
-    `chance` is that of any tone at all being reported where there is noise alone. Signals above a million samples are
+    Where they are `swept`, a line that they have power at in the same part is the excitation's too: what a resonance
+    makes of a sweep that passes grows and decays. `chance` is that of any tone at all being reported where there is
+    noise alone. Signals above a million samples are
     looked at a million at a time. Raises BadSignalError for one that is shorter.
     """
     size = signal.size
@@ -98,7 +104,7 @@ def tones_of(
     for start, stop in wholes:
         values = np.asarray(signal[start:stop], dtype=float)
         excitation = [np.asarray(one[start:stop], dtype=float) for one in known]
-        tones, rest = _tones(values, excitation, period, start, rate_hz, chance, max(tests, 1))
+        tones, rest = _tones(values, excitation, period, start, rate_hz, chance, max(tests, 1), swept)
         found += [
             replace(t, from_s=float(t.from_s + start / rate_hz), to_s=float(t.to_s + start / rate_hz)) for t in tones
         ]
@@ -110,7 +116,7 @@ def tones_of(
         recording, channel, unit, float(np.sqrt(power)),
         rms_interval(power, sum(n * n * v for n, _, _, v in sums) / size**2), mean, size / rate_hz, chance,
         lines * rate_hz / min(size, LONGEST), 0.5 * rate_hz * (1.0 - 2.0 * lines / min(size, LONGEST)),
-        tuple(sorted(found, key=lambda tone: tone.chance)[:MOST]),
+        tuple(sorted(found, key=lambda tone: tone.chance)[:MOST]), closed_loop,
     )  # fmt: skip
 
 
@@ -134,7 +140,7 @@ def _without_periods(values: Array, period: Period | None, offset: int) -> tuple
 
 def _tones(
     values: Array, excitation: Sequence[Array], period: Period | None, offset: int, rate_hz: float, chance: float,
-    tests: int,
+    tests: int, swept: bool,
 ) -> tuple[list[Tone], Array]:  # fmt: skip
     """Tones of a signal that begins at sample `offset`, and what is left without them and without its periodic part.
 
@@ -143,7 +149,8 @@ def _tones(
     alone, free = _without_periods(values, period, offset)
     accepted: list[_Candidate] = []
     rounding = (ROUNDING * float(np.abs(values).max())) ** 2
-    for one in sorted(_candidates(alone, excitation, free, rate_hz, chance, tests, rounding), key=lambda c: c.chance):
+    candidates = _candidates(alone, excitation, free, rate_hz, chance, tests, rounding, swept)
+    for one in sorted(candidates, key=lambda c: c.chance):
         if len(accepted) < MOST and not any(one.same_as(other) for other in accepted):
             accepted.append(one)
     fits: list[ToneFit] = []
@@ -170,6 +177,7 @@ def _less(values: Array, fits: Sequence[ToneFit], where: Sequence[_Candidate]) -
 def _tone(fit: ToneFit, one: _Candidate, chance: float) -> Tone:
     wide = float(student.ppf(0.975, fit.freedom))
     sure = float(student.ppf(1.0 - 0.5 * chance, fit.freedom)) * fit.growth_std_per_s
+    sure += LEAST_GROWTH_DB * float(np.log(10.0)) / 20.0 * fit.rate_hz / (one.stop - one.start)
     g, f, a = fit.growth_per_s, fit.frequency_hz, fit.amplitude
     return Tone(
         frequency_hz=f,
@@ -190,8 +198,9 @@ def _around(value: float, reach: float) -> Interval:
 
 
 def _candidates(
-    values: Array, excitation: Sequence[Array], free: float, rate_hz: float, chance: float, tests: int, rounding: float
-) -> Iterator[_Candidate]:
+    values: Array, excitation: Sequence[Array], free: float, rate_hz: float, chance: float, tests: int, rounding: float,
+    swept: bool,
+) -> Iterator[_Candidate]:  # fmt: skip
     """Lines of all parts whose chance over all `tests` is below `chance`, and that the excitation does not show.
 
     `rounding` is the power of a line below which there are only the digits of numbers.
@@ -205,9 +214,11 @@ def _candidates(
             cut = slice(k * each, (k + 1) * each)
             lines = _lines(power, chance / tests, free)
             lines = [(line, max(p, _chance_elsewhere(powers, k, line))) for line, p in lines]
-            own = [dict(_lines(periodogram(one[cut]), KNOWN, 1.0)) for one in excitation] if lines else []
+            moved = [periodogram(one[cut]) for one in excitation] if lines else []
+            own = [dict(_lines(one, KNOWN, 1.0)) for one in moved]
             for line, p in lines:
                 shown = any(near in found for found in own for near in range(line - GAP, line + GAP + 1))
+                shown |= swept and any(one[line] > SWEPT * one.max() for one in moved)
                 if p * tests < chance and not shown:
                     width = rate_hz / each
                     yield _Candidate(cut.start, cut.stop, line * width, width, float(min(1.0, p * tests)))

@@ -115,6 +115,7 @@ def _by_segments(
         freedom=freedom,
         pooled=pooled,
         method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
+        method_numbers={"segment_s": length / rate, "averages": segments * share},
     )
 
 

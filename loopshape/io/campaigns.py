@@ -57,7 +57,12 @@ def _names(text: str) -> list[str]:
 
 
 def write_index(folder: Path, machines: Iterable[Machine]) -> None:
-    """Table of machines: what was drawn and what was added, which their runs do not say; whole or not at all.
+    """`index_of`, written."""
+    index_of(folder, machines)()
+
+
+def index_of(folder: Path, machines: Iterable[Machine]) -> Callable[[], None]:
+    """Table of machines: what was drawn and what was added, which their runs do not say; gives what writes it whole.
 
     Refuses a folder that holds other things than a campaign, and one whose table has other machines: their recordings
     would pass for those of these.
@@ -73,7 +78,7 @@ def write_index(folder: Path, machines: Iterable[Machine]) -> None:
         )
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    write_text_whole(folder / INDEX, text.getvalue())
+    return lambda: write_text_whole(folder / INDEX, text.getvalue())
 
 
 def _first_other(there: list[list[str]], known: set[tuple[str, ...]]) -> str:

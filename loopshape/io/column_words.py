@@ -40,16 +40,16 @@ _TIME = {"t", "time", "zeit", "timestamp", "timestamps", "stamp", "temps", "tiem
 #: words of a role and their weight: what says which signal goes before what says of what quantity it is
 _WEIGHTS: dict[Role, dict[str, float]] = {
     Role.REFERENCE: {
-        **dict.fromkeys(("r", "w", "ref", "reference", "setpoint", "sp", "soll", "sollwert", "target", "targets",
+        **dict.fromkeys(("r", "ref", "reference", "setpoint", "sp", "soll", "sollwert", "target", "targets",
                          "desired", "des", "demand", "goal", "trajectory", "traj", "setp", "consigne", "riferimento",
                          "referencia", "referentie", "führungsgröße", "fuehrungsgroesse"), 6.0),
-        **dict.fromkeys(("cmd", "command", "commanded", "set", "profile", "input"), 2.5),
+        **dict.fromkeys(("cmd", "command", "commanded", "set", "profile", "input", "w"), 2.5),
     },
     Role.INJECTED: {
         **dict.fromkeys(("inj", "injected", "injection", "exc", "excitation", "chirp", "sweep", "prbs", "multisine",
                          "dither", "perturbation", "stimulus", "anregung", "störgröße", "stoergroesse", "disturbance",
-                         "noise", "probe", "dist",
-                         "n", "d"), 6.0),
+                         "noise", "probe"), 6.0),
+        **dict.fromkeys(("dist", "n", "d"), 2.5),
     },
     Role.CONTROL: {
         **dict.fromkeys(("u", "control", "ctrl", "controller", "effort", "duty", "pwm", "dac", "stell", "stellgroesse",
@@ -72,7 +72,17 @@ _WEIGHTS: dict[Role, dict[str, float]] = {
 }  # fmt: skip
 
 
+#: a weight from which on a name alone tells a part; what weighs less is a hint, which measurements must confirm
+TELLING = 3.5
 _LETTERS = "uyre"  # that stand before a word in names as yref, ymeas, ucmd
+_AXES = {"x", "y", "z"}  # behind another word: an axis of space, as in pose_z
+_INFLECTED = {"s", "es", "e", "en", "er", "ed", "ing", "n"}
+_WHOLE_STEM = 6  # letters of a known word from which on whatever begins with it is meant
+_FROM_OUTSIDE = {Role.REFERENCE, Role.INJECTED, Role.ERROR}
+#: words of what is worked out of signals, or tells of them: such a column has no part in a loop
+_NO_SIGNAL = {"psd", "asd", "csd", "spectrum", "coherence", "efficiency", "wirkungsgrad", "std", "var", "variance",
+              "covariance", "status", "state", "flag", "flags", "mode", "index", "counter", "checksum", "crc",
+              "quality", "snr", "fft", "frequency", "freq", "frequenz"}  # fmt: skip
 _DRIVING = {"V", "mV", "A", "mA", "N", "kN", "Nm", "N m"}
 _ORDERS = {"cmd", "command", "commanded", "input", "reference", "ref"}
 _CONTAINERS = {"values", "value", "data", "signals", "time"}
@@ -131,13 +141,29 @@ def is_time(name: str) -> bool:
 
 def role_weights(name: str) -> dict[Role, float]:
     """How strongly the words of a name speak for each part in a loop; nothing where none does."""
-    parts = [part for part in re.split(r"[./]", name) if part and part.lower() not in _CONTAINERS]
-    return (_weights(parts[-1]) if len(parts) > 1 else {}) or _weights(name)
+    parts = parts_of(name) or [name]
+    last, whole = _weights(parts[-1]), _weights(" ".join(parts))
+    if len(parts) == 1 or words_of(parts[-1]) in [("x",), ("z",)]:  # an axis, of what stands before it
+        return whole
+    outer = any(_weights(part).keys() & _FROM_OUTSIDE for part in parts[:-1])  # cmd.position is no position
+    return (whole if outer else last) or whole
+
+
+def parts_of(name: str) -> list[str]:
+    """The parts of a path such as `rec.enc1 (mm).Data`, without what says only that something is held."""
+    inner = re.split(r"[./](?![^\[(]*[\])])", name)
+    return [part for part in inner if part and part.strip().lower() not in _CONTAINERS]
 
 
 def _weights(name: str) -> dict[Role, float]:
     words = words_of(name)
-    found = {role: sum(_weight(weights, word) for word in words) for role, weights in _WEIGHTS.items()}
+    if set(words) & _NO_SIGNAL:
+        return {}
+    shares = _shares(words)
+    found = {
+        role: sum(share * _weight(weights, word) for word, share in zip(words, shares, strict=True))
+        for role, weights in _WEIGHTS.items()
+    }
     drives = found[Role.CONTROL] > 0.0 or unit_of_word(split_unit(name)[1] or "?") in _DRIVING
     moves = found[Role.OUTPUT] > 0.0
     if drives and not moves and set(words) & _ORDERS:  # a commanded voltage is the control, a position the reference
@@ -146,13 +172,29 @@ def _weights(name: str) -> dict[Role, float]:
     return {role: weight for role, weight in found.items() if weight > 0.0}
 
 
+def _shares(words: tuple[str, ...]) -> tuple[float, ...]:
+    """How far each word counts: a letter whole alone or beside known words, half beside others, an axis not at all."""
+    others = [word for word in words if len(word) > 1]
+    known = all(any(_weight(weights, word) for weights in _WEIGHTS.values()) for word in others)
+    return tuple(
+        1.0 if len(word) > 1 else 0.0 if k and word in _AXES else 1.0 if known else 0.5 for k, word in enumerate(words)
+    )
+
+
 def _weight(weights: dict[str, float], word: str) -> float:
-    """A word's weight; a long word that begins with a known one of three letters or more counts half."""
+    """A word's weight; one that goes on behind a known one of three letters or more counts half.
+
+    What follows must be an ending or a known word, unless the known one is long: a distance is no disturbance.
+    """
     if word in weights:
         return weights[word]
-    return 0.5 * max(
-        (value for known, value in weights.items() if len(known) > 2 and word.startswith(known)), default=0
-    )
+    stems = (known for known in weights if len(known) > 2 and word.startswith(known) and _goes_on(word, known))
+    return 0.5 * max((weights[known] for known in stems), default=0.0)
+
+
+def _goes_on(word: str, known: str) -> bool:
+    rest = word[len(known) :]
+    return len(known) >= _WHOLE_STEM or rest in _INFLECTED or any(rest in weights for weights in _WEIGHTS.values())
 
 
 def column_name(name: str, suffix: str, taken: set[str]) -> str:

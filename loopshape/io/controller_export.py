@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from loopshape import __version__
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.kernels.cascade import error_feedback
 from loopshape.data.controller import Block, Controller
 from loopshape.data.gain_scheduled import GainScheduled
@@ -48,8 +48,7 @@ def export_controllers(folder: Path, controllers: Sequence[Controller | GainSche
     Nothing is written before all are made. Refuses an unknown format, no controller, two loops whose names become one
     (upper and lower case count as one, as on some disks), and sections that are unstable as they will run.
     """
-    if to not in WRITERS:
-        raise WrongUseError("a format for controllers is not known", repr(to), f"use {', '.join(WRITERS)}")
+    refuse_unknown("a format for controllers is not known", to, WRITERS)
     if not controllers:
         raise WrongUseError("there is no controller to export", "an empty list")
     made = [schedule_file(one, to) if isinstance(one, GainScheduled) else _file(one, to) for one in controllers]

@@ -207,6 +207,14 @@ def first_text(path: Path, most_bytes: int) -> tuple[str, str]:
     return (text[: text.rfind("\n") + 1] or text if len(data) == most_bytes else text), encoding
 
 
+def whole_text(path: Path, most_bytes: int) -> str:
+    """A whole file of text; refuses a longer one, of which a part would be missing in silence."""
+    with reading(path, "text"):
+        if (size := path.stat().st_size) >= most_bytes:
+            raise ValueError(f"it has {size} bytes, and {most_bytes - 1} are read at most")
+    return first_text(path, most_bytes)[0]
+
+
 def _decoded(path: Path, data: bytes, cut: bool) -> tuple[str, str]:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data[: len(data) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.io.files import reading
-from loopshape.io.mdf4 import TIME_OF
+from loopshape.io.mdf4 import TIME_OF, Arrays
 
 _PER_S = 1e6  # stamps count microseconds
 _MAGIC = b"\xa3\x95"
@@ -52,10 +52,11 @@ class _Kind:
         return np.dtype([(" head", "V3"), *types])
 
 
-def read_dataflash(path: Path) -> dict[str, np.ndarray]:
+def read_dataflash(path: Path) -> Arrays:
     """Signals (n,) and stamps by name. Refuses another kind of file, and one that is damaged.
 
     Bytes of 0 or 255 at the end, and a last message that is cut, are what a loss of power leaves: they are passed over.
+    That, fields of text and messages without stamps are listed as not read.
     """
     with reading(path, "DataFlash"):
         raw = path.read_bytes()
@@ -65,14 +66,19 @@ def read_dataflash(path: Path) -> dict[str, np.ndarray]:
             _FMT: _Kind("FMT", _FMT_BYTES, "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
         }
         places: dict[int, list[int]] = {}
+        end = 0
         for kind, at in _messages(raw, kinds):
             places.setdefault(kind, []).append(at)
+            end = at + kinds[kind].size
         tables = {kinds[k].name: _table(raw, kinds[k], np.array(at)) for k, at in places.items() if k != _FMT}
         stamped = {name: table for name, table in tables.items() if "TimeUS" in (table.dtype.names or ())}
         if not stamped:
             raise ValueError("it holds no messages with stamps")
         letters = {kind.name: dict(zip(kind.fields, kind.letters, strict=True)) for kind in kinds.values()}
-        return _named(stamped, letters, _instances(tables.get("FMTU"), kinds))
+        closed = [f"{name} (without stamps)" for name in tables if name not in stamped]
+        closed += [f"{name}.{f} (text)" for name in stamped for f, c in letters[name].items() if c not in _TYPES]
+        closed += [f"the last {len(raw) - end} bytes (no whole message)"] if end < len(raw) else []
+        return Arrays(_named(stamped, letters, _instances(tables.get("FMTU"), kinds)), closed)
 
 
 def _messages(raw: bytes, kinds: dict[int, _Kind]) -> Iterator[tuple[int, int]]:

@@ -17,22 +17,26 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.core.units import UNITS, Array, to_stored
+from loopshape.core.units import Array, to_stored
 from loopshape.io.blackbox import rate_fields
-from loopshape.io.column_words import Role, column_name, is_time, split_unit, unit_of_word
+from loopshape.io.column_words import Role, column_name, parts_of, role_weights, split_unit, unit_of_word
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.dataflash import rate_message
 from loopshape.io.draft_roles import Roles, find_roles
-from loopshape.io.files import make_folder, write_text_whole
+from loopshape.io.draft_time import Column, Time, find_time, place_table
+from loopshape.io.files import make_folder, read_toml, short, write_text_whole
 from loopshape.io.import_map import FORMAT
 from loopshape.io.mdf4 import TIME_OF
+from loopshape.io.provenance import file_sha256
 from loopshape.io.sources import Place, Source, is_text, open_source
-from loopshape.io.stamps import ON_GRID, read_stamps
 from loopshape.io.text_layout import DATE, TextLayout, read_layout
 from loopshape.io.toml_text import toml_text
 from loopshape.io.ulog import rate_loop
 
-_MOST_COLUMNS = 64
+#: columns that a draft holds, of an array that counts as signals, and among which parts are looked for
+_MOST_COLUMNS, _MOST_SEEN = 64, 24
+_SAME_TIME = 0.01  # of a step, up to which stamps of two topics are one
+_LARGEST = 1e120  # numbers beyond it, of damaged files, have no squares
 #: logs of flight controllers: where an axis's rate loop stands, its unit, and what to log where it is missing
 _FLIGHT = {
     ".ulg": (rate_loop, "rad/s", "vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE)"),
@@ -41,32 +45,6 @@ _FLIGHT = {
     ),
     ".bin": (rate_message, "deg/s", "RATE (LOG_BITMASK with attitude, fast)"),
 }
-_RATE_WORDS = re.compile(
-    r"\b(fs|rate|rate_hz|sample[ _]?rate|sampling[ _]?rate|sampling[ _]?frequency|abtastrate|f_?s)\b[^0-9\n]{0,12}"
-    r"([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)\s*(k?hz)?",
-    re.IGNORECASE,
-)
-_PERIOD_WORDS = re.compile(
-    r"\b(ts|dt|sample[ _]?time|sampling[ _]?time|sampling[ _]?interval|sample[ _]?interval|increment|delta[ _]x"
-    r"|hresolution|abtastzeit|cycle ?time|zykluszeit)\b([^0-9\n]{0,12})([0-9]+(?:[.,][0-9]+)?(?:e[+-]?[0-9]+)?)"
-    r"(?![0-9])[\s,;]*(us|µs|ms|s)?(?!\s*[a-zµ°/%])",
-    re.IGNORECASE,
-)
-_IN_BRACKETS = re.compile(r"[\[(](us|µs|ms|s)[\])]")
-
-
-@dataclass(frozen=True)
-class Column:
-    """A signal of the file: its name there, where it stands, the unit that it bears ("" for none), and its values.
-
-    `own_time` names stamps of its own, from which the values were brought to the recording's.
-    """
-
-    name: str
-    place: Place
-    unit: str
-    values: Array
-    own_time: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,73 +59,134 @@ class Draft:
     rate_hz: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Time:
-    """The stamps' rule, the rate, whether the rows need a new grid, and why."""
-
-    rule: Mapping[str, Any] | None
-    rate_hz: float
-    resample: bool
-    guesses: tuple[str, ...]
-    column: str | None = None
-
-
 def draft_map(file: Path, rate_hz: float | None = None) -> Draft:
     """Look at a file that `open_source` reads, and write the map that it seems to need; a stated rate goes first.
 
-    Refuses a file that cannot be read, one without signals of one length, and a file of text without rows of numbers.
+    Refuses a file that cannot be read, one without signals of one length that move, a spectrum, and a file of text
+    without rows of numbers.
     """
     layout = read_layout(file) if is_text(file) else None
     source = open_source(file, CsvShape() if layout is None else layout.shape)
+    remarks = [*source.remarks]
+    source = _longest(source, remarks)
     parts = _flight_parts(source) if file.suffix.lower() in _FLIGHT else {}
-    columns, scalars = (_rate_loop(source, parts), {}) if parts else _columns(source, layout)
-    columns, others = _of_one_length(columns)
-    found = _time(columns, layout, scalars)
-    columns, left = _brought(columns, others, found.column)
-    if rate_hz is not None:
-        found = replace(found, rate_hz=rate_hz, guesses=(*found.guesses, f"rate {rate_hz:g} Hz: as stated."))
+    left: dict[str, list[str]] = {}
+    columns, scalars = (_rate_loop(source, parts), {}) if parts else _columns(source, layout, left)
+    columns, others = _of_one_recording(columns)
+    found = find_time(file.name, columns, layout, scalars, rate_hz or source.rate_hz)
+    columns = _brought(columns, others, found.column, left)
     signals = [c for c in columns if c.name != found.column and not c.name.startswith(TIME_OF)]
-    still = [c.name for c in signals if np.ptp(c.values) == 0.0 or bool(np.all(np.diff(c.values) == 1.0))]
-    moving = tuple(c for c in signals if c.name not in still)
-    known = {Role(part): name for part, name in parts.items()}
-    table = np.stack([c.values for c in moving], axis=1) if moving else np.empty((0, 0))
-    roles = find_roles([c.name for c in moving], table, known) if moving else Roles()
-    drafted = _drafted(file, layout, found, moving, still, roles)
-    return drafted if not left else _with_guess(drafted, f"left out, since they have other rows: {', '.join(left)}.")
-
-
-def _with_guess(draft: Draft, guess: str) -> Draft:
-    words = draft.table["draft"]
-    return replace(
-        draft,
-        guesses=(*draft.guesses, guess),
-        table={**draft.table, "draft": {**words, "guesses": [*words["guesses"], guess]}},
+    moving = [c for c in signals if np.ptp(c.values) != 0.0 and not np.all(np.diff(c.values) == 1.0)]
+    left["they never move or count the rows"] = [c.name for c in signals if c not in moving]
+    if not moving:
+        raise UnreadableInputError(
+            f"{file.name} holds no signal that moves",
+            short(f"stamps {found.column!r}" if not signals else ", ".join(c.name for c in signals)),
+            "name a file with a column of numbers for each signal",
+        )
+    moving = _telling(moving, left)
+    roles = _roles(moving, {Role(part): name for part, name in (parts or _pair(source, moving, remarks)).items()})
+    roles.open += source.questions
+    drafted = _drafted(file, layout, found, [c for c in moving if c.name not in roles.copies], roles)
+    return _with_guesses(
+        drafted, [*remarks, *(f"left out, since {why}: {_counted(names)}." for why, names in left.items() if names)]
     )
 
 
-def _of_one_length(columns: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[Column, ...]]:
-    """Columns of the most frequent length, and the others."""
+def _longest(source: Source, remarks: list[str]) -> Source:
+    """The longest recording of a file that holds several; `remarks` takes that it does."""
+    if not source.pieces:
+        return source
+    rows = {k: last - first for k, (first, last) in source.pieces.items()}
+    longest = max(rows, key=rows.__getitem__)
+    remarks.append(
+        f"the file holds {len(rows)} episodes ({min(rows)} to {max(rows)}), each a recording: episodes = [...] under"
+        f" [recording] takes some of them. This draft is made from episode {longest}, the longest."
+    )
+    return source.piece(longest)
+
+
+def _pair(source: Source, moving: Sequence[Column], remarks: list[str]) -> dict[str, str]:
+    """Control and output of the first loop that the format tells and that moves; `remarks` takes the others."""
+    names = {c.name for c in moving}
+    pairs = [pair for pair in source.pairs if names >= {*pair}]
+    if len(pairs) > 1:
+        others = ", ".join(f"{control} and {output}" for control, output in pairs[1:])
+        remarks.append(f"pairs of control and output alike, each for a [[loop]] of its own: {short(others, 300)}.")
+    return dict(zip(("control", "output"), pairs[0], strict=True)) if pairs else {}
+
+
+def _counted(names: Sequence[str]) -> str:
+    return short(", ".join(names), 300) + (f" ({len(names)} in all)" if len(names) > 5 else "")
+
+
+def _with_guesses(draft: Draft, guesses: Sequence[str]) -> Draft:
+    words, every = draft.table["draft"], [*draft.guesses, *guesses]
+    return replace(draft, guesses=tuple(every), table={**draft.table, "draft": {**words, "guesses": every}})
+
+
+def _loudness(name: str) -> float:
+    """How loudly a name speaks for a part in a loop."""
+    return max(role_weights(name).values(), default=0.0)
+
+
+def _telling(moving: list[Column], left: dict[str, list[str]]) -> list[Column]:
+    """At most so many columns as a draft holds, those with telling names first, in the file's order."""
+    best = sorted(moving, key=lambda c: -_loudness(c.name))[:_MOST_COLUMNS]
+    left[f"a draft holds {_MOST_COLUMNS} of the {len(moving)} signals that move, telling names first"] = [
+        c.name for c in moving if c not in best
+    ]
+    return [c for c in moving if c in best]
+
+
+def _roles(moving: Sequence[Column], known: Mapping[Role, str]) -> Roles:
+    """Parts of the columns; of many those whose names tell most are looked at, and that is said."""
+    seen = sorted(moving, key=lambda c: (c.name not in known.values(), -_loudness(c.name)))[:_MOST_SEEN]
+    seen = [c for c in moving if c in seen]
+    table = np.stack([c.values for c in seen], axis=1)
+    roles = find_roles([c.name for c in seen], table, known, [c.name for c in seen if c.own_time])
+    if len(seen) < len(moving):
+        roles.guesses.append(f"parts were looked for among {len(seen)} of {len(moving)} signals, telling names first.")
+    return roles
+
+
+def _of_one_recording(columns: Sequence[Column]) -> tuple[tuple[Column, ...], tuple[Column, ...]]:
+    """Columns of the length that is the recording's, and the others.
+
+    That is one which several columns have, control and output by name among them where there are any, and which holds
+    most numbers: the commonest length may be that of constants.
+    """
     lengths = Counter(c.values.size for c in columns)
-    rows = max(lengths, key=lambda size: (lengths[size], size))
+    named = {
+        rows: len({max(role_weights(c.name), key=role_weights(c.name).__getitem__, default=None)
+                   for c in columns if c.values.size == rows} - {None})
+        for rows in lengths
+    }  # fmt: skip
+    rows = max(lengths, key=lambda size: (lengths[size] > 1, named[size] > 1, lengths[size] * size))
     return tuple(c for c in columns if c.values.size == rows), tuple(c for c in columns if c.values.size != rows)
 
 
 def _brought(
-    columns: tuple[Column, ...], others: Sequence[Column], stamps: str | None
-) -> tuple[tuple[Column, ...], tuple[str, ...]]:
-    """Columns of other rates brought to these stamps by their own, and the names of those that have none."""
+    columns: tuple[Column, ...], others: Sequence[Column], stamps: str | None, left: dict[str, list[str]]
+) -> tuple[Column, ...]:
+    """Columns, those of other stamps brought to these by their own; what has other rows and no stamps is left out."""
     times = {c.name: c for c in (*columns, *others)}
     main = times[stamps].values if stamps is not None and stamps.startswith(TIME_OF) else None
-    made, left = [], []
-    for c in others:
+    made, odd = [], []
+    for c in (*columns, *others):
         own = next((TIME_OF + part for part in (c.name, c.name.partition(".")[0]) if TIME_OF + part in times), None)
+        alike = c.values.size == columns[0].values.size
         if c.name.startswith(TIME_OF):
-            continue
-        if main is None or own is None or times[own].values.size != c.values.size:
-            left.append(c.name)
+            made += [c] if alike else []
+        elif main is None or own is None or times[own].values.size != c.values.size:
+            made += [c] if alike else []
+            odd += [] if alike else [f"{c.name} ({c.values.size} of {columns[0].values.size})"]
+        elif alike and np.abs(times[own].values - main).max() < _SAME_TIME * float(np.median(np.diff(main))):
+            made.append(c)
         else:
             made.append(replace(c, values=np.interp(main, times[own].values, c.values), own_time=own))
-    return (*columns, *made), tuple(left)
+    left["they have other rows"] = odd
+    return tuple(made)
 
 
 def write_draft(path: Path, draft: Draft, file: Path) -> None:
@@ -159,8 +198,20 @@ def write_draft(path: Path, draft: Draft, file: Path) -> None:
     head = f"# Draft of a map of {file.name}: read it against [draft], correct it, then delete [draft].\n"
     body = toml_text({key: value for key, value in draft.table.items() if key != "draft"})
     lists = "".join(_listed(key, draft.table["draft"].get(key, ())) for key in ("guesses", "open"))
+    of = toml_text({"file": file.name, "sha256": file_sha256(file)})
     make_folder(path.parent)
-    write_text_whole(path, f"{head}{body}\n[draft]\n{lists}")
+    write_text_whole(path, f"{head}{body}\n[draft]\n{of}{lists}")
+
+
+def refuse_draft_of_another(map_file: Path, file: Path) -> None:
+    """Refuse a map that stands under a draft's usual name and does not say that it is the draft of this file."""
+    told = read_toml(map_file).get("draft")
+    if not isinstance(told, dict) or told.get("sha256") != file_sha256(file):
+        of = f"a draft of {short(told.get('file'))}" if isinstance(told, dict) else "a map without [draft]"
+        raise WrongUseError(
+            f"{map_file} is not the draft of this file", f"{of}, and {file}",
+            f"remove it, name another (--draft), or delete [draft] in it and take it with --map {map_file}",
+        )  # fmt: skip
 
 
 def _listed(key: str, sentences: Sequence[str]) -> str:
@@ -168,10 +219,13 @@ def _listed(key: str, sentences: Sequence[str]) -> str:
     return f"{key} = [\n{rows}]\n" if sentences else ""
 
 
-def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, ...], dict[str, float]]:
-    """All signals, and the numbers that stand alone."""
+def _columns(
+    source: Source, layout: TextLayout | None, left: dict[str, list[str]]
+) -> tuple[tuple[Column, ...], dict[str, float]]:
+    """All signals, and the numbers that stand alone; `left` takes the names of what is none, by the reason."""
     found, scalars, units = [], {}, source.units()
-    for k, name in enumerate(source.names[:_MOST_COLUMNS]):
+    text, wide = (left.setdefault(why, []) for why in ("they are no numbers", "they are tables of more columns"))
+    for k, name in enumerate(source.names):
         if layout is not None and layout.shape.header:
             k = layout.names.index(name)
         if layout is not None and layout.clocks[k] == DATE:
@@ -182,11 +236,19 @@ def _columns(source: Source, layout: TextLayout | None) -> tuple[tuple[Column, .
         try:
             values = np.asarray(source.load(name))
         except LoopshapeError:
-            continue  # a column of text
+            values = np.empty(0, dtype=object)  # a column of text
         if values.size == 1 and values.dtype.kind in "biuf":
             scalars[name] = float(values.ravel()[0])
         elif values.dtype.kind in "biuf":
-            found += _signals(source, layout, name, k, np.asarray(values, dtype=float), units.get(name, ""))
+            made = _signals(source, layout, name, k, np.asarray(values, dtype=float), units.get(name, ""))
+            wide += [] if made or not values.size else [name]
+            found += made
+        else:
+            text.append(name)
+    empty = {c.name for c in found if layout is not None and 2 * np.count_nonzero(np.isnan(c.values)) > c.values.size}
+    left["they are no signals, or in a form that is not read"] = list(source.closed)
+    left["most of their cells are empty"] = sorted(empty)
+    found = [c for c in found if c.name not in empty]
     if max((c.values.size for c in found), default=0) < 2:
         raise UnreadableInputError(
             f"{source.path.name} holds no signals", f"{len(source.names)} names, none of two numbers or more",
@@ -230,8 +292,9 @@ def _stamps_of(signal: str, names: Sequence[str]) -> str:
 
 
 def _trimmed(column: Column) -> Column:
-    """Empty cells count as zero here: the import names and refuses them."""
-    return replace(column, values=np.nan_to_num(column.values))
+    """Empty cells count as zero here, and numbers that have no square: the import names and refuses them."""
+    values = np.nan_to_num(column.values, posinf=0.0, neginf=0.0)
+    return replace(column, values=np.where(np.abs(values) < _LARGEST, values, 0.0))
 
 
 def _signals(source: Source, layout: TextLayout | None, name: str, k: int, values: Array, stated: str) -> list[Column]:
@@ -253,9 +316,9 @@ def _signals(source: Source, layout: TextLayout | None, name: str, k: int, value
 
 def _label(layout: TextLayout | None, name: str, k: int) -> tuple[str, str]:
     if layout is None:
-        return name, split_unit(name)[1]
+        return name, split_unit(".".join(parts_of(name)))[1]
     title = layout.names[k] or f"column {k + 1}"
-    return title, layout.units[k] or split_unit(title)[1]
+    return title, layout.units[k] or split_unit(".".join(parts_of(title)) or title)[1]
 
 
 def _stamped(source: Source, layout: TextLayout, name: str, k: int) -> Column:
@@ -263,134 +326,39 @@ def _stamped(source: Source, layout: TextLayout, name: str, k: int) -> Column:
     return Column(_label(layout, name, k)[0], place, "s", np.asarray(source.signal(place)))
 
 
-def _time(columns: Sequence[Column], layout: TextLayout | None, scalars: Mapping[str, float]) -> _Time:
-    stamps = _stamps(columns)
-    if stamps is None:
-        return _stated_rate(layout, scalars)
-    unit, why = _time_unit(stamps)
-    t_s = UNITS[unit][1] * (stamps.values - stamps.values[0])
-    said = [f"time is {stamps.name!r}: its values rise{' and its name says so' if is_time(stamps.name) else ''}.", why]
-    rule = _place_table(stamps.place) | {"unit": unit}
-    if stamps.place.clock:
-        said[1] = f"the stamps are text, read as {stamps.place.clock!r}."
-        rule["clock"] = stamps.place.clock
-    mean = (t_s.size - 1) / t_s[-1]
-    seen = read_stamps(t_s, 1.0 / (float(np.median(np.diff(t_s))) or 1.0 / mean))
-    seen = read_stamps(t_s, seen.rate_hz if np.isfinite(seen.rate_hz) else mean)
-    rate = _round_rate(seen.rate_hz, t_s.size, ON_GRID + seen.unsure)
-    said.append(
-        f"rate {rate:.10g} Hz: all {t_s.size} stamps keep {seen.rate_hz:.8g} Hz, scatter {seen.jitter_s:.2g} s rms."
-    )
-    if not seen.even:
-        rate = _round_rate(mean if seen.gaps == 0 else 1.0 / float(np.median(np.diff(t_s))), t_s.size, 0.01 * t_s.size)
-        said[-1] = f"the stamps are not even ({seen.gaps} gaps): resampled at {rate:.6g} Hz, linear across gaps."
-    return _Time(rule, rate, not seen.even, tuple(said), stamps.name)
-
-
-def _stamps(columns: Sequence[Column]) -> Column | None:
-    """The column of stamps: of text, else one that rises and is called so, else one of even steps other than 1."""
-    for c in columns:
-        if c.place.clock:
-            return c
-    rising = [c for c in columns if np.all(np.diff(c.values) >= 0.0) and c.values[-1] > c.values[0]]
-    named = [c for c in rising if is_time(c.name) or c.name.startswith(TIME_OF)]
-    if named:
-        return named[0]
-    return next((c for c in rising if _even(c.values)), None)
-
-
-def _even(values: Array) -> bool:
-    """Whether values rise in steps other than 1 that are even to a tenth, rms."""
-    steps = np.diff(values)
-    step = float(np.median(steps))
-    return step > 0.0 and step != 1.0 and float(np.sqrt(np.mean((steps / step - 1.0) ** 2))) < 0.1
-
-
-def _time_unit(stamps: Column) -> tuple[str, str]:
-    """The unit of stamps, and why: stated, or by the size of a count since 1970, else s."""
-    known = unit_of_word(stamps.unit) if stamps.unit else None
-    if known is not None and UNITS[known][0] == "s":
-        return known, f"its unit is {known}: {stamps.unit!r} stands with its name."
-    for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
-        if least <= stamps.values[0] < 1e2 * least:
-            return unit, f"its unit is {unit}: the values count from 1970 in it."
-    step = float(np.median(np.diff(stamps.values)))
-    if step >= 1.0:
-        unit = "ms" if step < 200.0 else "us"
-        return unit, f"its unit is not stated; steps of {step:g} are taken for {unit}: please confirm."
-    return "s", "its unit is not stated and taken for s: please confirm."
-
-
-def _round_rate(rate_hz: float, n: int, slack: float) -> float:
-    """The roundest rate that leaves the stamps by no more than `slack` samples over n."""
-    for figures in range(1, 8):
-        for close in (float(f"{rate_hz:.{figures}g}"), 1.0 / float(f"{1.0 / rate_hz:.{figures}g}")):
-            if abs(close / rate_hz - 1.0) * n <= slack:
-                return close
-    return rate_hz
-
-
-def _stated_rate(layout: TextLayout | None, scalars: Mapping[str, float]) -> _Time:
-    """A rate that lines above the header, or numbers that stand alone, tell; none is an open question."""
-    for line in () if layout is None else layout.above:
-        if found := _RATE_WORDS.search(line):
-            rate = float(found[2].replace(",", ".")) * (1e3 if (found[3] or "").lower() == "khz" else 1.0)
-            return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
-        if (found := _PERIOD_WORDS.search(line)) and (period := float(found[3].replace(",", "."))) > 0.0:
-            bracket = _IN_BRACKETS.search(found[2])
-            unit = unit_of_word(found[4] or (bracket[1] if bracket else "s")) or "s"
-            rate = 1.0 / (period * UNITS[unit][1])
-            return _Time(None, rate, False, (f"rate {rate:g} Hz: a line above the header says {line.strip()[:60]!r}.",))
-    for name, value in scalars.items():
-        word = name.rpartition(".")[2].lower()
-        if word in ("fs", "rate", "rate_hz", "samplerate", "sample_rate", "f_s") and value > 0.0:
-            return _Time(None, value, False, (f"rate {value:g} Hz: the number {name!r} of the file.",))
-        if word in ("ts", "dt", "sampletime", "sample_time", "t_s", "tsample") and 0.0 < value < 10.0:
-            return _Time(
-                None, 1.0 / value, False, (f"rate {1.0 / value:g} Hz: one over the number {name!r} of the file.",)
-            )
-    return _Time(None, 0.0, False, ())
-
-
-def _place_table(place: Place) -> dict[str, Any]:
-    keys = {"from": place.name, "column": place.column, "row": place.row}
-    return {key: value for key, value in keys.items() if value is not None}
-
-
-def _drafted(
-    file: Path, layout: TextLayout | None, time: _Time, signals: Sequence[Column], still: Sequence[str], roles: Roles
-) -> Draft:
-    guesses, questions = [*(layout.guesses if layout else ()), *time.guesses], []
-    if not time.rate_hz:
+def _drafted(file: Path, layout: TextLayout | None, time: Time, signals: Sequence[Column], roles: Roles) -> Draft:
+    guesses, questions = [*(layout.guesses if layout else ()), *time.guesses], [*time.open]
+    if not time.rate_hz and not time.open:
         questions.append("no column rises as time does and no rate stands in the file: write rate_hz.")
-    if still:
-        guesses.append(f"left out, since they never move or count the rows: {', '.join(still)}.")
     stored, rules, said = _rules(signals)
     named = {role: stored[name] for role, name in roles.by_role.items()}
     if Role.OUTPUT not in named and {Role.REFERENCE, Role.ERROR} <= set(named):
         named[Role.OUTPUT] = f"{named[Role.REFERENCE]} - {named[Role.ERROR]}"
         guesses.append(f"no output was logged: it is taken for {named[Role.OUTPUT]!r}, reference less error.")
     loop = {"name": "loop"} | {key: named[role] for key, role in _LOOP_KEYS.items() if role in named}
-    for key, role in (("output", Role.OUTPUT), ("control", Role.CONTROL)):
-        if role not in named:
-            questions.append(f"which column is the {key} of the loop could not be told: write {key} under [[loop]].")
     recording = {
         "name": re.sub(r"[^A-Za-z0-9_-]+", "-", file.name.split(".")[0]).strip("-") or "r01",
+        "excites": "loop",
         **roles.recording,
     }
+    missing = [role.value for role in (Role.OUTPUT, Role.CONTROL) if role not in named]
+    questions += [
+        f"which column is the {key} of the loop could not be told: write {key} under [[loop]], and injection and"
+        " closed_loop under [recording]."
+        for key in missing
+    ]
     if roles.period_rows and time.rate_hz:
         recording |= {"period_s": roles.period_rows / time.rate_hz, "periodic_from_s": roles.first_row / time.rate_hz}
-    if Role.OUTPUT in named and Role.CONTROL in named:
-        recording["excites"] = "loop"
-        if Role.OUTPUT not in roles.by_role:  # what moved was not looked for: the output is no column
-            recording |= {"injection": "reference", "closed_loop": True}
+    if not missing and Role.OUTPUT not in roles.by_role:  # what moved was not looked for: the output is no column
+        recording |= {"injection": "reference", "closed_loop": True}
     guesses += [*said, *roles.guesses]
     table: dict[str, Any] = {"format": FORMAT, "rate_hz": time.rate_hz or None, "time": time.rule}
     table |= {"resample": True if time.resample else None, "csv": _csv_table(layout)}
     table |= {"columns": rules, "loop": [loop], "recording": recording}
-    table["draft"] = {"guesses": guesses} | ({"open": [*questions, *roles.open]} if questions or roles.open else {})
+    asked = (*questions, *roles.open)
+    table["draft"] = {"guesses": guesses} | ({"open": [*asked]} if asked else {})
     by_column = {name: role.value for role, name in roles.by_role.items()}
-    return Draft(table, tuple(guesses), (*questions, *roles.open), tuple(signals), by_column, time.rate_hz)
+    return Draft(table, tuple(guesses), asked, tuple(signals), by_column, time.rate_hz)
 
 
 _LOOP_KEYS = {
@@ -414,6 +382,7 @@ def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], l
     stored: dict[str, str] = {}
     rules: dict[str, Any] = {}
     unknown, bare, said = [], [], []
+    short_of = _without_common_path([c.name for c in signals])
     for c in signals:
         unit = unit_of_word(c.unit) if c.unit else None
         if c.unit and unit is None:
@@ -423,11 +392,22 @@ def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], l
         else:
             said.append(f"{c.name!r} is in {unit}: {c.unit!r} stands with its name.")
         unit = unit or "1"
-        stored[c.name] = column_name(c.name, to_stored(unit)[0], set(rules))
+        stored[c.name] = column_name(short_of[c.name], to_stored(unit)[0], set(rules))
         own = {} if c.own_time is None else {"time": c.own_time}
-        rules[stored[c.name]] = _place_table(c.place) | {"unit": unit} | own
+        rules[stored[c.name]] = place_table(c.place) | {"unit": unit} | own
     if bare:
         said.append(f"no unit stands with {', '.join(bare)}: the numbers are taken as they are (unit 1).")
     if unknown:
         said.append(f"units that are not known are taken as they are (unit 1): {', '.join(unknown)}.")
     return stored, rules, said
+
+
+def _without_common_path(names: Sequence[str]) -> dict[str, str]:
+    """Names without the path that all have in common (`exp1.`), so that files of one rig make the same columns."""
+    paths = {name: parts_of(name) or [name] for name in names}
+    shared = 0
+    while len(names) > 1 and all(len(path) > shared + 1 for path in paths.values()):
+        if len({path[shared] for path in paths.values()}) > 1:
+            break
+        shared += 1
+    return {name: ".".join(path[shared:]) for name, path in paths.items()}

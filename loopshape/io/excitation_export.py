@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape import __version__
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.experiment import Experiment
 from loopshape.io.files import make_folder, short, write_text_whole, write_whole
@@ -24,8 +24,7 @@ _A_LINE = 6  # numbers in a line of C
 
 def export_signals(folder: Path, experiments: Sequence[Experiment], to: str) -> tuple[Path, ...]:
     """Write the signals of each experiment as "csv", "mat" or "c"; gives the files. Refuses an unknown format."""
-    if to not in WRITERS:
-        raise WrongUseError("a format for signals is not known", repr(to), f"use {', '.join(WRITERS)}")
+    refuse_unknown("a format for signals is not known", to, WRITERS)
     ending, write = WRITERS[to]
     if to == "c":
         _refuse_alike([_identifier(e.name) for e in experiments])

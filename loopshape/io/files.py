@@ -12,6 +12,7 @@ import tokenize
 import tomllib
 import zipfile
 import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -26,11 +27,12 @@ from loopshape.io.toml_text import toml_text
 PART = ".part"  # ending of a file that is still being written
 _HOST = f"{zlib.crc32(platform.node().encode()):08x}"[:4]
 _OF_A_PROCESS = re.compile(rf"\..*\.{_HOST}-(\d+)-[0-9a-f]{{8}}{re.escape(PART)}", re.DOTALL)  # of this machine
+_OWN_PARTS: deque[Path] = deque(maxlen=64)  # what this process began to write of late
 _LONGEST_TOML = 256 * 1024 * 1024  # bytes; a run of half a million recordings is shorter
 
 #: what readers of damaged or foreign files raise
 _DAMAGE: tuple[type[Exception], ...] = (
-    OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError, MemoryError,
+    OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError,
     NotImplementedError, RecursionError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile,
     SyntaxError, tokenize.TokenError,  # numpy parses the head of an array as Python
 )  # fmt: skip
@@ -58,6 +60,12 @@ def reading(path: Path, kind: str, *also: type[Exception]) -> Iterator[None]:
         raise UnreadableInputError("a folder stands in the place of a file", str(path), "name the file") from None
     except PermissionError:
         raise UnreadableInputError("a file may not be read", str(path), "ask for permission to read it") from None
+    except MemoryError as error:
+        raise UnreadableInputError(
+            f"memory is not enough to read {path} as {kind}",
+            short(error) or "no size",
+            "end other programs or read fewer columns; a file of a few kilobytes that asks for it is damaged",
+        ) from None
     except (*_DAMAGE, *also) as error:
         raise UnreadableInputError(
             f"{path} cannot be read as {kind}",
@@ -120,7 +128,15 @@ def put(part: Path, path: Path) -> None:
 
 def part_of(path: Path) -> Path:
     """Where this process writes what is to stand at a path: a hidden name beside it that no other one takes."""
-    return path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{PART}")
+    part = path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{os.urandom(4).hex()}{PART}")
+    _OWN_PARTS.append(part)
+    return part
+
+
+def remove_own_parts() -> None:
+    """Remove what this process is writing: its program is about to end in the midst of it."""
+    for part in _OWN_PARTS:
+        remove_part(part)
 
 
 @contextmanager
@@ -214,6 +230,24 @@ def write_text_whole(path: Path, text: str) -> None:
     write_whole(path, lambda part: _write_text(part, text))
 
 
+def write_beside(path: Path, text: str) -> str:
+    """Write a text under the first free name of name.x, name_2.x and so on, and give it; what stands there is kept.
+
+    A file that holds this very text is the one.
+    """
+    for k in range(1, _MOST_BESIDE):
+        free = path.with_stem(path.stem + f"_{k}" * (k > 1))
+        if not os.path.lexists(free):
+            write_text_whole(free, text)
+            return free.name
+        if free.is_file() and free.stat().st_size == len(text.encode()) and free.read_text("utf-8") == text:
+            return free.name
+    raise WrongUseError("a file of this name can be written", f"{_MOST_BESIDE} of {path}", "remove old ones")
+
+
+_MOST_BESIDE = 1000
+
+
 def _write_text(path: Path, text: str) -> None:
     try:
         data = text.encode("utf-8")
@@ -275,7 +309,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 #: slips of the pen in TOML that a line shows, and their cure
 _SLIPS = (
-    (re.compile(r"[\w\"']+\s*=\s*[-+]?\d+,\d+\s*(#.*)?"), "write a decimal point: 500.0"),
+    (re.compile(r"[\w\"']+\s*=\s*[-+]?\d+,\d+\s*(#.*)?"), "write a decimal point: {}"),
     (re.compile(r".*=\s*[A-Za-zÄÖÜäöüß][^\"'\[\]{}]*(#.*)?"), 'put texts in quotes: "..." (truth is true or false)'),
     (re.compile(r"[\w.\"'-]+\s*:\s*\S.*"), "write key = value"),
 )
@@ -290,7 +324,8 @@ def _refuse_slip(path: Path, text: str, said: str) -> None:
         raise UnreadableInputError(f"{path} is no TOML", short(line), f'put texts in quotes: "{inner[1]}"')
     for pattern, cure in _SLIPS:
         if pattern.fullmatch(line):
-            raise UnreadableInputError(f"{path} is no TOML", short(line), cure)
+            own = line.partition("=")[2].partition("#")[0].strip().replace(",", ".")
+            raise UnreadableInputError(f"{path} is no TOML", short(line), cure.replace("{}", short(own)))
 
 
 def write_toml(path: Path, data: Mapping[str, Any]) -> None:

@@ -63,6 +63,8 @@ def _fit(table: dict[str, Any]) -> Fit:
         loop=str(table["loop"]),
         operating_point={str(k): float(v) for k, v in table["operating_point"].items()},
         delay_free=bool(table["delay_free"]),
+        starts=int(table.get("starts", 1)),
+        starts_agreeing=int(table.get("starts_agreeing", 1)),
         frf_digest=str(table.get("frf_digest", "")),
         rig_parameters={str(k): float(v) for k, v in table.get("rig_parameters", {}).items()},
     )

@@ -107,10 +107,13 @@ def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a table begins as those of `frf_csv` do: with its mark, or with the column frequency_hz."""
+    """Whether a table begins as those of `frf_csv` do: with its mark, or with frequency_hz and real parts."""
     with reading(path, "CSV"), path.open(encoding="utf-8-sig", errors="replace") as file:
-        first = file.readline()
-    return first.startswith("#") or "frequency_hz" in first.strip().split(",")
+        first, second = file.readline(), file.readline()
+    names = [name.strip() for name in first.split(",")]
+    parts = [name for name in names if name.split("_")[0] in ("re", "im")]
+    marked = first.startswith("# loopshape-") or (first.startswith("#") and second.startswith("# {"))
+    return marked or ("frequency_hz" in names and bool(parts or len(names) == 1))
 
 
 def _header(path: Path) -> tuple[Mapping[str, Any], int]:

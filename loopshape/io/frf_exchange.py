@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.core.errors import UnreadableInputError, WrongUseError, refuse_unknown
 from loopshape.data.algebra.operations import negated, without_controller
 from loopshape.data.frf import FRF
-from loopshape.io.files import PART, inside, make_folder, put, staged, writing
+from loopshape.io.files import PART, inside, make_folder, plain_name, put, staged, writing
 from loopshape.io.frf_csv import frf_csv, read_frf_csv
 from loopshape.io.frf_foreign import ForeignFRF, Stated, frf_of
 from loopshape.io.frf_hdf5 import read_frf_hdf5, write_frf_hdf5
@@ -63,6 +63,7 @@ _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
     "touchstone": lambda path, _: read_touchstone(path),
     "ligo": lambda path, _: read_ligo_xml(path),
 }
+_LONGEST_NAME = 80
 _READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone", ".xml": "ligo"}
 _ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff", ".h5": "hdf5", ".hdf5": "hdf5"}
 
@@ -72,8 +73,7 @@ def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ..
 
     All are written beside each other first and put in place when the last is whole; one of the same name is replaced.
     """
-    if to not in FORMATS:
-        raise WrongUseError("a format is not known", repr(to), f"use {', '.join(FORMATS)}")
+    refuse_unknown("a format is not known", to, FORMATS)
     kind = FORMATS[to]
     names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}{kind.ending}" for frf in frfs]
     refuse_doubles(names, str(out), "FRFs")
@@ -116,9 +116,23 @@ def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
     return replace(
         frf,
         recording=frf.recording or path.stem.replace(".", "-"),
-        loop=frf.loop or "+".join(frf.outputs),
+        loop=frf.loop or _loop_of(frf.outputs),
         notes=(*frf.notes, f"imported from {path.name}"),
     )
+
+
+def _loop_of(outputs: Sequence[str]) -> str:
+    """A loop's name after its outputs; of many, which a file's name does not hold, the first and how many more."""
+    whole = "+".join(outputs)
+    return whole if len(whole) <= _LONGEST_NAME else f"{outputs[0]}+{len(outputs) - 1}"
+
+
+def _check_names(frfs: Sequence[FRF]) -> None:
+    """Refuse names that are no file's before a folder is made for them."""
+    for frf in frfs:
+        for name, option in ((frf.recording, "--recording"), (frf.loop, "--loop")):
+            if name:
+                plain_name(name, f"the name of a FRF ({option} gives another)")
 
 
 def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -> tuple[Path, ...]:
@@ -133,6 +147,7 @@ def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -
             str(folder),
             "choose another folder",
         )
+    _check_names(frfs)
     make_folder(folder)
     with held(folder):
         ours = (PART, "figures", "fits.json", "export", FOLDER)

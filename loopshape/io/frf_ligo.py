@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from xml.parsers import expat
 
 import numpy as np
 
@@ -64,16 +65,26 @@ def read_ligo_xml(path: Path) -> ForeignFRF:
 
 
 def _root(path: Path) -> ET.Element:
-    with reading(path, "diagnostics XML", ET.ParseError):
+    with reading(path, "diagnostics XML", ET.ParseError, expat.ExpatError):
         if path.stat().st_size > _LONGEST:
             raise ValueError(f"more than {_LONGEST} bytes")
         text = path.read_bytes()
-        if b"<!ENTITY" in text:
-            raise ValueError("it defines entities, which diagnostics files do not")
+        _refuse_entities(text)
         root = ET.fromstring(text)
         if root.tag != "LIGO_LW":
             raise ValueError(f"its root is {short(root.tag, 40)}, not LIGO_LW")
     return root
+
+
+def _refuse_entities(text: bytes) -> None:
+    """Refuse entities in front of the root, in whatever encoding: diagnostics files define none."""
+
+    def refuse(*_: object) -> None:
+        raise ValueError("it defines entities, which diagnostics files do not")
+
+    parser = expat.ParserCreate()
+    parser.EntityDeclHandler = refuse
+    parser.Parse(text, True)
 
 
 def _words(element: ET.Element) -> dict[str, str]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
 from loopshape.io.column_words import split_unit
-from loopshape.io.csv_text import first_text, read_csv_table
+from loopshape.io.csv_text import read_csv_table, whole_text
 from loopshape.io.files import short
 from loopshape.io.frf_foreign import ForeignFRF
 from loopshape.io.text_layout import TextLayout, read_layout
@@ -33,11 +35,12 @@ _WORDS = {
     "coherence": ("coherence", "coh", "gamma2"),
     "std": ("std", "sigma"),
 }
+_POLAR, _CARTESIAN = ("magnitude", "phase"), ("real", "imag")
 _PAIR = re.compile(r"\(?\s*([-+\d.eE]+)\s*(dB)?\s*,\s*([-+\d.eE]+)\s*(°|deg|Â°|\ufffd)?\s*\)?", re.IGNORECASE)
 
 
 def read_frf_table(path: Path) -> ForeignFRF:
-    """The FRF of one input and output in a table; of several traces the first, with a note.
+    """The FRF of one input and output in a table; of several traces the first that is whole, with a note.
 
     Refuses a table whose header does not say what its columns are, and rows that are no numbers.
     """
@@ -62,35 +65,62 @@ def _shaped(values: Array | None, order: np.ndarray) -> Array | None:
 
 
 def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
-    """Column and unit of each part; the first of a kind goes. Refuses a header that does not tell enough."""
-    found: dict[str, tuple[int, str]] = {}
-    for k, name in enumerate(layout.names):
-        title, unit = split_unit(name)
-        unit = (layout.units[k] or unit).strip("[]() ").lower()
-        words = re.split(r"[^a-zα-ω0-9]+", title.lower())
-        unit = "db" if "db" in words else unit
-        kind = _kind(words, unit)
-        if kind is not None and kind not in found:
-            found[kind] = (k, unit)
-    polar, cartesian = {"magnitude", "phase"} <= set(found), {"real", "imag"} <= set(found)
-    if "frequency" not in found or not (polar or cartesian):
-        raise UnreadableInputError(
-            f"{path.name} is no table of a FRF", short(", ".join(layout.names)) or "no header",
-            "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag",
-        )  # fmt: skip
-    parts = ("real", "imag") if cartesian else ("magnitude", "phase")
-    return {what: place for what, place in found.items() if what in ("frequency", "coherence", "std", *parts)}
+    """Column and unit of each part, of one trace; refuses a header that does not tell enough, or tells of several.
+
+    Analysers write a trace in several forms, each as a column: real and imaginary part go before magnitude and phase.
+    Parts of two traces make a response where there is no more than one of each.
+    """
+    columns = [_told(name, layout.units[k]) for k, name in enumerate(layout.names)]
+    frequency = next((k for k, c in enumerate(columns) if c.kind == "frequency"), None)
+    traces = list(dict.fromkeys(c.trace for c in columns if c.kind in (*_POLAR, *_CARTESIAN)))
+    for parts, trace in product((_CARTESIAN, _POLAR), (*traces, None)):
+        mine = [(k, c) for k, c in enumerate(columns) if trace is None or c.trace == trace]
+        found = {part: [(k, c.unit) for k, c in mine if c.kind == part] for part in parts}
+        alone = trace is not None or all(len(places) == 1 for places in found.values())
+        if frequency is not None and alone and all(found.values()):
+            beside = {c.kind: (k, c.unit) for k, c in reversed(mine) if c.kind in ("coherence", "std")}
+            return {
+                "frequency": (frequency, columns[frequency].unit),
+                **{part: places[0] for part, places in found.items()},
+                **beside,
+            }
+    raise UnreadableInputError(
+        f"{path.name} is no table of a FRF", short(", ".join(layout.names)) or "no header",
+        "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What a column's title tells: its part ("" for none), its unit, and of which trace it is."""
+
+    kind: str
+    unit: str
+    trace: tuple[str, ...]
+
+
+def _told(name: str, unit: str) -> _Told:
+    title, own = split_unit(name)
+    unit = (unit or own).strip("[]() ").lower()
+    words = [word for word in re.split(r"[^a-zα-ω0-9]+", title.lower()) if word]
+    if unit in (*_WORDS["real"], *_WORDS["imag"]):  # the form stands where others write a unit
+        words, unit = [*words, unit], ""
+    unit = "db" if "db" in words else unit or next((word for word in words if word in _PER_HZ), "")
+    known = {word for some in _WORDS.values() for word in some}
+    return _Told(_kind(words, unit) or "", unit, tuple(word for word in words if word not in known))
 
 
 def _kind(words: Sequence[str], unit: str) -> str | None:
     if unit in _PER_HZ:
         return "frequency"
-    named = [kind for kind, known in _WORDS.items() if any(word in known for word in reversed(words))]
+    named = [kind for kind, known in _WORDS.items() if any(word in known for word in words)]
+    if cartesian := [kind for kind in _CARTESIAN if kind in named]:  # the real part of a gain
+        return cartesian[0]
     if unit == "db" and "phase" not in named:
         return "magnitude"
-    if unit in ("deg", "°", "degree", "degrees") and "magnitude" not in named[:1]:
-        return "phase"
-    for kind in ("phase", "real", "imag", "coherence", "std", "magnitude", "frequency"):
+    if unit in ("deg", "°", "degree", "degrees") and ("magnitude" not in named[:1] or set(words) & {"gain"}):
+        return "phase"  # of a gain too: Bode 100 writes "Gain (Degree)"
+    for kind in ("phase", "coherence", "std", "magnitude", "frequency"):
         if kind in named:
             return kind
     return None
@@ -149,7 +179,7 @@ def _passed(layout: TextLayout, places: Mapping[str, tuple[int, str]]) -> tuple[
 
 def _of_pairs(path: Path) -> ForeignFRF | None:
     """LTspice's export: a frequency and cells of two parts, separated by tabs; None for another file."""
-    text, _ = first_text(path, _MOST_BYTES)
+    text = whole_text(path, _MOST_BYTES)
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < 2 or "\t" not in lines[0] or _PAIR.fullmatch(lines[1].split("\t")[-1].strip()) is None:
         return None

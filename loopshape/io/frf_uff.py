@@ -18,10 +18,11 @@ from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUse
 from loopshape.data.frf import FRF
 from loopshape.io.files import reading, short, write_bytes_whole
 from loopshape.io.frf_foreign import ForeignFRF
+from loopshape.io.mdf4 import TIME_OF
 
 FORMAT = "loopshape-uff/1"
 LIMIT_BYTES = 512 * 2**20
-_FRF, _COHERENCE, _FREQUENCY = 4, 6, 18
+_HISTORY, _FRF, _COHERENCE, _TIME, _FREQUENCY = 1, 4, 6, 17, 18
 _TAG = re.compile(rb"    -1(?=[\r\n]| {74}|\Z)")
 _DIRECTIONS = {0: "", 1: "_x", 2: "_y", 3: "_z", 4: "_rx", 5: "_ry", 6: "_rz"}
 
@@ -119,7 +120,7 @@ def read_frf_uff(path: Path) -> ForeignFRF:
     frfs, coherences = _by_pair(path, sets, _FRF), _by_pair(path, sets, _COHERENCE)
     if not frfs:
         found = ", ".join(sorted({str(s["func_type"]) for s in sets})) or "none"
-        raise UnreadableInputError(f"{path} holds no frequency response (58, type 4)", f"types {found}", "export FRFs")
+        raise UnreadableInputError(f"{path} holds no frequency response (58, type 4)", f"types {found}", _way(found))
     rows = list(dict.fromkeys(pair[0] for pair in frfs))
     columns = list(dict.fromkeys(pair[1] for pair in frfs))
     f = np.asarray(next(iter(frfs.values()))["x"], dtype=float)
@@ -137,6 +138,40 @@ def read_frf_uff(path: Path) -> ForeignFRF:
     if others:
         notes.append(f"{others} functions of {path.name} are neither FRF nor coherence and were passed over")
     return ForeignFRF(str(path), f, response, {}, words, tuple(notes), element_coherence=coherence)
+
+
+def _way(types: str) -> str:
+    return "time histories are read by loopshape import" if str(_HISTORY) in types.split(", ") else "export FRFs"
+
+
+def read_uff_histories(path: Path) -> dict[str, np.ndarray]:
+    """Time histories (type 1) of a universal file by their node, `ch1_x`, and stamps `time of ch1_x` in s.
+
+    Refuses a file without any, and one of a node that stands twice.
+    """
+    found: dict[str, np.ndarray] = {}
+    for name, s in _histories(path):
+        if name in found:
+            raise UnreadableInputError(f"{path} holds one node twice", name, "leave one measurement in it")
+        found |= {name: np.asarray(s["data"], dtype=float), TIME_OF + name: np.asarray(s["x"], dtype=float)}
+    if not found:
+        raise UnreadableInputError(
+            f"{path} holds no time history (58, type 1)", path.name,
+            f"frequency responses are read by: loopshape import-frf {path} --out FOLDER",
+        )  # fmt: skip
+    return found
+
+
+def uff_units(path: Path) -> dict[str, str]:
+    """The unit that each time history states, and s of the stamps."""
+    units = {name: str(s.get("ordinate_axis_units_lab", "")).strip() for name, s in _histories(path)}
+    return {n: "" if u == "NONE" else u for n, u in units.items()} | {TIME_OF + n: "s" for n in units}
+
+
+def _histories(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    sets = [s for s in _functions(path) if s["func_type"] == _HISTORY and s["abscissa_spec_data_type"] in (0, 1, _TIME)]
+    places = [(str(s["rsp_ent_name"]), int(s["rsp_node"]), int(s["rsp_dir"])) for s in sets]
+    return [(_name("ch", place).removesuffix("_1"), s) for place, s in zip(places, sets, strict=True)]
 
 
 def _functions(path: Path) -> list[dict[str, Any]]:

@@ -42,6 +42,7 @@ _WORDS = (
     "notes",
     "open_loop",
     "hold",
+    "method_numbers",
 )
 
 
@@ -110,4 +111,5 @@ def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
         "notes": tuple(map(str, header["notes"])),
         "open_loop": _flag(header.get("open_loop", False)),
         "hold": _hold(header),
+        "method_numbers": {str(k): float(v) for k, v in header.get("method_numbers", {}).items()},
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from loopshape.core.stretches import LongColumns, LongSignal, Signal, stretches
 from loopshape.core.units import Array
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
+from loopshape.io.files import short
 from loopshape.io.import_map import ColumnRule, ImportMap, read_map
 from loopshape.io.made_columns import make_columns
 from loopshape.io.sources import Source, open_source
@@ -25,7 +27,7 @@ _GAP = 1.5  # median steps
 
 
 def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accept_draft: bool = False) -> Run:
-    """The run with one recording that a map makes of a file; `run_folder.write_run` stores it.
+    """The run that a map makes of a file, of one recording or one of each episode; `run_folder.write_run` stores it.
 
     The recording is in memory; a long one is read from its file as it is asked for, of CSV from a copy of its numbers
     on the disk of the folder `beside`. What has to be resampled is held whole.
@@ -39,6 +41,24 @@ def import_file(file: Path, map_file: Path, beside: Path | None = None, *, accep
     rules = read_map(map_file, file.name.split(".")[0], accept_draft=accept_draft)
     places = [rule.place for rule in (*rules.columns, rules.time) if rule is not None]
     source = open_source(file, rules.csv, places, beside)
+    if not source.pieces and not rules.episodes:
+        return _one(file, source, rules)
+    if unknown := sorted({*rules.episodes} - {*source.pieces}):
+        raise WrongUseError(
+            f"{file.name} does not hold these episodes of [recording]", short(", ".join(map(str, unknown))),
+            f"it holds {short(', '.join(map(str, source.pieces))) or 'one recording'}: name those, or none",
+        )  # fmt: skip
+    runs = []
+    for k in rules.episodes or source.pieces:
+        info = replace(rules.info, file=f"{rules.info.name}-episode-{k}.parquet")
+        runs.append(_one(file, source.piece(k), replace(rules, info=info)))
+    notes = [note for run in runs for note in run.extra["notes"]]
+    recordings = tuple(recording for run in runs for recording in run.recordings)
+    return replace(runs[0], recordings=recordings, extra={**runs[0].extra, "notes": notes})
+
+
+def _one(file: Path, source: Source, rules: ImportMap) -> Run:
+    """The run with one recording that a map makes of a file's arrays."""
     columns: Mapping[str, Signal] = {rule.stored: _signal(source, rule) for rule in rules.columns}
     notes = [f"{rules.info.name}: imported from {file.name}"]
     if rules.guesses:

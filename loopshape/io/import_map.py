@@ -25,8 +25,10 @@
     name = "r01"                               # default: the file's name
     from_row = 2001                            # first and last row that are taken
     to_row = 52000
+    episodes = [0, 2]                          # of a file that holds several (LeRobot); default: all, each a recording
 
     [draft]                                    # only in a draft, which is taken with --accept
+    file = "log.csv"                           # of which file, and its sha256
     guesses = ["..."]                          # what was guessed, each with its reason
     open = ["..."]                             # what could not be told
 
@@ -51,7 +53,7 @@ from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import RecordingInfo
 from loopshape.io.csv_text import CsvShape
-from loopshape.io.files import plain_name
+from loopshape.io.files import plain_name, short
 from loopshape.io.made_columns import MadeRule, check_made, made_of_loops, read_made
 from loopshape.io.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
 from loopshape.io.sources import Place
@@ -97,6 +99,7 @@ class ImportMap:
     info: RecordingInfo
     from_row: int
     to_row: int | None
+    episodes: tuple[int, ...]
     plant: str | None
     pwm: Mapping[str, float]
     parameters: Mapping[str, Any]
@@ -142,6 +145,7 @@ def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -
         info=_read_info(recording, default_name, loops),
         from_row=from_row,
         to_row=to_row,
+        episodes=_episodes(recording),
         plant=words.maybe_text("plant"),
         pwm=words.numbers("pwm"),
         parameters=words.numbers("parameters"),
@@ -155,7 +159,7 @@ def _draft(words: Words, accepted: bool) -> tuple[str, ...]:
     if "draft" not in words.table:
         return ()
     draft = words.inner("draft")
-    draft.only("guesses", "open")
+    draft.only("file", "sha256", "guesses", "open")
     if questions := draft.list_of_texts("open"):
         raise WrongUseError(
             f"{words.where} is a draft that leaves questions open", " ".join(questions),
@@ -264,8 +268,16 @@ def _rows(words: Words) -> tuple[int, int | None]:
     return first - 1, last
 
 
+def _episodes(words: Words) -> tuple[int, ...]:
+    """Numbers of the episodes that are taken; empty for all."""
+    numbers = words.list_of_numbers("episodes") if "episodes" in words.table else ()
+    if len(set(numbers)) != len(numbers) or not all(x >= 0 and x.is_integer() for x in numbers):
+        raise WrongUseError(f"{words.where}: episodes are whole numbers from 0 on, each once", short(str(numbers)))
+    return tuple(int(x) for x in numbers)
+
+
 def _read_info(words: Words, default_name: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
-    words.only("name", "from_row", "to_row", *INFO_KEYS)
+    words.only("name", "from_row", "to_row", "episodes", *INFO_KEYS)
     with said_in(words.where):
         name = plain_name(words.text("name", default_name), "the name of a recording")
     if "." in name:

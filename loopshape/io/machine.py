@@ -13,15 +13,16 @@ import os
 import runpy
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.axis import axis
-from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
+from loopshape.data.machine import LAW, MATTERS, Input, Kind, Mechanism, Model, ModelParameter, Output, Port, Unit
 from loopshape.io.files import clear, inside, part_of, reading, short
+from loopshape.io.growth import check_zip
 from loopshape.io.words import Words, read_words, said_in
 
 FORMAT = "loopshape-model/1"
@@ -32,6 +33,7 @@ _KEYS = (
     "function",
     "states",
     "window_s",
+    "matters",
     "without",
     "parameter",
     "input",
@@ -39,10 +41,14 @@ _KEYS = (
     "port",
     "kind",
 )
-_MUJOCO = ("format", "name", "mujoco", "window_s", "without", "spread", "sensors", "actuators", "kind")
-_FMU = ("format", "name", "fmu", "window_s", "without", "parameter", "input", "output", "port", "kind")
-_AXIS = ("format", "name", "axis", "window_s", "without", "effort", "position", "load_position", "numbers", "kind")
-_SPREAD = ("mass", "damping", "armature", "motor_constant")
+_MUJOCO = ("format", "name", "mujoco", "window_s", "matters", "without", "spread", "sensors", "actuators", "kind")
+_FMU = ("format", "name", "fmu", "window_s", "matters", "without", "parameter", "input", "output", "port", "kind")
+_AXIS = (
+    "format", "name", "axis", "window_s", "matters", "without", "effort", "position", "load_position", "numbers",
+    "kind",
+)  # fmt: skip
+_SPREAD = ("mass", "damping", "armature", "frictionloss", "motor_constant")
+_MOTOR = ("resistance", "torque_constant", "back_emf", "gear", "voltage", *LAW)
 
 
 def read_model(path: Path) -> Model | Mechanism | Unit:
@@ -69,7 +75,8 @@ def read_model(path: Path) -> Model | Mechanism | Unit:
             inputs=tuple(_input(w) for w in words.tables("input")),
             outputs=tuple(_output(w) for w in words.tables("output")),
             ports=tuple(_port(w) for w in words.tables("port")),
-            window_s=words.positive("window_s", 1.0),
+            window_s=words.positive("window_s") if "window_s" in words.table else None,
+            matters=words.positive("matters", MATTERS),
             without=words.list_of_texts("without"),
             kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
@@ -88,7 +95,8 @@ def _axis(path: Path, words: Words) -> Model:
             if "load_position" in words.table
             else None,
             rotary=rotary,
-            window_s=words.positive("window_s", 1.0),
+            window_s=words.positive("window_s") if "window_s" in words.table else None,
+            matters=words.positive("matters", MATTERS),
             name=words.text("name", path.stem),
             without=words.list_of_texts("without"),
         )
@@ -110,8 +118,8 @@ def _column(w: Words, name: str) -> Input:
 
 
 def _sensor(w: Words, name: str, state: str) -> Output:
-    w.only("column", "factor")
-    return Output(name, state, w.text("column"), _factor(w))
+    w.only("column", "factor", "offset")
+    return Output(name, state, w.text("column"), _factor(w), offset=w.number("offset", 0.0))
 
 
 def _mechanism(path: Path, words: Words) -> Mechanism:
@@ -119,17 +127,31 @@ def _mechanism(path: Path, words: Words) -> Mechanism:
     words.need("sensors", "actuators")
     spread = words.inner("spread")
     spread.only(*_SPREAD)
+    actuators = words.inner("actuators")
     with said_in(path.name):
         return Mechanism(
             name=words.text("name", path.stem),
             spec=_specification(path.parent, words.text("mujoco")),
             spread={kind: spread.numbers(kind) for kind in spread.table},
-            actuators=_columns(words.inner("actuators")),
-            sensors=_columns(words.inner("sensors")),
-            window_s=words.positive("window_s", 1.0),
+            actuators={n: (w.text("column"), _factor(w)) for n, w in _each(actuators, *_MOTOR)},
+            sensors={
+                n: (w.text("column"), _factor(w), w.number("offset", 0.0))
+                for n, w in _each(words.inner("sensors"), "offset")
+            },
+            window_s=words.positive("window_s") if "window_s" in words.table else None,
+            matters=words.positive("matters", MATTERS),
             without=words.list_of_texts("without"),
             kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
+            motors={n: m for n in actuators.table if (m := _motor(actuators.inner(n)))},
         )
+
+
+def _motor(w: Words) -> dict[str, float]:
+    """Numbers of a DC motor, none where an actuator has a column alone."""
+    given = [key for key in _MOTOR if key in w.table]
+    if given:
+        w.need("resistance", "torque_constant")
+    return {key: w.number(key) if key in LAW else w.positive(key) for key in given}
 
 
 def _unit(path: Path, words: Words) -> Unit:
@@ -146,7 +168,8 @@ def _unit(path: Path, words: Words) -> Unit:
             inputs=tuple(_input(w) for w in words.tables("input")),
             outputs=tuple(_output(w) for w in words.tables("output")),
             ports=tuple(_port(w) for w in words.tables("port")),
-            window_s=words.positive("window_s", 1.0),
+            window_s=words.positive("window_s") if "window_s" in words.table else None,
+            matters=words.positive("matters", MATTERS),
             without=words.list_of_texts("without"),
             kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
         )
@@ -178,6 +201,7 @@ def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
             "an FMU needs the package FMPy", "it is not installed", "pip install loopshape[fmu]"
         ) from None
     try:
+        check_zip(path)
         description = fmpy.read_model_description(str(path))
         clear(Path(tempfile.gettempdir()))
         target = str(part_of(Path(tempfile.gettempdir()) / "loopshape-fmu"))
@@ -189,18 +213,16 @@ def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
     return target, description
 
 
-def _columns(w: Words) -> dict[str, tuple[str, float]]:
-    """Column and factor by name."""
-    out = {}
+def _each(w: Words, *also: str) -> Iterator[tuple[str, Words]]:
+    """Name and table of each column, its factor and what else it may have."""
     for name in w.table:
         own = w.inner(name)
-        own.only("column", "factor")
-        out[name] = (own.text("column"), _factor(own))
-    return out
+        own.only("column", "factor", *also)
+        yield name, own
 
 
 def _specification(folder: Path, file: str) -> Any:
-    """The MuJoCo model as an `MjSpec` that compiles."""
+    """The MuJoCo model, or the URDF, as an `MjSpec` that compiles; nothing touches in a URDF."""
     path = _named(folder, file, "the MuJoCo model")
     try:
         import mujoco
@@ -211,6 +233,8 @@ def _specification(folder: Path, file: str) -> Any:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compile()
+        for geom in spec.geoms if path.suffix.lower() == ".urdf" else ():
+            geom.contype = geom.conaffinity = 0
     except ValueError as error:
         raise UnreadableInputError(f"{file} does not compile in MuJoCo", short(str(error))) from error
     return spec
@@ -221,7 +245,7 @@ def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
     path = _named(folder, file, "the Python file of a model")
     try:
         found = runpy.run_path(str(path)).get(name)
-    except Exception as error:  # a user's code may raise anything
+    except (Exception, SystemExit) as error:  # a user's code may raise anything, and end the command
         raise UnreadableInputError(
             f"{file} does not run", f"{type(error).__name__}: {error}", f"run it with python {file}"
         ) from error
@@ -265,13 +289,21 @@ def _factor(w: Words) -> float:
 
 
 def _input(w: Words) -> Input:
-    w.only("name", "column", "factor", "tolerance", "unit")
-    return Input(w.text("name"), w.maybe_text("column"), _factor(w), w.number("tolerance", 0.0), w.text("unit", "1"))
+    w.only("name", "column", "factor", "tolerance", "unit", "schedules")
+    return Input(
+        w.text("name"),
+        w.maybe_text("column"),
+        _factor(w),
+        w.number("tolerance", 0.0),
+        w.text("unit", "1"),
+        w.truth("schedules", False),
+    )
 
 
 def _output(w: Words) -> Output:
-    w.only("name", "state", "column", "factor", "unit")
-    return Output(w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"))
+    w.only("name", "state", "column", "factor", "unit", "offset")
+    offset = w.number("offset", 0.0)
+    return Output(w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"), offset)
 
 
 def _port(w: Words) -> Port:

@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
+from loopshape.core.units import SUFFIXES
 from loopshape.data.channel import Channel
 from loopshape.data.controller import Controller
 from loopshape.data.experiment import LoopSetup
@@ -71,9 +72,20 @@ def _unit_of(made: MadeRule, where: str) -> str:
     if len(units) != 1 or (made.controller is None and units != {own}):
         raise WrongUseError(
             f"{where}: a sum has one unit", f"terms in {', '.join(sorted(units))}, a column in {own}",
-            "add columns of one unit, and end the column's name in it",
+            _one_unit(made, own),
         )  # fmt: skip
     return units.pop()
+
+
+def _one_unit(made: MadeRule, own: str) -> str:
+    """The cure for a sum of several units: a gain in the rule of a column makes one unit of another."""
+    other = next(((f, n) for f, n in made.terms if Channel.from_column(n).unit != own), None)
+    if other is None:
+        return f"end the column's name in _{Channel.from_column(made.terms[0][1]).unit}"
+    factor, name = other
+    stem = name.removesuffix(f"_{Channel.from_column(name).unit}")
+    rule = f'{stem}_{own} = {{ from = ..., unit = "{SUFFIXES[own]}", gain = {abs(factor):g} }}'
+    return f"bring {name} to the other's unit by a gain under [columns], {rule}, and add that without the factor"
 
 
 def made_of_loops(words: Words) -> tuple[Words, tuple[MadeRule, ...]]:

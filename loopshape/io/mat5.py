@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.io.growth import inflated
-from loopshape.io.mat_tree import DEEPEST, Found, Handle, Node, Thing
+from loopshape.io.mat_tree import DEEPEST, Found, Handle, Node, Thing, is_model
 from loopshape.io.mcos import Objects, handle_of
 
 _HEADER = 128
@@ -134,8 +134,8 @@ def _variable(data: memoryview, order: str, depth: int) -> tuple[str, Node]:
     name = bytes(_next(parts).data).decode("ascii")
     if number_class == _CELL:
         return name, [_variable(part.data, order, depth + 1)[1] for part in parts if part.kind == _MATRIX]
-    if number_class == _OBJECT:
-        _next(parts)  # its class
+    if number_class == _OBJECT and is_model(kind := bytes(_next(parts).data).decode("ascii")):
+        return name, Thing(kind, {})
     return name, _structures(parts, order, math.prod(int(n) for n in sizes), depth)
 
 

@@ -15,7 +15,7 @@ from loopshape.core.stretches import LONG, LongSignal
 from loopshape.core.units import Array
 from loopshape.io.files import reading
 from loopshape.io.growth import check_growth
-from loopshape.io.mat_tree import DEEPEST, Found, Node
+from loopshape.io.mat_tree import DEEPEST, Found, Node, Thing, is_model
 from loopshape.io.mcos import Objects, handle_of
 
 _KIND = "MAT v7.3"
@@ -108,6 +108,8 @@ class _Tree:
         self._nodes += 1
         if depth > DEEPEST or self._nodes > _MOST_NODES:
             raise ValueError(f"it holds more than {_MOST_NODES} members, or some more than {DEEPEST} deep")
+        if isinstance(member, h5py.Group) and is_model(kind := _word(member, "MATLAB_class")):
+            return Thing(kind, {})
         if isinstance(member, h5py.Group):
             return self._structure(member, depth)
         kind = _word(member, "MATLAB_class")

@@ -1,7 +1,8 @@
 """What the variables of a MAT file hold, as signals by name: structures, cells, tables and Simulink's objects.
 
 The readers of both kinds of file (`mat5`, `mat73`) make nodes: an array (or a dataset that is loaded later), a text, a
-dictionary (a structure), a list (a cell, or a list of structures), or a `Handle` (objects, kept elsewhere in the file).
+dictionary (a structure), a list (a cell, or a list of structures), a `Handle` (objects, kept elsewhere in the file), or
+a `Thing` (an object of an older kind, kept in its place).
 
 | class | signals | source |
 |---|---|---|
@@ -31,6 +32,8 @@ _LABELS = ("Name", "name", "label", "Label", "blockName")
 _WITHIN = {"any", "Storage", "Storage_", "Elements", "Elements_", "Values"}
 _SIMULINK = "Simulink."
 _CLOSED = "MatFileDatasetStorage"  # its signals lie in records that no document describes
+#: MATLAB's objects of models and of data in parts of their own: no signals by name (`iddata`: its OutputData, by hand)
+_MODELS = {"iddata", "idfrd", "idss", "idtf", "idpoly", "idproc", "idgrey", "tf", "ss", "zpk", "frd", "pid", "genss"}
 _SECONDS = {"weeks": 604800.0, "days": 86400.0, "hours": 3600.0, "minutes": 60.0, "milliseconds": 1e-3,
             "microseconds": 1e-6, "nanoseconds": 1e-9}  # fmt: skip
 
@@ -73,6 +76,8 @@ class Found:
                 self.add(f"{name}.{key}", value, depth + 1)
         elif isinstance(node, list):
             self._list(name, node, depth)
+        elif isinstance(node, Thing):
+            self._thing(name, node, depth + 1)
         elif isinstance(node, Handle) and depth > DEEPEST_OBJECT:
             self.closed.append(name)
         elif isinstance(node, Handle):
@@ -113,6 +118,9 @@ class Found:
             self._others(name, kind, inner, depth)
 
     def _others(self, name: str, kind: str, inner: Mapping[str, Node], depth: int) -> None:
+        if is_model(kind):
+            self.closed.append(f"{name} ({kind})")
+            return
         for key, value in inner.items():
             if key == "any" and isinstance(value, dict):  # what the class itself said to save
                 self._others(name, kind, value, depth + 1)
@@ -199,6 +207,11 @@ class Found:
         return float(np.real(self.load(node).ravel()[0]))
 
 
+def is_model(kind: str) -> bool:
+    """Whether a class is one of MATLAB's models, or its data with parts of their own."""
+    return kind.rpartition(".")[2] in _MODELS
+
+
 def _labels(found: Sequence[str]) -> Sequence[str]:
     """Labels where each has one of its own, else none."""
     return found if all(found) and len(set(found)) == len(found) else [""] * len(found)
@@ -212,8 +225,14 @@ def _even_times(info: Mapping[str, Node], number: Callable[[Node], float]) -> np
 
 
 def refuse_closed(path: Path, found: Found) -> None:
-    """Refuse a file whose signals all lie in objects that stay closed."""
+    """Refuse a file whose signals all lie in objects that stay closed: Simulink's records, MATLAB's models."""
     if found.closed and not found.arrays:
+        if all(is_model(one.rpartition("(")[2].rstrip(")")) for one in found.closed):
+            raise UnreadableInputError(
+                f"{path.name} holds objects of MATLAB and no signals", ", ".join(found.closed[:3]),
+                "in MATLAB save arrays: u = data.InputData; y = data.OutputData; Ts = data.Ts; save('r.mat', 'u', 'y',"
+                " 'Ts'); of a model save its frequency response",
+            )  # fmt: skip
         raise UnreadableInputError(
             f"{path.name} keeps its signals in Simulink's own records", ", ".join(found.closed[:3]),
             "in MATLAB save it again without -v7.3, or save the Values (timeseries) of its elements",

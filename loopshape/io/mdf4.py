@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,33 @@ from loopshape.io.files import reading, short
 TIME_OF = "time of "
 
 
-def mdf_names(path: Path) -> tuple[str, ...]:
-    """Names of the channels of numbers, and of their times; a name that several groups have is left out."""
+class Arrays(dict[str, np.ndarray]):
+    """A file's arrays by name, and what it holds besides and is not read, each with why: `NAME (why)`.
+
+    `units` are those that the format defines, by name; `remarks` are what a reader of the draft must know.
+    """
+
+    def __init__(
+        self,
+        arrays: Mapping[str, np.ndarray],
+        closed: Iterable[str] = (),
+        units: Mapping[str, str] | None = None,
+        remarks: Iterable[str] = (),
+    ) -> None:
+        super().__init__(arrays)
+        self.closed = tuple(dict.fromkeys(closed))
+        self.units = dict(units or {})
+        self.remarks = tuple(remarks)
+
+
+def mdf_names(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the channels of numbers, and of their times; and the names that several groups have: left out."""
     with _opened(path) as file:
         names = [name for name, places in file.channels_db.items() if len(places) == 1 and not _is_master(file, places)]
-    return (*names, *(TIME_OF + name for name in names))
+        own = {name: [place for place in places if not _is_master(file, [place])]
+               for name, places in file.channels_db.items()}  # fmt: skip
+    several = tuple(f"{name} (of {len(places)} groups)" for name, places in own.items() if len(places) > 1)
+    return (*names, *(TIME_OF + name for name in names)), several
 
 
 def mdf_array(path: Path, name: str) -> np.ndarray:
@@ -36,7 +58,7 @@ def mdf_array(path: Path, name: str) -> np.ndarray:
 
 def mdf_units(path: Path) -> dict[str, str]:
     """The unit that each channel states, and s of the times; "" where a channel states none."""
-    names = mdf_names(path)
+    names, _ = mdf_names(path)
     with _opened(path) as file, reading(path, "MDF", Exception):
         return {n: "s" if n.startswith(TIME_OF) else str(file.get_channel_unit(n) or "") for n in names}
 

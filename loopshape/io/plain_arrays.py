@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from loopshape.core.errors import UnreadableInputError
 from loopshape.io.files import reading
 from loopshape.io.growth import most_bytes
 from loopshape.io.mdf4 import TIME_OF
@@ -20,7 +21,8 @@ _DEEPEST = 6
 def read_json_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays of numbers and single numbers by name, those of inner objects as `outer.inner`; null is NaN.
 
-    A list of objects with the same keys is a table. Refuses what is no JSON, and a file longer than 512 MB.
+    A list of objects with the same keys is a table. Refuses what is no JSON, lists within a list that differ in length,
+    and a file longer than 512 MB.
     """
     with reading(path, "JSON"):
         if path.stat().st_size > _LONGEST_JSON:
@@ -39,8 +41,23 @@ def _gather(value: Any, name: str, found: dict[str, np.ndarray], depth: int) -> 
     elif isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
         for key in value[0]:
             _gather([row.get(key) for row in value], f"{name}.{key}" if name else str(key), found, depth + 1)
+    elif name and (lengths := _lengths(value)) and len(lengths) > 1:
+        raise UnreadableInputError(
+            f"{name} holds lists of different lengths", f"{min(lengths)} to {max(lengths)} numbers",
+            "write a list of its own for each signal, all of one length",
+        )  # fmt: skip
     elif name and (array := _numbers(value)) is not None:
         found[name] = array
+
+
+def _lengths(value: Any) -> set[int]:
+    """Lengths of the lists of numbers within a list; nothing for anything else."""
+    lists = isinstance(value, list) and value and all(isinstance(row, list) for row in value)
+    return (
+        {len(row) for row in value}
+        if lists and all(isinstance(x, int | float) for row in value for x in row)
+        else set()
+    )
 
 
 def _numbers(value: Any) -> np.ndarray | None:

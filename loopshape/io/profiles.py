@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.profile import Profile, Zone
 from loopshape.data.requirements import Requirements
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
@@ -36,8 +36,7 @@ def profile_of(said: str) -> Profile:
     known = read_profiles(Path(file)) if file else read_profiles()
     if not name and len(known) == 1:
         return next(iter(known.values()))
-    if name not in known:
-        raise WrongUseError("a profile is not known", repr(name or said), f"use {', '.join(known)}, or FILE.toml:NAME")
+    refuse_unknown("a profile is not known", name or said, [*known, "FILE.toml:NAME"])
     return known[name]
 
 

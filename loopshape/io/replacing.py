@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError
+from loopshape.core.interrupts import undivided
 from loopshape.data.run import Run
+from loopshape.io.campaigns import INDEX
 from loopshape.io.files import make_folder, plain_name, short, staged
 from loopshape.io.held import held
 from loopshape.io.journal import FILE as JOURNAL
@@ -21,19 +23,27 @@ def replace_run(folder: Path, run: Run) -> None:
     """Put a run in place of the one in a folder: written whole beside it first, so that a full disk takes neither.
 
     A kill leaves the old run or, from the first removal to the last move, a folder that is refused as a run and that
-    the same call puts in order. Refuses what another process is writing; a link to another folder is not followed.
+    the same call puts in order. Refuses what another process is writing, and a machine's run of a campaign that is
+    being recorded, however little of it is being written now; a link to another folder is not followed.
     """
     make_folder(folder)
-    with held(folder):
+    with _campaign_held(folder), held(folder):
         if not has_run(folder):
             refuse_foreign(folder)
         with staged(folder, "new") as stage:
             write_run(stage, run)
-            _remove_all_but_words(folder)
-            names = sorted((path.name for path in stage.iterdir()), key=lambda name: name == RUN_TOML)
-            for name in names:  # the old words stay to the last: they say what is to be removed
-                with _moving(folder / name):
-                    os.replace(stage / name, folder / name)
+            with undivided():
+                _remove_all_but_words(folder)
+                names = sorted((path.name for path in stage.iterdir()), key=lambda name: name == RUN_TOML)
+                for name in names:  # the old words stay to the last: they say what is to be removed
+                    with _moving(folder / name):
+                        os.replace(stage / name, folder / name)
+
+
+def _campaign_held(folder: Path) -> AbstractContextManager[None]:
+    """Hold the campaign that a run belongs to, which names its tables only once several of them are whole."""
+    above = folder.resolve().parent
+    return held(above) if (above / INDEX).is_file() else nullcontext()
 
 
 def _remove_all_but_words(folder: Path) -> None:

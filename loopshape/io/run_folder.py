@@ -102,6 +102,13 @@ def read_run_words(folder: Path) -> Words:
     if hold is not None and last is not None and last[0] is hold:
         return Words(tomllib.loads(toml_text(last[1])), path.name)  # as it reads back, and a copy
     if not has_run(folder):
+        if any((folder / "frf").glob("*.npz")):
+            raise UnreadableInputError(
+                "a run has recordings, and this folder holds FRFs alone, of import-frf", folder.resolve().name,
+                "fit, tune, check, figures and compare (with another one) take it as it is; gap and ls.read need"
+                " recordings (loopshape import), and"
+                " ls.read_frf reads the file that it was made from",
+            )  # fmt: skip
         way = "write one (docs/files.md, Run), or let loopshape import make the folder"
         raise UnreadableInputError("a run's folder has a run.toml", f"{folder.resolve().name} without one", way)
     words = read_words(path, FORMAT)
@@ -225,6 +232,12 @@ def _refuse_other(folder: Path, words: Words, header: Mapping[str, Any]) -> None
             f"different {short(', '.join(differing))}",
             "choose another folder, or delete this one",
         )
+
+
+def refuse_other(folder: Path, run: Run) -> None:
+    """Refuse a folder in which recordings of another run are, and change nothing."""
+    if has_run(folder) and (words := read_run_words(folder)).table.get("recording"):
+        _refuse_other(folder, words, _header(run))
 
 
 def _refuse_lost(folder: Path, words: Words) -> None:

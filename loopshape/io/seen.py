@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
@@ -22,6 +22,7 @@ _SPECIAL = (
     (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
 )  # fmt: skip
 _noted: dict[str, State] | None = None  # by absolute path; None while no command runs
+_once: dict[str, State] | None = None  # of files that are read whole and not again
 _counting = Lock()
 _alone = 0  # holds of run folders: what lies in them cannot change
 
@@ -38,6 +39,24 @@ def noting() -> Iterator[None]:
         yield
     finally:
         _noted = None
+
+
+@contextmanager
+def read_once() -> Iterator[dict[str, State]]:
+    """Files read within are read whole and not again: what changes later is told (`changed`) and not refused."""
+    global _once
+    outer, _once = _once, {}
+    try:
+        yield _once
+    finally:
+        for path in _once:
+            own(Path(path))
+        _once = outer
+
+
+def changed(files: Mapping[str, State]) -> list[str]:
+    """Those of the files that are no longer as they were read."""
+    return [path for path, state in files.items() if state_of(path) != state]
 
 
 @contextmanager
@@ -70,9 +89,13 @@ def look(path: Path) -> None:
     for is_kind, kind in _SPECIAL:
         if is_kind(status.st_mode):
             raise UnreadableInputError(f"{path} is no file", kind, "copy its content into a file and name that")
-    if _noted is None or _alone or not stat.S_ISREG(status.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return
     state = _state(status)
+    if _once is not None:
+        _once.setdefault(os.path.abspath(path), state)
+    if _noted is None or _alone:
+        return
     if _noted.setdefault(os.path.abspath(path), state) != state:
         refuse([str(path)])
 
@@ -87,8 +110,8 @@ def refuse_changed() -> None:
     """Refuse to go on where a file that was read is no longer the same: changed, replaced or gone."""
     if _noted is None or _alone:
         return
-    if changed := [path for path, state in _noted.items() if state_of(path) != state]:
-        refuse(changed)
+    if paths := changed(_noted):
+        refuse(paths)
 
 
 def refuse(paths: list[str]) -> NoReturn:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -16,11 +16,13 @@ from loopshape.io.blackbox import rates_in_deg, read_blackbox
 from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.io.dataflash import read_dataflash
 from loopshape.io.files import reading, short
+from loopshape.io.frf_uff import read_uff_histories, uff_units
 from loopshape.io.growth import check_zip
+from loopshape.io.lerobot import read_episodes, read_lists
 from loopshape.io.mat5 import read_mat5_tree
 from loopshape.io.mat73 import mat73_array, mat73_long, read_mat73
 from loopshape.io.mat_tree import refuse_closed
-from loopshape.io.mdf4 import TIME_OF, mdf_array, mdf_names, mdf_units
+from loopshape.io.mdf4 import TIME_OF, Arrays, mdf_array, mdf_names, mdf_units
 from loopshape.io.messages import read_bag, read_mcap
 from loopshape.io.plain_arrays import read_json_arrays, read_wav
 from loopshape.io.spool import Spool
@@ -34,17 +36,20 @@ _OTHERS = {
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "save the sheet as CSV; "),
     **dict.fromkeys((".npy", ".pkl", ".pickle"), "write the arrays by name with numpy.savez; "),
     ".toml": "name the recording first and the map behind --map; ",
+    ".trace": "save the trace as text (.txt) in the editor that recorded it; ",
 }
 _MDF = (".mf4", ".mdf")
 #: readers of formats whose arrays are read all at once
 _WHOLE: dict[str, Callable[[Path], dict[str, np.ndarray]]] = {
     ".ulg": read_ulog, ".tdms": read_tdms, ".json": read_json_arrays, ".wav": read_wav, ".bin": read_dataflash,
     **dict.fromkeys((".bbl", ".bfl"), read_blackbox),
+    **dict.fromkeys((".uff", ".unv"), read_uff_histories),
     ".mcap": read_mcap, ".bag": read_bag, ".db3": read_bag,
 }  # fmt: skip
 #: units that a format's own fields state, by name
 _STATED: dict[str, Callable[[Path, Mapping[str, np.ndarray]], Mapping[str, str]]] = {
     ".tdms": lambda path, arrays: tdms_units(path),
+    **dict.fromkeys((".uff", ".unv"), lambda path, arrays: uff_units(path)),
     **dict.fromkeys((".bbl", ".bfl"), lambda path, arrays: rates_in_deg(arrays)),
 }
 
@@ -75,7 +80,9 @@ class Source:
     """A file's arrays by name; `numbered` says that it is a table without a header, whose names are 1, 2, ...
 
     `long` gives those that are too long to be loaded, and None for others; `stated` the units that the format's own
-    fields state.
+    fields state, `closed` names of what the file holds and is not read; `remarks` and `questions` are of the format,
+    for a draft. `pieces` are the recordings of a file that holds several, by number, each of rows from one to before
+    another; `pairs` and `rate_hz` which signals are control and output of a loop, and the rate, by the format.
     """
 
     path: Path
@@ -85,6 +92,12 @@ class Source:
     long: Callable[[str], LongSignal | None] = lambda name: None
     stamps: Callable[[str, str], Array] | None = None
     stated: Callable[[], Mapping[str, str]] = dict
+    closed: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+    questions: Sequence[str] = ()
+    pieces: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    pairs: Sequence[tuple[str, str]] = ()
+    rate_hz: float | None = None
 
     def signal(self, place: Place) -> Signal:
         """The signal (n,) at a place, as float64; refuses a place that is not there, naming what is."""
@@ -107,6 +120,16 @@ class Source:
     def units(self) -> dict[str, str]:
         """The units that the format states, by name; stamps that a format brings itself are in s."""
         return {name: "s" for name in self.names if name.startswith(TIME_OF)} | dict(self.stated())
+
+    def piece(self, number: int) -> Source:
+        """One of the recordings that the file holds, as a source of its own."""
+        first, last = self.pieces[number]
+
+        def long(name: str) -> LongSignal | None:
+            whole = self.long(name)
+            return None if whole is None else LongSignal(last - first, lambda a, b: whole[first + a : first + b])
+
+        return replace(self, load=lambda name: self.load(name)[first:last], long=long, pieces={})
 
     def _stamps(self, name: str, clock: str) -> Array:
         if self.stamps is None:
@@ -153,6 +176,12 @@ def _pick(values: Array, place: Place, file: str) -> Array:
             f"column {place.column}, row {place.row}",
             "pick one signal of a two-dimensional array by column or by row, counted from 1",
         )
+    if values.shape[1 - axis] < values.shape[axis]:
+        across, along = ("column", "row") if axis == 1 else ("row", "column")
+        raise WrongUseError(
+            f"{place.name} of {file} is an array of {' x '.join(map(str, values.shape))}: its signals lie in {along}s",
+            f"{across} {number}, which holds {values.shape[1 - axis]} numbers", f"pick one by {along} = N",
+        )  # fmt: skip
     return np.ascontiguousarray(values[:, number - 1] if axis == 1 else values[number - 1])
 
 
@@ -175,14 +204,18 @@ def open_source(
     if name.endswith(".npz"):
         return _npz_source(path)
     if name.endswith(".parquet"):
-        table = TableColumns(path)
-        return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
+        return _parquet_source(path)
     if name.endswith(_MDF):
-        return Source(path, mdf_names(path), lambda name: mdf_array(path, name), stated=lambda: mdf_units(path))
+        names, closed = mdf_names(path)
+        return Source(path, names, lambda name: mdf_array(path, name), stated=lambda: mdf_units(path), closed=closed)
     if (whole := _WHOLE.get(path.suffix.lower())) is not None:
         arrays = whole(path)
         stated = _STATED.get(path.suffix.lower(), _no_units)
-        return Source(path, tuple(arrays), arrays.__getitem__, stated=lambda: stated(path, arrays))
+        about = arrays if isinstance(arrays, Arrays) else Arrays({})
+        return Source(
+            path, tuple(arrays), arrays.__getitem__, stated=lambda: {**about.units, **stated(path, arrays)},
+            closed=about.closed, remarks=about.remarks,
+        )  # fmt: skip
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
         f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_WHOLE))}",
@@ -230,6 +263,22 @@ def _long_column(table: TableColumns, name: str) -> LongSignal | None:
     return LongSignal(table.rows, lambda start, stop: table.stretch(name, start, stop))
 
 
+def _parquet_source(path: Path) -> Source:
+    """Columns of numbers, and those of lists of numbers, an entry a signal (`lerobot`)."""
+    table, lists = TableColumns(path), read_lists(path)
+    if not lists.signals:
+        return Source(path, table.names, lambda name: table[name], long=lambda name: _long_column(table, name))
+    inside = {column for column, _ in lists.signals.values()}
+    plain = tuple(name for name in table.names if name not in inside)
+    episodes = read_episodes(table["episode_index"]) if "episode_index" in plain else {}
+    return Source(
+        path, (*plain, *lists.signals), lambda name: lists.load(name) if name in lists.signals else table[name],
+        long=lambda name: None if name in lists.signals else _long_column(table, name),
+        stated=lambda: {"timestamp": "s"} if lists.rate_hz else {}, questions=lists.questions, pieces=episodes,
+        pairs=lists.pairs, rate_hz=lists.rate_hz, closed=lists.closed, remarks=lists.remarks,
+    )  # fmt: skip
+
+
 def _npz_source(path: Path) -> Source:
     with reading(path, "NPZ"), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         check_zip(path)
@@ -255,7 +304,7 @@ def _mat5_source(path: Path) -> Source:
     with reading(path, "MAT"):
         found = read_mat5_tree(path)
     refuse_closed(path, found)
-    return Source(path, tuple(found.arrays), found.arrays.__getitem__, stated=lambda: found.units)
+    return Source(path, tuple(found.arrays), found.arrays.__getitem__, stated=lambda: found.units, closed=found.closed)
 
 
 def _mat73_source(path: Path) -> Source:
@@ -263,5 +312,5 @@ def _mat73_source(path: Path) -> Source:
     refuse_closed(path, found)
     return Source(
         path, tuple(found.arrays), lambda name: mat73_array(path, found.arrays[name]),
-        long=lambda name: mat73_long(path, found.arrays[name]), stated=lambda: found.units,
+        long=lambda name: mat73_long(path, found.arrays[name]), stated=lambda: found.units, closed=found.closed,
     )  # fmt: skip

@@ -18,6 +18,7 @@ _SEPARATORS = (";", "\t", ",", "|", " ")
 _NAMED = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _MOST_HEADS = 12
+_TABLE = 4  # rows in a line that are a table, and no numbers of a head
 #: first words of lines that name the channels or their units
 _UNIT_LINE = re.compile(r"(?<!time )(unit|einheit)", re.IGNORECASE)
 _NAME_LINE = re.compile(r"^(name|symbol ?name|signal|channel|variable|trace ?names?)s?$", re.IGNORECASE)
@@ -76,6 +77,7 @@ def read_layout(path: Path) -> TextLayout:
         best = best or max((rows for rows in made if rows is not None), key=lambda rows: rows.worth, default=None)
     if best is None:
         raise UnreadableInputError(*_nothing(path, lines))
+    _refuse_rows_above(path, lines, best)
     return _layout(lines, best, encoding)
 
 
@@ -111,7 +113,7 @@ def _full(cells: Sequence[str], decimal: str, texts: Collection[int]) -> bool:
     filled = [cell for k, cell in enumerate(cells) if cell and k not in texts]
     values = sum(_is_value(cell, decimal) for cell in filled)
     whole = values + sum(bool(clock_of(cell)) for cell in filled) == len(filled)
-    return bool(values) and whole and len(filled) > (len(cells) - len(texts)) // 2
+    return bool(values) and whole and 2 * len(filled) >= len(cells) - len(texts)
 
 
 def _texts(cells: Sequence[str], decimal: str) -> frozenset[int]:
@@ -124,11 +126,20 @@ def _texts(cells: Sequence[str], decimal: str) -> frozenset[int]:
 def _rows(lines: Sequence[str], separator: str, decimal: str, words: bool) -> _Rows | None:
     """The last stretch of lines with values and one number of cells; it reaches the end but for empty lines.
 
-    With `words` columns may hold text, as the last line does.
+    With `words` columns may hold text, as the last line does. A last line that was cut does not count.
     """
     end = len(lines)
     while end and not lines[end - 1].strip():
         end -= 1
+    found = _stretch(lines, end, separator, decimal, words)
+    if end > 3 and (found is None or found.count == 1):
+        before = _stretch(lines, end - 1, separator, decimal, words)
+        found = before if before is not None and before.count > 1 else found
+    return found
+
+
+def _stretch(lines: Sequence[str], end: int, separator: str, decimal: str, words: bool) -> _Rows | None:
+    """The lines above an end that are rows of one number of cells."""
     texts = _texts(cells_of(lines[end - 1], separator), decimal) if words and end else frozenset()
     start, cells = end, None
     while start:
@@ -137,6 +148,21 @@ def _rows(lines: Sequence[str], separator: str, decimal: str, words: bool) -> _R
             break
         cells, start = cells or found, start - 1
     return None if cells is None else _Rows(separator, decimal, start, end - start, cells)
+
+
+def _refuse_rows_above(path: Path, lines: Sequence[str], rows: _Rows) -> None:
+    """Refuse a file whose rows stop and go on: what stands above the last stretch would be lost."""
+    run = 0
+    for k in range(rows.start - 1, -1, -1):
+        cells = cells_of(lines[k], rows.separator)
+        run = run + 1 if len(cells) == len(rows.cells) and _full(cells, rows.decimal, ()) else 0
+        if run == _TABLE:
+            broken = next(j for j in range(rows.start - 1, -1, -1) if j == k + run or lines[j].strip())
+            raise UnreadableInputError(
+                f"{path.name} holds several tables, one below the other",
+                f"rows above line {rows.start + 1} too, behind {short(lines[broken], 60)!r}",
+                "write each into a file of its own, or take out the lines between its rows",
+            )
 
 
 def _layout(lines: Sequence[str], rows: _Rows, encoding: str) -> TextLayout:
@@ -172,7 +198,8 @@ def _heads(lines: Sequence[str], rows: _Rows) -> dict[int, tuple[str, ...]]:
     found: dict[int, tuple[str, ...]] = {}
     for k in reversed([k for k in range(rows.start) if lines[k].strip()]):
         cells = cells_of(lines[k].lstrip("#%; "), rows.separator)
-        cells = cells[:-1] if len(cells) == len(rows.cells) + 1 and not cells[-1] else cells
+        more = len(cells) == len(rows.cells) + 1 and cells[-1].lower() in ("", "comment")  # LabVIEW's last column
+        cells = cells[:-1] if more else cells
         if len(cells) != len(rows.cells) or len(found) == _MOST_HEADS or not any(cells):
             break
         found[k] = cells

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
+from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError, meant, refuse_unknown
 from loopshape.io.files import read_toml, short
 
 
@@ -37,8 +37,9 @@ class Words:
         """Refuse keys that are not known, by name."""
         if unknown := [key for key in self.table if key not in known]:
             raise WrongUseError(
-                f"{self.where}: unknown key", short(", ".join(map(repr, unknown))), f"known are {', '.join(known)}"
-            )
+                f"{self.where}: unknown key", short(", ".join(map(repr, unknown))),
+                f"{meant(unknown[0], known)}known are {', '.join(known)}",
+            )  # fmt: skip
 
     def need(self, *keys: str) -> None:
         """Refuse a table without these keys, naming all that are missing."""
@@ -69,8 +70,7 @@ class Words:
     def one_of(self, key: str, known: Sequence[str], default: str | None = None) -> str:
         """A text out of `known`."""
         value = self.text(key, default)
-        if value not in known:
-            raise WrongUseError(f"{self.where}: {key} is not known", short(repr(value)), f"use {', '.join(known)}")
+        refuse_unknown(f"{self.where}: {key} is not known", value, known)
         return value
 
     def number(self, key: str, default: float | None = None) -> float:

@@ -47,6 +47,8 @@ _NOTHING = ("no frequency is valid in both",)
 class Lines(NamedTuple):
     """Sensitivities S1 and S2 (nf,) on common lines, the variance of their difference (nf,), its degrees of freedom
     (nf,) and the share of it (nf,) that is tolerance, and `spread`: the variance of a sum of x over n lines, over n.
+
+    Of two plants they are P1 and P2; `moved` (nf,) is by how much a change of the plant's gain moves either, relative.
     """
 
     frequency_hz: Array
@@ -56,6 +58,7 @@ class Lines(NamedTuple):
     freedom: Array
     slack: Array
     spread: float
+    moved: ComplexArray
 
     @property
     def excess(self) -> Array:
@@ -132,11 +135,11 @@ def _bends(S: ComplexArray) -> Array:
     return np.pad(np.abs(np.diff(S, 2)) / 8.0, 1, mode="edge")
 
 
-def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0.0) -> Lines:
+def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0.0, plants: bool = False) -> Lines:
     """S1 and S2 on the same lines with the variance of their difference; refuses lines that differ.
 
-    With `tolerance_db` the prediction counts as unsure by so much of |S| at every line besides: deviations of that rms
-    size are then no contradiction. Refuses one that is not of 0 .. 60 dB.
+    Of `plants` the variance is the sum of both. With `tolerance_db` the first counts as unsure by so much of |S| at
+    every line besides: deviations of that rms size are then no contradiction. Refuses one that is not of 0 .. 60 dB.
     """
     if not 0.0 <= tolerance_db <= MOST_DB:
         raise WrongUseError(
@@ -146,7 +149,7 @@ def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0
     if f.size != g.size or np.any(np.abs(f - g) > 1e-9 * f):
         raise WrongUseError("sensitivities are compared at the same frequencies", f"{f.size} and {g.size} lines")
     S1, S2 = predicted.siso, measured.siso
-    turned = np.abs(S2 / S1) ** 2
+    turned = np.ones(f.size) if plants else np.abs(S2 / S1) ** 2
     V1, V2 = turned * predicted.variance[:, 0, 0], measured.variance[:, 0, 0] / turned
     slack = (float(from_db(tolerance_db)) - 1.0) ** 2 * np.abs(S1) ** 2
     total = np.maximum(V1 + V2 + slack + missed, np.finfo(float).tiny)
@@ -156,7 +159,7 @@ def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0
     spread = together**2 + a1**2 * _shared_variance(predicted, n1) + a2**2 * _shared_variance(measured, n2)
     with np.errstate(divide="ignore", over="ignore"):
         freedom = np.minimum(total**2 / np.maximum(V1**2 / n1 + V2**2 / n2, 1e-300), 10.0 * KNOWN)
-    return Lines(f, S1, S2, total, freedom, slack / total, float(spread))
+    return Lines(f, S1, S2, total, freedom, slack / total, float(spread), S1 if plants else S1 * (1.0 - S1))
 
 
 def _shared_variance(frf: FRF, freedom: float) -> float:
@@ -228,7 +231,7 @@ def noticed_db(lines: Lines, level: float) -> float:
 
 def _noticed(lines: Lines, rows: slice, level: float) -> float:
     """The square of the relative change of the gain that a sum over some lines notices."""
-    S, V = lines.predicted[rows], lines.variance[rows]
-    per = float(np.sum(np.abs(S * (1.0 - S)) ** 2 / V))
+    moved, V = lines.moved[rows], lines.variance[rows]
+    per = float(np.sum(np.abs(moved) ** 2 / V))
     wanted = float(norm.isf(level) + norm.ppf(POWER)) * np.sqrt(lines.spread * V.size) + float(lines.slack[rows].sum())
     return wanted / max(per, 1e-300)

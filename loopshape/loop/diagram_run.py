@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
+from loopshape.data.arrays import real_array
 from loopshape.data.controller import Controller
 from loopshape.data.diagram import Diagram, Part
 from loopshape.data.feedforward import Feedforward
@@ -44,7 +45,7 @@ def simulate(D: Diagram, models: Mapping[str, Any], signals: Mapping[str, ArrayL
     >>> print(ls.simulate(D, {"P": plant}, {"r": np.ones(3000)})["y"][-1].round(3))
     1.0
     """
-    given = {name: np.asarray(value, dtype=float) for name, value in signals.items()}
+    given = {name: real_array(value, f"signal {name}") for name, value in signals.items()}
     if len({one.shape for one in given.values()}) != 1 or next(iter(given.values())).ndim != 1:
         raise WrongUseError("signals of a diagram are (n,), all as long", f"{[x.shape for x in given.values()]}")
     if strays := set(given) - set(D.signals):

@@ -2,56 +2,64 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
+
 import numpy as np
 
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.kernels.margins import LARGE
+from loopshape.core.units import Array, ComplexArray, deg
+from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
 from loopshape.loop.low_frequency import LowModel, low_frequency_models
 
-Model = TransferFunction | LowModel
-#: a model may carry the loop this far below its first line, as a ratio of frequencies
-LED = 2.0
+#: models may carry the loop this far below its first line, as a ratio of frequencies
+LED = 1.3
+#: slope and phase of the lowest lines that agree this well, in integrators, leave nothing to be seen below them
+AGREE = 0.3
+#: noise widens that to this at most
+MOST_ROOM = 0.75
+#: so many parameters at most has a model that tells where unstable poles lie, or a crossover below the lines
+SIMPLE = 4
+#: below this |L| is far from 1, whichever model says so
+SMALL = 0.1
+#: where L is read below its first line, as shares of its frequency: the first stands for 0 Hz
+DOWN = np.concatenate([[1e-6], np.geomspace(0.01, 1.0, 24, endpoint=False)])
 
 
-def judged_lines(loop: Loop) -> tuple[Array, ComplexArray, ComplexArray] | None:
-    """Frequencies in Hz, L and C that margins are read from; None where the crossover is out of sight.
+def poles_at_0(loop: Loop) -> int:
+    """Poles of L at s = 0, less its zeros there."""
+    return (loop.integrators or 0) + loop.controller.integrators()
 
-    These are the FRF's lines where |L| starts at 1 or above. Where it starts below, the fit's model may lead to the
-    crossover, at most an octave lower; a loop without integrators may have no crossover at all, if the model, or all
-    small models of the lowest lines, say so.
+
+def in_sight(loop: Loop) -> bool:
+    """Whether the lines show where |L| falls through 1 for the first time, or tell that it does not do so below them.
+
+    They do where |L| starts at 1 or above. Where it starts below, all small models of the lowest lines, one of them
+    simple unless L falls to 0 Hz and stays `SMALL`, must have it reach 1 at most a third of an octave lower, or stay
+    below 1 down to 0 Hz in a loop without integrators.
     """
-    f, L, C = loop.frequency_hz, loop.L, loop.C
-    if abs(L[0]) >= 1.0:
-        return f, L, C
-    models = low_models(loop)
-    if not models:
-        return None
-    below_hz = loop.below_hz if loop.below_hz.size else low_hz(loop)
-    C_below = loop.controller.response(below_hz)
-    below = np.abs([C_below * model.response(below_hz) for model in models])
-    if (loop.integrators or 0) + loop.controller.integrators() <= 0 and below.max() < 1.0:
-        return f, L, C
-    if loop.model is None:
-        return None
-    led = led_hz(loop)
-    C_led = loop.controller.response(led)
-    L_led = C_led * loop.model.response(led)
-    if abs(L_led[0]) < 1.0:
-        return None
-    return np.concatenate([led, f]), np.concatenate([L_led, L]), np.concatenate([C_led, C])
+    if abs(loop.L[0]) >= 1.0:
+        return True
+    below = [np.abs(L) for L in below_lines(loop, low_hz(loop))]
+    largest = max((x.max() for x in below), default=np.inf)
+    falls = poles_at_0(loop) < 0 and largest < SMALL
+    if not falls and not any(is_simple(model) for model in low_models(loop)):
+        return False
+    if poles_at_0(loop) <= 0 and largest < 1.0:
+        return True
+    octave = low_hz(loop) >= float(loop.frequency_hz[0]) / LED
+    return all(x[octave].max() >= 1.0 for x in below)
 
 
-def led_hz(loop: Loop) -> Array:
-    """The octave (24,) below the first line, through which a fit may lead."""
-    first = float(loop.frequency_hz[0])
-    return np.geomspace(first / LED, first, 24, endpoint=False)
+def below_lines(loop: Loop, f: Array) -> list[ComplexArray]:
+    """L (n,) at frequencies f (n,) in Hz below the first line, by each small model of the lowest lines."""
+    C = loop.controller.response(f)
+    return [C * model.response(f) for model in low_models(loop)]
 
 
-def low_models(loop: Loop) -> tuple[Model, ...]:
-    """What says how the plant goes on below its first line: the fit, else small models of the lowest lines."""
-    if loop.model is not None:
-        return (loop.model,)
+def low_models(loop: Loop) -> tuple[LowModel, ...]:
+    """Small models of the lowest lines, which say how the plant goes on below them."""
     if loop.integrators is None:
         return ()
     return low_frequency_models(loop.plant if loop.raw is None else loop.raw, loop.integrators)
@@ -61,6 +69,73 @@ def low_hz(loop: Loop) -> Array:
     """Three decades of frequencies below the first line."""
     first = float(loop.frequency_hz[0])
     return np.geomspace(1e-3 * first, first, 60, endpoint=False)
+
+
+def is_large(loop: Loop) -> bool:
+    """Whether L starts so large, and does not fall towards 0 Hz, that nothing below its first line comes near -1."""
+    return abs(loop.L[0]) >= LARGE and poles_at_0(loop) >= 0 and slope_of(loop) > -AGREE
+
+
+@lru_cache(maxsize=256)
+def slope_of(loop: Loop) -> float:
+    """-slope/20 dB a decade of L over the lowest lines of a loop."""
+    lines = loop.plant if loop.raw is None else loop.raw
+    return low_order(
+        replace(lines, response=lines.response * loop.controller.response(lines.frequency_hz)[:, None, None])
+    )[1]
+
+
+def is_told(loop: Loop) -> bool:
+    """Whether the lowest lines tell how L goes on below them.
+
+    Models do, simple ones where the plant has unstable poles, and on a stable plant so does a large L; else slope and
+    phase must agree with each other there, and L not fall towards 0 Hz.
+    """
+    models = low_models(loop)
+    if loop.unstable_poles and loop.model is None:  # below the lines they may turn L once more about 0
+        return any(is_simple(model) for model in models)
+    if loop.model is not None or models:
+        return True
+    lines = loop.plant if loop.raw is None else loop.raw
+    phase, slope = low_order(lines)
+    if is_large(loop) and abs(phase - slope) < 1.0:  # no pair of poles lies below that the phase does not show
+        return True
+    return (
+        loop.unstable_poles == 0
+        and poles_at_0(loop) >= 0
+        and abs(phase - slope) < room_of(lines)
+        and slope_of(loop) > -AGREE
+    )
+
+
+def is_simple(model: LowModel) -> bool:
+    """Whether a model has few enough parameters to tell where unstable poles lie."""
+    return model.num.size + model.den.size - 1 <= SIMPLE
+
+
+def low_order(lines: FRF) -> tuple[float, float]:
+    """-phase/90 deg and -slope/20 dB a decade over the lowest lines (a factor of 1.6 in frequency, four at least)."""
+    f = lines.frequency_hz
+    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
+    lowest = lines.siso[:count]
+    phase = float(deg(np.angle(np.mean(lowest / np.abs(lowest)))))
+    slope = np.polyfit(np.log(f[: lowest.size]), np.log(np.abs(lowest)), 1)[0] if lowest.size > 1 else 0.0
+    return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
+
+
+def room_of(lines: FRF) -> float:
+    """How far slope and phase of the lowest lines may differ and still agree, by the scatter of the lines; below 1.
+
+    One more pole below the lines, which the phase does not show, would part them by 1.
+    """
+    f = lines.frequency_hz
+    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
+    x = np.log(f[:count])
+    if x.size < 4:
+        return AGREE
+    relative = np.sqrt(lines.variance[:count, 0, 0]) / np.maximum(np.abs(lines.siso[:count]), 1e-300)
+    std = np.median(relative) / (2.0 * x.std())  # neighbours are smoothed together: four of them are independent
+    return float(min(AGREE + 2.0 * std, MOST_ROOM))
 
 
 def crossover_below(loop: Loop) -> tuple[float, float]:

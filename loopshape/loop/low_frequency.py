@@ -54,13 +54,12 @@ class LowModel:
     def deviations(self, f: Array, errors: ComplexArray) -> ComplexArray:
         """What errors (draws, nf) of the lines do to P at f (n,): (draws, n)."""
         own = errors[:, : self.lines]
-        return np.asarray(np.concatenate([own.real, own.imag], axis=1) @ self.moves(f).T)
+        return np.asarray((np.concatenate([own.real, own.imag], axis=1) @ self.influence.T) @ self.slopes(f).T)
 
-    def moves(self, f: Array) -> ComplexArray:
-        """What turns errors of the lines, as `influence` takes them, into those of P at f (n,): (n, 2 lines)."""
+    def slopes(self, f: Array) -> ComplexArray:
+        """d P at f (n,) in Hz by each coefficient, (n, parameters)."""
         s = 1j * np.asarray(f, dtype=float) / self.first_hz
-        slope = _slopes(s, self.num, self.den) * (s**-self.integrators)[:, None]
-        return np.asarray(slope @ self.influence)
+        return np.asarray(_slopes(s, self.num, self.den) * (s**-self.integrators)[:, None])
 
 
 def low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
@@ -95,7 +94,9 @@ def _models(
         parameters = nb + 1 + na
         if parameters > least + MORE or 2 * s.size < 2 * parameters + 4:
             continue
-        num, den = _fitted(s, y, std, nb, na)
+        if (fitted := _fitted(s, y, std, nb, na)) is None:
+            continue
+        num, den = fitted
         left = np.sum(np.abs((y - _rational(s, num, den)) / std) ** 2)
         freedom = 2 * s.size - parameters
         if 2.0 * left > freedom + 4.0 * np.sqrt(2.0 * freedom):
@@ -125,12 +126,18 @@ def _is_known(solved: Array, num: Array, den: Array) -> bool:
     return bool(known and size.min() > SHARP * min(size[0], size[-1]))
 
 
-def _fitted(s: ComplexArray, y: ComplexArray, std: Array, nb: int, na: int) -> tuple[Array, Array]:
-    """B and A, coefficients rising, by linear least squares weighted anew (Sanathanan and Koerner 1963)."""
+def _fitted(s: ComplexArray, y: ComplexArray, std: Array, nb: int, na: int) -> tuple[Array, Array] | None:
+    """B and A, coefficients rising, by linear least squares weighted anew (Sanathanan and Koerner 1963).
+
+    None where a pole comes to lie on a line, as of a plant without poles and noise.
+    """
     den = np.eye(1, na + 1)[0]
     powers = s[:, None] ** np.arange(max(nb, na) + 1)
     for _ in range(ROUNDS if na else 1):
-        weight = 1.0 / (std * np.abs(_polynomial(s, den)))
+        with np.errstate(divide="ignore", over="ignore"):
+            weight = 1.0 / (std * np.abs(_polynomial(s, den)))
+        if not np.isfinite(weight).all():
+            return None
         columns = np.concatenate([powers[:, : nb + 1], -y[:, None] * powers[:, 1 : na + 1]], axis=1) * weight[:, None]
         target = y * weight
         solved = np.linalg.lstsq(

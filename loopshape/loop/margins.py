@@ -18,7 +18,8 @@ from loopshape.data.weight import Weight
 from loopshape.loop.between import followed
 from loopshape.loop.controller_bandwidth import controller_bandwidth_hz
 from loopshape.loop.crossings import axis_crossings, unit_crossings
-from loopshape.loop.low_end import Model, judged_lines, low_models
+from loopshape.loop.holes import gaps_of
+from loopshape.loop.low_end import DOWN, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.obstacles import slope_at_end
 from loopshape.loop.reading import Reader
@@ -54,8 +55,14 @@ LOGARITHMS = {
     "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
     "weighted_norm": kernel.LN_WEIGHTED,
 }
-#: where L is read below its first line, as shares of its frequency
-DOWN = np.array([1e-6, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875])
+#: distances to -1 and peaks over them, which scatter as logarithms only where they are known to better than half
+_DISTANCES = {
+    kernel.LN_MODULUS: 0.5,
+    kernel.LN_DISK: 0.5,
+    kernel.COMPLEMENTARY_DB: 4.34,
+    kernel.CONTROL_DB: 4.34,
+    kernel.PROCESS_DB: 4.34,
+}
 #: bandwidths that lie above the last line where nothing was met up to it
 _BANDWIDTHS = {
     "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
@@ -129,7 +136,7 @@ def margins(
     - norm of the weighted loop: the largest root of the sum of squared weighted responses, on the same lines; above the
       last one each response counts with the most that it may be there;
     - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
-      starts below 1 a fit's model leads to it, at most an octave below the first line.
+      starts below 1 small models of the lowest lines lead to it, at most a third of an octave below the first.
 
     With the loop's `scatter` every number is freed of the bias that noise gives it (the largest of many noisy values
     is too large) and has a 95 % interval: both from what draws of the error do to the same reading (a parametric
@@ -141,7 +148,7 @@ def margins(
     """
     j = _judged(loop)
     reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
-    first, *others = _readings_from_zero(loop, j)
+    first, *others = _readings_from_below(loop, j)
     found, at = _read(loop, first, first.L[None], reader)
     value, low, high = _with_intervals(loop, first, found[0], reader)
     for other in others:  # what the models disagree about is as unknown as what noise hides
@@ -149,12 +156,15 @@ def margins(
         low, high = np.minimum(low, lower), np.maximum(high, higher)
     bounds = _bounds(loop, first, found[0], reader)
     stability = closed_loop_stability(loop)
-    crossings, crossing_intervals = _crossings(j, unit=True)
-    phase_crossings, phase_intervals = _crossings(j, unit=False)
+    crossings, crossing_intervals = _crossings(first, unit=True)
+    phase_crossings, phase_intervals = _crossings(first, unit=False)
     ends = _fields(low), _fields(high)
     intervals = {n: (min(a, b), max(a, b)) for n, a, b in _paired(*ends)} if j.deviations is not None else {}
+    values = _fields(value)
+    if not in_sight(loop):
+        _not_measured(values, bounds, intervals, float(j.f[0]))
     return Margins(
-        **_fields(value),
+        **values,
         controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
@@ -164,6 +174,7 @@ def margins(
         stability_band_hz=getattr(stability, "band_hz", None),
         intervals=intervals,
         bounds=bounds,
+        missing_hz=tuple((gap.low_hz, gap.high_hz) for gap in gaps_of(loop) if gap.missing),
         last_hz=float(j.f[-1]),
         last_gain=float(abs(j.L[-1])),
         last_slope=slope_at_end(j.f, j.L),
@@ -173,41 +184,41 @@ def margins(
     )
 
 
+def _not_measured(
+    values: dict[str, float], bounds: dict[str, float], intervals: dict[str, Interval], first_hz: float
+) -> None:
+    """Leave out what belongs to a crossover below the first line: nan, and a bandwidth from 0 up to that line."""
+    for name in ("phase_margin_deg", "delay_margin_s", "gain_reduction_margin_db"):
+        values[name] = float("nan")
+        bounds.pop(name, None)
+        intervals.pop(name, None)
+    if values["bandwidth_hz"] == 0.0:
+        bounds["bandwidth_hz"] = first_hz
+
+
 def _judged(loop: Loop) -> _Judged:
-    f, L, C = judged_lines(loop) or (loop.frequency_hz, loop.L, loop.C)
     if loop.scatter is None:
-        return _Judged(f, L, C)
-    led = f.size - loop.frequency_hz.size  # below the first line a model leads, and errs as the first line does
+        return _Judged(loop.frequency_hz, loop.L, loop.C)
     dense, own = followed(loop)
-    reference, deviations = own * dense.reference, dense.deviations
-    factor = np.concatenate([C[:led], own])
-    if led:
-        share = loop.scatter.reference[0] / loop.plant.siso[0], loop.scatter.deviations[:, :1] / loop.plant.siso[0]
-        reference = np.concatenate([L[:led] * share[0], reference])
-        deviations = by_draw(np.concatenate([L[:led] / C[:led] * share[1], deviations], axis=1))
-    f = np.concatenate([f[:led], dense.frequency_hz])
-    return _Judged(f, np.concatenate([L[:led], own * dense.response]), factor, reference, factor, deviations)
+    return _Judged(dense.frequency_hz, own * dense.response, own, own * dense.reference, own, by_draw(dense.deviations))
 
 
-def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
-    """The lines with those before them down to 0 Hz, as a model tells them, where L starts on the negative real axis.
+def _from_below(loop: Loop, j: _Judged, model: LowModel) -> _Judged:
+    """The lines with those before them as a model tells them, down to 0 Hz where L is finite there.
 
-    There the axis is crossed at 0 Hz, from the mirrored side; elsewhere the lines stay as they are.
+    Where L starts on the negative real axis it crosses that at 0 Hz, from the mirrored side.
     """
-    f = j.f[0] * DOWN
+    finite = poles_at_0(loop) <= 0
+    f = j.f[0] * (DOWN if finite else DOWN[1:])
     C = loop.controller.response(f)
     L = C * model.response(f)
-    if L[0].real >= 0.0:
-        return j
-    start = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0))
-    L = np.concatenate([[start], L[1:]])
+    if finite:
+        L[0] = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0) * (L[0].real < 0.0))
     reference = factor = deviations = None
-    if j.deviations is not None and j.reference is not None and j.factor is not None:
-        if isinstance(model, LowModel) and loop.scatter is not None:
-            moved = C * model.deviations(f, loop.scatter.deviations)
-        else:
-            moved = L * (j.drawn_at(np.zeros(1, dtype=int)) / j.L[0])
-        moved[:, 0] = moved[:, 0].real
+    if loop.scatter is not None and j.deviations is not None and j.reference is not None and j.factor is not None:
+        moved = C * model.deviations(f, loop.scatter.deviations)
+        if finite:
+            moved[:, 0] = moved[:, 0].real
         reference = np.concatenate([L, j.reference])
         factor = np.concatenate([np.ones(f.size), j.factor])
         deviations = by_draw(np.concatenate([moved, j.deviations], axis=1))
@@ -215,18 +226,18 @@ def _from_zero(loop: Loop, j: _Judged, model: Model) -> _Judged:
     return _Judged(f, L, C, reference, factor, deviations)
 
 
-def _readings_from_zero(loop: Loop, j: _Judged) -> list[_Judged]:
-    """The lines with what lies below them, once for each model that tells it; as they are where 0 Hz says nothing.
+def _readings_from_below(loop: Loop, j: _Judged) -> list[_Judged]:
+    """The lines with what lies below them, once for each model that tells it.
 
-    Only a loop without integrators reaches the real axis at 0 Hz.
+    As they are where L is large at the first, or where its crossover is out of sight.
     """
-    if (loop.integrators or 0) + loop.controller.integrators() or loop.integrators is None:
+    if loop.integrators is None or is_large(loop) or not in_sight(loop):
         return [j]
-    return [_from_zero(loop, j, model) for model in low_models(loop)] or [j]
+    return [_from_below(loop, j, model) for model in low_models(loop)] or [j]
 
 
 def _read(loop: Loop, j: _Judged, L: ComplexArray, reader: Reader, *, bounded: bool = True) -> tuple[Array, Array]:
-    return reader.read(j.f, L, j.C, loop.above_hz, loop.C_above, bounded=bounded)
+    return reader.read(j.f, L, j.C, loop.above_hz, loop.C_above, bounded=bounded, least=loop.largest_above)
 
 
 def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, float]:
@@ -252,7 +263,15 @@ def _with_intervals(
     if j.deviations is None or j.reference is None or j.factor is None:
         return found, found, found
     drawn = reader.read_drawn(
-        j.f, j.reference, j.factor, j.deviations, j.C, loop.above_hz, loop.C_above, bounded=bounded
+        j.f,
+        j.reference,
+        j.factor,
+        j.deviations,
+        j.C,
+        loop.above_hz,
+        loop.C_above,
+        bounded=bounded,
+        least=loop.largest_above,
     )
     reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
     if j.drowned:
@@ -260,10 +279,13 @@ def _with_intervals(
     ordered = np.sort(drawn, axis=0)
     usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
     usual &= _of_one_piece(np.where(usual, ordered, 0.0))
+    for column, most in _DISTANCES.items():
+        usual[column] = usual[column] and drawn[:, column].std() <= most
     shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
     value = found - shift.mean(axis=0)
     reach = REACH * shift.std(axis=0)
-    k = round(0.025 * (len(drawn) - 1))  # where draws jump, or never come to the crossing, their own order tells
+    # where draws jump, never come to the crossing or come as near to -1 as L itself, their own order tells
+    k = round(0.025 * (len(drawn) - 1))
     low = np.where(usual, value - reach, np.minimum(ordered[k], found))
     return value, low, np.where(usual, value + reach, np.maximum(ordered[-1 - k], found))
 

@@ -35,10 +35,14 @@ ON_IT = 1e-3
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Why a count cannot be given, and the band in Hz to measure, None where measuring does not help."""
+    """Why a count cannot be given, and the band in Hz to measure, None where measuring does not help.
+
+    `finer` tells that the lines there lie too far apart; else they are too uncertain, or there are none.
+    """
 
     reason: str
     band_hz: tuple[float, float] | None = None
+    finer: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,7 @@ def sampling(loop: Loop, path: Path) -> Sampling:
                 f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
+                True,
             )
     return Sampling(turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Left.SCATTER]))
 
@@ -96,7 +101,7 @@ def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, 
         elif unclear is None and (least != most or not sure):
             low, high = float(f[crowd.first]), float(f[crowd.last])
             reason = f"resonances between {low:.4g} and {high:.4g} Hz, close together, may or may not encircle -1"
-            unclear = Obstacle(f"{reason}: measure finer there", (low, high))
+            unclear = Obstacle(f"{reason}: measure finer there", (low, high), True)
     return turns, followed, unclear
 
 
@@ -123,7 +128,7 @@ def _nearest(path: Path) -> Array:
 
 def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
     reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
-    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz))
+    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz), True)
 
 
 def may_be_oscillatory(loop: Loop) -> bool:
@@ -210,9 +215,9 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     return max(float(damping[k]), SHARPEST), float(middle[k])
 
 
-def obstacle(loop: Loop, path: Path, between: Sampling, before: complex) -> Obstacle | None:
-    """The first thing that keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
-    return next((x for x in _obstacles(loop, path, between, before) if x is not None), None)
+def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle]:
+    """What keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
+    return (x for x in _obstacles(loop, path, between, before) if x is not None)
 
 
 def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
@@ -223,7 +228,7 @@ def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> It
     yield doubt(path, between, before if loop.model is None else None, freedom)
     yield between.unclear
     missing = hole(loop)
-    yield None if missing is None else Obstacle(*missing)
+    yield None if missing is None else Obstacle(*missing, finer=True)
 
 
 def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Obstacle | None:
@@ -264,7 +269,7 @@ def on_it(path: Path, between: Sampling) -> Obstacle | None:
         return None
     k = int(np.argmin(near))
     at = path.f[k] + chords_to_minus_one(path.L)[1][k] * (path.f[k + 1] - path.f[k])
-    return Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at))
+    return Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at), True)
 
 
 def doubt(
@@ -287,7 +292,7 @@ def doubt(
             reason = (
                 f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
             )
-            return Obstacle(f"{reason}: measure finer there", (low, high))
+            return Obstacle(f"{reason}: measure finer there", (low, high), True)
         reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
         return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
     chance, share = chance_of_error(reach, path.alike)

@@ -10,6 +10,7 @@ import numpy as np
 from loopshape.data.loop import Loop
 from loopshape.data.requirements import LIMIT_OF, LIMITS, Margins
 from loopshape.data.verdict import Line, Verdict
+from loopshape.data.verdict_words import STABLE_RANK
 
 #: quantities that say how close L comes to -1, the most telling first
 CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)
@@ -17,7 +18,6 @@ CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x
 NEAREST = "nearest to -1"
 #: what counts as worse first
 SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
-STABLE_RANK = {"unstable": 0, "undecided": 1, "stable": 2}
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ def point_outcome(margins: Margins, quantity: str, required: float) -> str:
         best = margins.bounds[quantity]
         low, high = (low, max(high, best)) if at_least else (min(low, best), high)
     surely, perhaps = (low >= required, high >= required) if at_least else (high <= required, low <= required)
+    at_hz = margins.at_hz.get(quantity, 0.0)
+    perhaps = perhaps or any(low < at_hz < high for low, high in margins.missing_hz)
     return "passed" if surely else "undecided" if perhaps else "failed"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
+from loopshape.data.channel import unit_of
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
@@ -102,17 +103,68 @@ def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, toler
     that another controller held, of another loop, or at another rate.
     """
     notes = _checked(prediction, measured)
-    one, two, missed, more = on_common_lines(prediction.sensitivity, measured)
+    return _judged(prediction.loop, prediction.sensitivity, measured, level, tolerance_db, notes, plants=False)
+
+
+def compare_plants(first: FRF, second: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
+    """Whether two FRFs (1 x 1) are of one plant, within what both are known to; as `compare` in all else.
+
+    Refuses FRFs of several inputs or outputs, of other units, and at other rates: a hold is part of a plant.
+    """
+    for frf in (first, second):
+        if frf.response.shape[1:] != (1, 1):
+            raise WrongUseError(
+                "FRFs of one input and one output are compared", f"{frf.recording}: {frf!r}", "select an element"
+            )
+    for one, two in ((first.outputs[0], second.outputs[0]), (first.inputs[0], second.inputs[0])):
+        if unit_of(one) != unit_of(two) and "1" not in (unit_of(one), unit_of(two)):
+            raise WrongUseError("both FRFs have the same units", f"{one} and {two}", "import one in the other's units")
+    if first.rate_hz and second.rate_hz and first.rate_hz != second.rate_hz:
+        raise WrongUseError("both FRFs have one rate", f"{first.rate_hz:g} and {second.rate_hz:g} Hz")
+    return _judged(first.loop, first, second, level, tolerance_db, (), plants=True)
+
+
+def compare_all(first: Sequence[FRF], second: Sequence[FRF], *, tolerance_db: float = 0.0) -> list[Comparison]:
+    """`compare_plants` each of `second` with each of `first` of its loop and operating point; one alone with one alone.
+
+    All together call plants that have not changed different 5 % of the time. Refuses FRFs of which no two belong
+    together.
+    """
+    alone = len(first) == len(second) == 1
+    pairs = [(a, b) for a in first for b in second if alone or _belong(a, b)]
+    if not pairs:
+        raise WrongUseError(
+            "no FRFs are of one loop at one operating point",
+            f"{_named(first)}; {_named(second)}", "import them with the same --loop",
+        )  # fmt: skip
+    level = 1.0 - 0.95 ** (1.0 / len(pairs))
+    return [compare_plants(a, b, level=level, tolerance_db=tolerance_db) for a, b in pairs]
+
+
+def _belong(one: FRF, two: FRF) -> bool:
+    points = [{**frf.operating_point, **frf.parameters} for frf in (one, two)]
+    return one.loop == two.loop and points[0] == points[1]
+
+
+def _named(frfs: Sequence[FRF]) -> str:
+    return ", ".join(dict.fromkeys(f"loop {frf.loop} of {frf.recording}" for frf in frfs))
+
+
+def _judged(
+    loop: str, first: FRF, second: FRF, level: float, tolerance_db: float, notes: tuple[str, ...], plants: bool
+) -> Comparison:
+    """Two measurements of one response."""
+    one, two, missed, more = on_common_lines(first, second)
     notes += more
     if not missed.size:
-        return _compared(prediction, measured, "cannot tell", level, tolerance_db, notes)
-    lines = paired(one, two, missed, tolerance_db)
+        return _compared(loop, first, second, "cannot tell", level, tolerance_db, notes)
+    lines = paired(one, two, missed, tolerance_db, plants)
     p_value, bands = judged(lines)
     noticed = noticed_db(lines, level)
     sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
     outcome = "did not hold" if p_value < level else "held" if sharp else "cannot tell"
     return replace(
-        _compared(prediction, measured, outcome, level, tolerance_db, notes),
+        _compared(loop, first, second, outcome, level, tolerance_db, notes),
         p_value=p_value,
         lines=lines.frequency_hz.size,
         bands=bands,
@@ -123,14 +175,14 @@ def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, toler
 
 
 def _compared(
-    prediction: Prediction, measured: FRF, outcome: str, level: float, tolerance_db: float, notes: tuple[str, ...]
+    loop: str, first: FRF, second: FRF, outcome: str, level: float, tolerance_db: float, notes: tuple[str, ...]
 ) -> Comparison:
     """The noun of two measurements, without numbers yet."""
     return Comparison(
-        loop=prediction.loop,
-        predicted_from=prediction.recording,
-        measured_from=measured.recording,
-        operating_point=dict(measured.operating_point),
+        loop=loop,
+        predicted_from=first.recording,
+        measured_from=second.recording,
+        operating_point=dict(second.operating_point),
         outcome=outcome,
         p_value=float("nan"),
         level=level,
@@ -145,7 +197,9 @@ def _compared(
 def _checked(prediction: Prediction, measured: FRF) -> tuple[str, ...]:
     """Notes on what a measurement does not say; refuses one of another loop or controller."""
     controller, held = prediction.controller, measured.held_by
-    if measured.loop != prediction.loop or (measured.rate_hz > 0.0 and measured.rate_hz != controller.rate_hz):
+    if prediction.loop not in ("", measured.loop) or (
+        measured.rate_hz > 0.0 and measured.rate_hz != controller.rate_hz
+    ):
         raise WrongUseError(
             f"the measurement {measured.recording} is not of the loop that was predicted",
             f"loop {measured.loop!r} at {measured.rate_hz:g} Hz",

@@ -29,26 +29,26 @@ class Reader:
 
     def read(
         self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray,
-        *, bounded: bool = True,
+        *, bounded: bool = True, least: float = 0.0,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Columns (loops, columns) of the kernel for open loops L (loops, nf) under C (nf,), and where they lie in Hz.
 
-        What |L| may do above the last line counts where `bounded`.
+        What |L| may do above the last line counts where `bounded`: it stays below its last value, or `least`.
         """
         f, L, C, above_hz, C_above = _seen(f, L, C, above_hz, C_above)
         over, over_above = self._over(f, above_hz)
-        return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above)
+        return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above, True, least)
 
     def read_drawn(
         self, f: Array, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, C: ComplexArray,
-        above_hz: Array, C_above: ComplexArray, *, bounded: bool = True,
+        above_hz: Array, C_above: ComplexArray, *, bounded: bool = True, least: float = 0.0,
     ) -> Array:  # fmt: skip
         """Columns (draws, columns) for `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
         f, reference, factor, draws, C = _seen(f, reference, factor, draws, C)
         over, over_above = self._over(f, above_hz)
         above_hz, C_above = _seen(above_hz, C_above)
         return kernel.read_drawn(
-            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above
+            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above, least
         )
 
     def _over(self, f: Array, above_hz: Array) -> list[Array]:

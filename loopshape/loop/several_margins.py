@@ -10,14 +10,15 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.loop import Loop
 from loopshape.data.loop_matrix import LoopMatrix, responses, sensitivity
 from loopshape.data.smoothed import Dense
 from loopshape.data.verdict import SeveralMargins
+from loopshape.identify.smoothing import smoothed
 from loopshape.loop.determinant import closed_loops_stability, followed_matrix
+from loopshape.loop.margins import REACH, margins
 from loopshape.loop.structured import mu_bounds, refined, upper_at
 
-#: half width of a 95 % interval in standard deviations taken from 200 draws
-REACH = 1.972
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
 #: search is needed for each (neighbours are smoothed together and say the same)
 NEAR, MOST, MOST_SEARCHED = 0.7, 40, 16
@@ -62,6 +63,8 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
     the lines show makes them.
     """
+    if len(loops.names) == 1:
+        return _of_one(loops)
     scatter = followed_matrix(loops) if loops.plant.covariance.any() else None
     P, f, c = loops.P, loops.frequency_hz, loops.c
     if scatter is not None:
@@ -103,6 +106,32 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         worst_changes=_changes(disk),
         unstable_poles=stability.unstable_poles,
         notes=(MIXED,) if mixed else (),
+    )
+
+
+def _of_one(loops: LoopMatrix) -> SeveralMargins:
+    """Of one loop its own margins: the same lines, the same draws, the same intervals."""
+    plant, scatter = smoothed(loops.plant)
+    loop = Loop(
+        plant, loops.controllers[0], loops.integrators, loops.unstable_poles, None, loops.beyond, loops.plant, scatter
+    )
+    found, names = margins(loop), [name for name in FIELDS if name != "input_output_disk_margin"]
+    own = {name: getattr(found, name) for name in names}
+    a = own["disk_margin"]
+    return SeveralMargins(
+        **(dict.fromkeys(_OF_ONE_LOOP, float("nan")) | own),
+        gain_margin_db=float(db((2.0 + a) / (2.0 - a))) if a < 2.0 else float("inf"),
+        phase_margin_deg=float(2.0 * deg(np.arctan(0.5 * a))),
+        crossings_hz=(),
+        phase_crossings_hz=(),
+        at_hz={name: found.at_hz[name] for name in names if name in found.at_hz},
+        stable=found.stable,
+        stability_reason=found.stability_reason,
+        stability_band_hz=found.stability_band_hz,
+        intervals={name: found.intervals[name] for name in names if name in found.intervals},
+        bounds={name: found.bounds[name] for name in names if name in found.bounds},
+        loops=loops.names,
+        disk_margin_reached=a,
     )
 
 

@@ -18,9 +18,9 @@ from loopshape.data.loop import Loop
 from loopshape.data.smoothed import Dense, Scatter
 from loopshape.identify.resonances import Phase, Resonance, resonances
 from loopshape.loop.between import followed
-from loopshape.loop.low_end import judged_lines
+from loopshape.loop.low_end import DOWN, in_sight, low_models
 from loopshape.loop.reading import Reader
-from loopshape.loop.stability import count_unstable
+from loopshape.loop.stability import count_unstable, swing_near
 
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
 DRAWN, REACH = 40, 2.02
@@ -153,9 +153,7 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
 
     Of those `seen` narrow ones are followed, where the loop's smoothing did not do so.
     """
-    judged = judged_lines(loop)
     f, P, std, draws = loop.frequency_hz, loop.plant.siso, np.sqrt(loop.plant.variance[:, 0, 0]), None
-    led = 0 if judged is None else judged[0].size - f.size
     narrow: list[Resonance] = []
     if loop.scatter is None:
         after = np.clip(np.searchsorted(f, [x.frequency_hz for x in seen]), 1, f.size - 1)
@@ -164,11 +162,12 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
         dense, _ = followed(loop)
         f, P, draws = dense.frequency_hz, dense.response, dense.deviations[:DRAWN]
         std = np.interp(f, loop.frequency_hz, std)
-    if judged is not None and led and loop.model is not None:
-        ahead = loop.model.response(judged[0][:led])
+    for model in low_models(loop)[:1] if abs(loop.L[0]) < 1.0 and in_sight(loop) else ():
+        below = float(f[0]) * DOWN[1:]
+        ahead = model.response(below)
         std = np.concatenate([std[0] * np.abs(ahead / P[0]), std])
         draws = None if draws is None else np.concatenate([ahead / P[0] * draws[:, :1], draws], axis=1)
-        f, P = np.concatenate([judged[0][:led], f]), np.concatenate([ahead, P])
+        f, P = np.concatenate([below, f]), np.concatenate([ahead, P])
     return Plant(f, P, std, draws, loop.below_hz, loop.P_below, loop.above_hz, tuple(narrow))
 
 
@@ -188,11 +187,12 @@ def read(loop: Loop, plant: Plant, reader: Reader) -> Reading:
     """What a loop's margins and count are with its plant as it stands moved."""
     f, C, above, C_above, C_below = _responses(loop, plant)
     L = C * plant.P[: f.size]
-    found, at = reader.read(f, L[None], C, above, C_above)
+    found, at = reader.read(f, L[None], C, above, C_above, least=loop.largest_above)
     with np.errstate(divide="ignore"):
         clear = float(np.min(np.abs(1.0 + L) / (np.abs(C) * plant.std[: f.size])))
     integrators = (loop.integrators or 0) + loop.controller.integrators()
-    poles = count_unstable(L, integrators, loop.unstable_poles or 0, C_below * plant.P_below)
+    near = 0.0 if plant.P_below.size else swing_near(loop)
+    poles = count_unstable(L, integrators, loop.unstable_poles or 0, C_below * plant.P_below, near)
     return Reading(found[0], at[0], poles, clear)
 
 
@@ -202,7 +202,7 @@ def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: Reading) -> tu
     if draws is None:
         return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
     f, C, above, C_above, _ = _responses(loop, plant)
-    drawn, _ = reader.read(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above)
+    drawn, _ = reader.read(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, least=loop.largest_above)
     known = np.isfinite(drawn).all(axis=0) & np.isfinite(reading.values)
     off = np.where(known, drawn, 0.0) - np.where(known, reading.values, 0.0)
     return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)

@@ -8,23 +8,40 @@ The ends are closed here, the first by L ~ 1/s^k with the declared k, what lies 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from loopshape.core.kernels import encirclements as kernel
 from loopshape.core.kernels.encirclements import FIT_DEG as FIT_DEG
-from loopshape.core.units import ComplexArray, deg
+from loopshape.core.units import ComplexArray, deg, hz
 from loopshape.data.loop import Loop
+from loopshape.data.model import TransferFunction
 from loopshape.identify.resonances import Phase, resonances
-from loopshape.loop.between import measured, path_of
-from loopshape.loop.low_end import crossover_below, judged_lines, low_hz, low_models
-from loopshape.loop.obstacles import Obstacle, obstacle, sampling, unseen_resonance
+from loopshape.loop.between import Path, between_lines, measured, path_of
+from loopshape.loop.low_end import (
+    AGREE,
+    DOWN,
+    below_lines,
+    crossover_below,
+    in_sight,
+    is_large,
+    is_told,
+    low_hz,
+    low_models,
+    low_order,
+    poles_at_0,
+)  # fmt: skip
+from loopshape.loop.obstacles import REACH_95, Obstacle, Sampling, obstacles, sampling, unseen_resonance
 
 UNKNOWN_POLES = (
     "the number of unstable poles of the plant is not known: declare unstable_poles in the requirements' [[loop]], name"
     " the controller of the recorded loop in the map, or fit a model that leaves nothing but noise"
 )
+#: a zero this near to a pole, as a share of its size, cancels it
+SAME = 1e-3
 #: where the first line does not show how L starts, measure down to this share of it
 LOWER = 0.1
 
@@ -58,6 +75,9 @@ def closed_loop_stability(loop: Loop) -> Stability:
     within the FRF's own 95 % reach, or where its errors together make the count wrong with a chance above 0.5 %.
     A resonance whose tails lie below the noise (`unseen_damping`), or one with less damping than 1e-4, is not seen.
     """
+    cancelled = hidden_mode(loop)
+    if cancelled:
+        return Stability("unstable", None, cancelled)
     f, L = loop.frequency_hz, loop.L
     if loop.integrators is None:
         return _undecided(
@@ -66,7 +86,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
         )
     if loop.unstable_poles is None:
         return _undecided(UNKNOWN_POLES + _sign_of_one(loop))
-    if judged_lines(loop) is None:
+    if not in_sight(loop):
         reason = (
             f"|L| is {abs(L[0]):.2g} at the lowest frequency, {f[0]:.3g} Hz: the crossover lies lower, measure there"
         )
@@ -80,6 +100,40 @@ def closed_loop_stability(loop: Loop) -> Stability:
     if poles:
         return Stability("unstable", poles, f"{poles} closed-loop poles in the right half plane", None, *unseen)
     return Stability("stable", 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
+
+
+def hidden_mode(loop: Loop) -> str:
+    """What of the closed loop L does not show, in words: a pole that a zero cancels on or right of the imaginary axis.
+
+    Poles at s = 0 by the declarations, others by the fit that says how the plant goes on. Empty where there is none.
+    """
+    plant, own = loop.integrators or 0, [block.integrators() for block in loop.controller.blocks]
+    zero_of_plant, zero_of_own = plant < 0, min(own, default=0) < 0
+    if max(own, default=0) > 0 and (zero_of_plant or zero_of_own):
+        whose = "plant" if zero_of_plant else "controller"
+        return (
+            f"a zero of the {whose} at 0 Hz cancels the controller's integrator: its output drifts without bound, and L"
+            " does not show it; leave the integrator out"
+        )
+    if plant > 0 and zero_of_own:
+        return "a zero of the controller at 0 Hz cancels the plant's integrator: it drifts, and L does not show it"
+    poles = np.zeros(0, dtype=complex) if loop.model is None else unstable_or_undamped(loop.model)
+    rows = loop.controller.biquads()
+    zeros = np.concatenate([np.roots(row[:3]) for row in rows]) if poles.size and len(rows) else np.zeros(0)
+    at = poles / loop.controller.rate_hz
+    near = np.abs(zeros[:, None] - np.exp(at)[None, :]) <= SAME * np.abs(at)[None, :]
+    if not near.any():
+        return ""
+    f_hz = float(hz(np.abs(poles[near.any(axis=0)][0])))
+    return (
+        f"a zero of the controller cancels the plant's pole at {f_hz:.4g} Hz, which is not stable: L does not show it"
+    )
+
+
+def unstable_or_undamped(model: TransferFunction) -> ComplexArray:
+    """Poles of a model in rad/s on the imaginary axis or right of it, those at 0 left out."""
+    poles = model.poles()
+    return np.asarray(poles[(poles.real >= -SAME * np.abs(poles)) & (np.abs(poles) > 0.0)])
 
 
 def _sign_of_one(loop: Loop) -> str:
@@ -102,35 +156,86 @@ def unstable_count(loop: Loop) -> int | Obstacle:
     """
     if loop.unstable_poles is None:
         return Obstacle(UNKNOWN_POLES)
-    integrators = (loop.integrators or 0) + loop.controller.integrators()
-    path = path_of(loop)
+    path, below, integrators = path_of(loop), _ways_below(loop), poles_at_0(loop)
     between = sampling(loop, path)
-    below = loop.controller.response(loop.below_hz) * loop.P_below
-    odd = loop.unstable_poles % 2 == 1
-    found = obstacle(loop, path, between, 1.0 + _before_first(path.L, integrators, odd, below))
+    found = next(_obstacles(loop, path, between, below), None)
     if found is not None:
         return found
-    poles = count_unstable(path.L, integrators, loop.unstable_poles, below)
-    if poles is None:
-        poles = _count_by_low_models(loop, path.L, integrators)
+    near = swing_near(loop)
+    ways = below or [np.zeros(0, dtype=complex)]
+    counts = {count_unstable(path.L, integrators, loop.unstable_poles, x, 0.0 if below else near) for x in ways}
+    poles = counts.pop() if len(counts) == 1 else None
     return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
 
 
-def _count_by_low_models(loop: Loop, L: ComplexArray, integrators: int) -> int | None:
-    """The count along L (n,) with each small model of the lowest lines; None where there is none or two differ."""
-    f = low_hz(loop)
-    C, unstable = loop.controller.response(f), loop.unstable_poles or 0
-    models = () if loop.model is not None else low_models(loop)
-    counts = {count_unstable(L, integrators, unstable, C * model.response(f)) for model in models}
-    return counts.pop() if len(counts) == 1 else None
+def obstacles_of(loop: Loop) -> tuple[Obstacle, ...]:
+    """All that keeps the lines of a loop with known poles from telling, of which `unstable_count` gives the first."""
+    if loop.integrators is None or loop.unstable_poles is None:
+        return ()
+    path = path_of(loop)
+    return tuple(_obstacles(loop, path, sampling(loop, path), _ways_below(loop)))
+
+
+def _obstacles(loop: Loop, path: Path, between: Sampling, below: list[ComplexArray]) -> Iterator[Obstacle]:
+    first = _doubt_below(loop)
+    if first is not None:
+        yield first
+    odd = (loop.unstable_poles or 0) % 2 == 1
+    before = _before_first(path.L, poles_at_0(loop), odd, below[0] if below else np.zeros(0, dtype=complex))
+    yield from obstacles(loop, path, between, 1.0 + before)
+    if not is_told(loop):
+        yield _unknown_below(loop)
+
+
+def _ways_below(loop: Loop) -> list[ComplexArray]:
+    """L below the first line towards 0 Hz, by each model that tells it; none where what lies there does not matter."""
+    fitted = [] if loop.model is None else [loop.controller.response(loop.below_hz) * loop.P_below]
+    return fitted if is_large(loop) else fitted + below_lines(loop, low_hz(loop))
+
+
+@lru_cache(maxsize=256)
+def swing_near(loop: Loop) -> float:
+    """Angle in rad from the phase of L's integrators to that at its first line: the controller's, as it is known.
+
+    And that of poles of a stable plant below the line, -90 deg for each 20 dB a decade by which it falls faster than
+    its integrators (Bode 1945).
+    """
+    C = loop.controller.response(np.append(low_hz(loop), loop.frequency_hz[0]))
+    turn = np.unwrap(np.angle(C))
+    phase, slope = low_order(measured(loop))
+    agree = abs(phase - slope) < AGREE
+    more = max(round(slope - (loop.integrators or 0)), 0) if agree and not loop.unstable_poles else 0
+    return float(turn[-1] - turn[0] - 0.5 * np.pi * more)
+
+
+def _doubt_below(loop: Loop) -> Obstacle | None:
+    """Where the error of a model of the lowest lines may carry L over -1 below them."""
+    if is_large(loop):
+        return None
+    errors = between_lines(loop).deviations if loop.scatter is None else loop.scatter.deviations
+    f = float(loop.frequency_hz[0]) * DOWN[1:]
+    C = loop.controller.response(f)
+    for model in low_models(loop):
+        moved = C * model.deviations(f, errors)
+        far = np.abs(1.0 + C * model.response(f)) / np.maximum(np.sqrt(np.mean(np.abs(moved) ** 2, axis=0)), 1e-300)
+        if far.min() < REACH_95:
+            at, first = float(f[np.argmin(far)]), float(loop.frequency_hz[0])
+            reason = f"-1 lies within the uncertainty of L at {at:.3g} Hz, below the first frequency, {first:.3g} Hz"
+            return Obstacle(f"{reason}: measure lower", (at, first))
+    return None
+
+
+def _unknown_below(loop: Loop) -> Obstacle:
+    f, L = loop.frequency_hz, loop.L
+    reason = f"the lowest lines do not tell how L, {abs(L[0]):.2g} at {f[0]:.3g} Hz, goes on below them: measure lower"
+    return Obstacle(reason, (LOWER * float(f[0]), float(f[0])))
 
 
 def _misfit(loop: Loop, integrators: int) -> Obstacle:
     f, L = loop.frequency_hz, loop.L
     reason = (
         f"the phase of L at the lowest frequency ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
-        f" {integrators} integrators (the controller's included): fit a model, measure lower, or declare"
-        " integrators in the requirements' [[loop]]"
+        f" {integrators} integrators (the controller's included): measure lower, or correct the declaration"
     )
     return Obstacle(reason, (LOWER * float(f[0]), float(f[0])))
 
@@ -146,14 +251,16 @@ def _before_first(L: ComplexArray, integrators: int, negative: bool, below: Comp
     return 1e3 * (1.0 + abs(complex(L[0]))) * (-1j) ** integrators * (-1.0 if negative else 1.0)
 
 
-def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray) -> int | None:
+def count_unstable(
+    L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray, near: float = 0.0
+) -> int | None:
     """Closed-loop poles in the right half plane by the bare count, None where the first value fits badly.
 
-    `below` (nb,) continues L (nf,) towards zero frequency. It looks at no uncertainty and trusts the
-    sampling. With P unstable open-loop poles and k integrators, passed on the right, the turn of 1 + L over
-    s = j0+ ... j inf is pi (P + k/2 - Z) for Z unstable closed-loop poles.
+    `below` (nb,) continues L (nf,) towards zero frequency, `near` is what `swing_near` tells. It looks at no
+    uncertainty and trusts the sampling. With P unstable open-loop poles and k integrators, passed on the right, the
+    turn of 1 + L over s = j0+ ... j inf is pi (P + k/2 - Z) for Z unstable closed-loop poles.
     """
     poles = kernel.count_unstable(
-        np.ascontiguousarray(L), integrators, unstable_poles, np.asarray(below, dtype=complex)
+        np.ascontiguousarray(L), integrators, unstable_poles, np.asarray(below, dtype=complex), near
     )
     return None if poles == kernel.NO_FIT else poles

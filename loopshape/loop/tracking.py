@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
+from loopshape.data.arrays import real_array
 from loopshape.data.controller import Controller
 from loopshape.data.feedforward import Feedforward
 from loopshape.data.frf import FRF
@@ -68,9 +69,9 @@ def tracking_error_of(
             "feedforward and controller run at one rate", f"{feedforward.rate_hz:g} and {C.rate_hz:g} Hz",
             "make the feedforward from a FRF at the controller's rate",
         )  # fmt: skip
-    r = np.asarray(setpoint, dtype=float)
-    if r.ndim != 1 or r.size < 16 or not np.isfinite(r).all():
-        raise WrongUseError("a setpoint is (n,), finite, with 16 samples at least", f"{r.shape}")
+    r = real_array(setpoint, "the setpoint", ndim=1)
+    if r.size < 16:
+        raise WrongUseError("a setpoint has 16 samples at least", f"{r.size}")
     lines, scatter = smoothed(P)
     f = np.asarray(np.fft.rfftfreq(2 * r.size, 1.0 / C.rate_hz)[1:-1], dtype=float)
     spectrum = np.fft.rfft(np.concatenate([r, r[-1] + r[0] - r]))[1:-1]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import db, deg, from_db
+from loopshape.core.units import db, from_db
 from loopshape.data.controller import Controller
 from loopshape.data.disturbance import Disturbance
 from loopshape.data.frf import FRF, Hold
@@ -23,20 +23,20 @@ from loopshape.identify.merging import merged
 from loopshape.identify.smoothing import smoothed
 from loopshape.loop.detuning import with_detuning
 from loopshape.loop.error_rms import error_warnings, of_points, with_error_rms
-from loopshape.loop.low_frequency import low_frequency_models
+from loopshape.loop.low_end import low_order
 from loopshape.loop.margins import margins
-from loopshape.loop.obstacles import Obstacle
+from loopshape.loop.obstacles import REACH_95, Obstacle
+from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import SEVERITY, point_outcome
 from loopshape.loop.stability import unstable_count
+from loopshape.loop.step_response import models_within
 
-#: a fit that misses its lines by more than this, rms, says nothing of the plant below them
-WITNESS_DB = 6.0
-#: without a fit a declared number of integrators must agree with the slope of the lowest lines this closely
-CONTRADICTED = 0.75
+#: draws of a fit's parameters from which its deviation below the lowest line is taken
+DRAWN = 50
 #: a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of it
 LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
-#: lines above the band used count as seen where their relative standard deviation is below this
-KNOWN_BEYOND = 0.3
+#: lines above the band used are known where their relative deviation is below the first, noise alone above the second
+KNOWN_BEYOND, NOISE_ALONE = 0.3, 1.0
 #: what a check of a schedule does not show
 FROZEN = (
     "the margins are those of frozen operating points: they hold where the point moves slowly beside the loop, which is"
@@ -77,15 +77,15 @@ def loops_of(
             raise WrongUseError(
                 f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
             )
-        fit = next(
-            (x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop) and _witness(x, measured)), None
-        )
+        fit, unused = _fit_of(fits, frf, measured, requirements)
         beyond, model = beyond_lines(frf, lines), None if fit is None else fit.model
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
         notes += [
-            text for text in (left_out, fewer, note if counted else "", _narrowed(frf, lines, controller)) if text
+            text
+            for text in (left_out, fewer, unused, note if counted else "", _narrowed(frf, lines, controller))
+            if text
         ]
     return found, tuple(dict.fromkeys(notes))
 
@@ -134,20 +134,55 @@ def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
 
 
 def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
-    """Lines above those used that are known to 30 %, all elements together: a check must not overlook them."""
-    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
-    rows = (frf.frequency_hz > lines.frequency_hz[-1]) & (relative < KNOWN_BEYOND)
-    return frf.select(rows) if rows.any() else None
+    """Lines above those used, at the largest that their own 95 % circles allow: a check must not overlook them.
 
-
-def _witness(fit: Fit, frf: FRF) -> bool:
-    """Whether a fit may speak for the plant below the measured band.
-
-    It was made for this FRF, ended well and follows the lines; if it has unstable poles it leaves nothing but
-    noise too, because a fit that misses something likes to put it into such poles.
+    Not those that are noise alone, known worse than to 100 %, unless lines above them are known to 30 %.
     """
-    follows = fit.frf_digest in ("", frf.digest) and fit.outcome != "not_converged" and fit.misfit_db < WITNESS_DB
-    return follows and (fit.sufficient or not fit.model.unstable_poles())
+    size = np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
+    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / size
+    above = frf.frequency_hz > lines.frequency_hz[-1]
+    known = np.flatnonzero(above & (relative < KNOWN_BEYOND))
+    rows = above & (relative <= NOISE_ALONE)
+    rows[: known[-1] + 1 if known.size else 0] |= above[: known[-1] + 1 if known.size else 0]
+    if not rows.any():
+        return None
+    found = frf.select(rows)
+    return replace(found, response=found.response * (1.0 + REACH_95 * relative[rows])[:, None, None])
+
+
+def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
+    """The fit that may speak for the plant below the measured band, and a note where there is one that may not.
+
+    It was made for this FRF, ended well, leaves nothing but noise, contradicts no declaration, and its covariance tells
+    the plant below the lowest line down to a thousandth of it.
+    """
+    mine = [x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop)]
+    if not mine:
+        return None, ""
+    fit = mine[0]
+    poles = ("unstable poles", requirements.unstable_poles, fit.model.unstable_poles())
+    integrators = ("integrators", requirements.integrators, fit.model.integrators())
+    against = next((x for x in (poles, integrators) if x[1] is not None and x[1] != x[2]), None)
+    if fit.frf_digest not in ("", measured.digest):
+        why = "it was made for another FRF"
+    elif fit.outcome == "not_converged":
+        why = "it did not converge"
+    elif not fit.sufficient:
+        why = f"it leaves more than noise (misfit {fit.misfit_db:.2g} dB)"
+    elif against is not None:
+        why = f"it has {against[2]} {against[0]}, and {against[1]} are declared"
+    elif _spread_below(fit, float(frf.frequency_hz[0])) > KNOWN_BEYOND:
+        why = "its parameters are not known well enough to tell the plant below the lowest frequency"
+    else:
+        return fit, ""
+    return None, f"the fit of {frf.recording} is not used: {why}"
+
+
+def _spread_below(fit: Fit, first_hz: float) -> float:
+    """Largest relative deviation of a fit's response below a frequency in Hz, by its parameters' covariance."""
+    f = np.geomspace(1e-3 * first_hz, first_hz, 20)
+    drawn = np.array([model.response(f) for model in models_within(fit, DRAWN, 0)])
+    return float(np.sqrt(np.mean(np.abs(drawn / fit.model.response(f) - 1.0) ** 2, axis=0)).max())
 
 
 def _open_loop_poles(
@@ -183,14 +218,9 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
     declared = requirements.integrators
     if fit is not None:
         return fit.model.integrators() if declared is None else declared, ""
-    by_phase, by_slope = _low_frequency_order(frf)
     if declared is not None:
-        if abs(by_slope - declared) < CONTRADICTED or low_frequency_models(frf, declared):
-            return declared, ""
-        return None, (
-            f"{declared} integrators are declared, and |P| falls as with {by_slope:.1f} over the lowest lines:"
-            " these start above the plant's corners; measure lower, or fit a model that follows them"
-        )
+        return declared, ""
+    by_phase, by_slope = low_order(frf)
     integrators = round(by_phase)
     if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
         return (
@@ -198,6 +228,11 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
             f"the plant's lowest frequencies look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
         )
     word = "integrator" if integrators == 1 else "integrators"
+    if integrators and requirements.unstable_poles:
+        return None, (
+            f"the plant's lowest frequencies look like {integrators} {word}, or like unstable poles that lie below"
+            " them: declare integrators"
+        )
     return integrators, (
         f"plant taken to have {integrators} {word}, from its lowest frequencies: {by_phase:.1f} by phase,"
         f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
@@ -217,16 +252,6 @@ def _held_poles(
     loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
     missing = unstable_count(loop)
     return None if isinstance(missing, Obstacle) else -missing
-
-
-def _low_frequency_order(frf: FRF) -> tuple[float, float]:
-    """-phase/90 deg and -slope/20 dB a decade over the lowest lines (a factor of 1.6 in frequency, four at least)."""
-    f = frf.frequency_hz
-    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
-    lowest = frf.siso[:count]
-    phase = float(deg(np.angle(np.mean(lowest / np.abs(lowest)))))
-    slope = np.polyfit(np.log(f[: lowest.size]), np.log(np.abs(lowest)), 1)[0] if lowest.size > 1 else 0.0
-    return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
 
 
 def check(
@@ -275,7 +300,8 @@ def check_loops(
     notes += error_warnings(named, shaken, requirements)
     if isinstance(controller, GainScheduled):
         notes += (FROZEN,)
-    return with_warnings(found, loops, requirements, notes), tuple(loops)
+    found = with_warnings(found, loops, requirements, notes)
+    return (with_orders(found, loops, frfs, requirements) if counted else found), tuple(loops)
 
 
 def refuse_too_high(requirements: Requirements, controller: Controller | GainScheduled) -> None:
@@ -408,36 +434,8 @@ def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Li
         recording=recording,
         at_hz=margin.at_hz.get(limit.name),
         interval=interval,
-        longer=_longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
+        longer=longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
         bound=margin.bounds.get(limit.name),
-        measure_to_hz=_decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
+        measure_to_hz=decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
         beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )
-
-
-def _decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None:
-    """Up to where to measure until |L|, falling on as over the highest lines, is below the limit."""
-    size = from_db(wished) if quantity.endswith("_db") else wished
-    small = {
-        "gain_margin_db": 1.0 / size,
-        "modulus_margin": 1.0 - size,
-        "sensitivity_peak_db": 1.0 - 1.0 / size,
-        "disk_margin": (2.0 - size) / (2.0 + size),
-        "complementary_peak_db": size / (1.0 + size),
-        "sensitivity_bandwidth_hz": None,
-        "complementary_bandwidth_hz": None,
-    }.get(quantity, 0.1)
-    if small is None:  # a bandwidth: up to the limit itself
-        return wished
-    if small <= 0.0 or not margin.last_slope > 0.0:
-        return None
-    return float(margin.last_hz * max((margin.last_gain / small) ** (1.0 / max(margin.last_slope, 0.5)), 1.05))
-
-
-def _longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:
-    """Factor on the measuring time after which the interval, shrunk as 1/sqrt(time), would leave out the limit."""
-    room = sign * (value - wished)
-    if not np.isfinite(value):
-        return float("inf")
-    reach = abs(value - (bad if room >= 0.0 else good))
-    return float((reach / abs(room)) ** 2) if room else float("inf")

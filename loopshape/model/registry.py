@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, cast
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, meant
 
 if TYPE_CHECKING:
     from loopshape.data.plant import Followable
@@ -32,7 +32,7 @@ def plant(name: str) -> Rig:
         from loopshape.model.servo_axis.axis import ServoAxis
 
         return ServoAxis(zero_is_ordinary=True)
-    raise WrongUseError("a plant is not known", f"{name!r}", f"use one of {', '.join(PLANTS)}")
+    raise WrongUseError("a plant is not known", f"{name!r}", f"{meant(name, PLANTS)}use one of {', '.join(PLANTS)}")
 
 
 def diagnosable(name: str) -> Followable:

@@ -43,12 +43,12 @@ def arm(session: Session, settings: TargetSettings, loops: Sequence[LoopSetup], 
             f"{status.state.name.lower()}{reason_words(status.fault)}",
             "look at the machine, then `loopshape stop PORT --clear`",
         )
-    digest = session.configure(wanted)
+    ready = session.configure(wanted)
     session.watched(settings.watchdog_ms)
     refused = None
     with vented_on_error(session):
         try:
-            session.ask(Ask.ARM, digest.to_bytes(4, "little"))
+            session.ask(Ask.ARM, ready)
         except RefusedError as error:  # it is still idle: there is nothing to vent
             refused = error
     if refused is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from loopshape.data.diagram import Diagram, Part
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.wired import Wired
 from loopshape.rig.frames import LONGEST_PAYLOAD
+
+MOST_STATES = 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,35 @@ def blocks(wired: Wired, loops: Sequence[LoopSetup], rate_hz: float) -> tuple[tu
             outputs[loop] = len(made)
             made.append(Block(_weights(terms, number), np.zeros((0, 5)), 0, every))
     return tuple(made), outputs
+
+
+def own_radius(made: Sequence[Block], first: int) -> float | None:
+    """The largest |z| of the poles of blocks that read each other, alone: references and outputs at rest.
+
+    `first` is the number of the first block's signal. Above 1 (beyond an integrator's rounding) the blocks are unstable
+    by themselves. None where there are more than `MOST_STATES` states, which takes too long.
+    """
+    sizes = [2 * len(one.sections) + one.delay for one in made]
+    if (n := sum(sizes)) == 0 or n > MOST_STATES:
+        return None if n else 0.0
+    starts = np.cumsum([0, *sizes])
+    states = [np.eye(n)[a:b] for a, b in pairwise(starts)]
+    values = [state[-1] if one.delay else np.zeros(n) for one, state in zip(made, states, strict=True)]
+    after = []
+    for k, (one, state) in enumerate(zip(made, states, strict=True)):
+        total = sum((w * values[s - first] for s, w in one.terms if s >= first), np.zeros(n))
+        moved = []
+        pairs = state[: 2 * len(one.sections)].reshape(-1, 2, n)
+        for (b0, b1, b2, a1, a2), (s1, s2) in zip(one.sections, pairs, strict=True):
+            out = b0 * total + s1
+            moved += [b1 * total - a1 * out + s2, b2 * total - a2 * out]
+            total = out
+        if one.delay:
+            moved += [total, *state[2 * len(one.sections) : -1]]
+        else:
+            values[k] = total
+        after += moved
+    return float(np.abs(np.linalg.eigvals(np.array(after))).max())
 
 
 def _sources(wired: Wired, loops: Sequence[LoopSetup]) -> dict[str, int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.effect import Effect, EffectForm
 
 
@@ -27,8 +27,7 @@ def forms_of(plant: Any, name: str) -> tuple[EffectForm, ...]:
     """The forms of one effect, in order; refuses an unknown one and lists the known."""
     forms = catalogue(plant)
     known = tuple(dict.fromkeys(form.effect for form in forms))
-    if name not in known:
-        raise WrongUseError(f"{plant.name} has no such effect", f"{name!r}", f"known are {', '.join(known)}")
+    refuse_unknown(f"{plant.name} has no such effect", name, known, "known are")
     return tuple(form for form in forms if form.effect == name)
 
 
@@ -72,9 +71,13 @@ def chosen(plant: Any, key: str, magnitude: float) -> tuple[EffectForm, Effect]:
         low, high = bounds(form)
         if low <= magnitude <= high:
             return form, form.at(magnitude)
-    unit = "" if forms[0].unit == "1" else f" {forms[0].unit}"
-    ranges = list(dict.fromkeys("{:g} and {:g}".format(*bounds(form)) for form in forms))
-    raise WrongUseError(f"the magnitude of {key} lies between {' or '.join(ranges)}{unit}", f"{magnitude:g}")
+    ranges = list(dict.fromkeys(_range(form) for form in forms))
+    raise WrongUseError(f"the magnitude of {key} lies between {' or '.join(ranges)}", f"{magnitude:g}")
+
+
+def _range(form: EffectForm) -> str:
+    low, high = bounds(form)
+    return f"{low:g} and {high:g} {f'({form.quantity})' if form.quantity else form.unit}"
 
 
 def _candidates(plant: Any, key: str) -> tuple[EffectForm, ...]:

@@ -78,6 +78,7 @@ class Reason(IntEnum):
 REFUSALS = {
     1: "not in this state", 2: "malformed", 3: "out of range", 4: "not configured", 5: "another configuration",
     6: "no room", 7: "unknown run", 8: "not supported", 9: "another host is connected",
+    10: "the number is not fresh",
 }  # fmt: skip
 
 
@@ -125,6 +126,7 @@ class Identity:
 
     `ranges` are the lowest and highest value of each sensor, then of each command; an older target says none.
     `schedules`: whether it takes controllers that follow an operating point, `blocks`: such that are a diagram.
+    `guarded`: whether it arms by a number that it gives fresh, and refuses poles outside the unit circle.
     """
 
     protocol: int
@@ -144,6 +146,7 @@ class Identity:
     ranges: tuple[tuple[float, float], ...] = ()
     schedules: bool = False
     blocks: bool = False
+    guarded: bool = False
 
     @classmethod
     def read(cls, payload: bytes) -> Identity:
@@ -168,7 +171,7 @@ class Identity:
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
             board, version, tuple(names[:sensors]), tuple(names[sensors:]),
             tuple(zip(numbers[::2], numbers[1::2], strict=True)), bool(flags & 4),
-            bool(flags & 8),
+            bool(flags & 8), bool(flags & 16),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:
@@ -214,8 +217,8 @@ class Configuration:
 
     def _configure(self) -> bytes:
         head = struct.pack(
-            "<BBBHddd", len(self.sections), self.hold, 1, self.watchdog_ms, self.soft_start_s, self.pwm_hz,
-            self.dead_zone,
+            "<BBBHddd", len(self.sections), self.hold, 1, self.watchdog_ms, self.soft_start_s,
+            self.pwm_hz, self.dead_zone,
         )  # fmt: skip
         return head + np.asarray(self.outputs, "<f8").tobytes() + np.asarray(self.mixing, "<f8").tobytes()
 

@@ -22,6 +22,8 @@ from loopshape.rig.messages import Ask, Configuration, Ended, Identity, Payload,
 ANSWER_S = 0.25
 TRIES = 5
 SHORTEST_S = 0.02
+#: requests that may be done twice: each try has a tag of its own, as a repeated frame feeds no watchdog
+_TWICE = (Ask.ALIVE, Ask.ROWS, Ask.AGAIN)
 NO_PLACE = 9  # refusal: another host is connected
 BUSY_S = 60.0  # a host that is busy for longer than this is as good as gone
 
@@ -35,7 +37,7 @@ class Session:
         self._answer: Frame | None = None
         self.again_s = ANSWER_S
         self.vented = False  # the emergency stop was tried since the target was armed
-        self._awaited = 0
+        self._awaited: set[int] = set()
         self.unasked: Callable[[Frame], None] = lambda frame: None
         self.last_sent_s = clock()
 
@@ -51,12 +53,13 @@ class Session:
 
     def ask(self, what: Ask, payload: bytes = b"") -> bytes:
         """Send a request until it is answered; its answer's payload. Refused or unanswered, it is a `RigError`."""
-        self._awaited = next(self._tags) % 65535 + 1
-        self._answer = None
-        frame = b"\0" + Frame(what, self._awaited, payload).encoded  # the zero ends what noise or a cut frame left
+        self._awaited, self._answer = set(), None
         over = self._clock() + TRIES * ANSWER_S
         while self._clock() < over:
-            self._link.write(frame)
+            if not self._awaited or what in _TWICE:
+                tag = next(self._tags) % 65535 + 1
+                self._awaited.add(tag)
+            self._link.write(b"\0" + Frame(what, tag, payload).encoded)  # the zero ends what noise or a cut frame left
             self.last_sent_s = self._clock()
             until = min(over, self._clock() + self.again_s)
             while self._answer is None and self._clock() < until:
@@ -79,7 +82,7 @@ class Session:
         """Take in what has come, waiting at most `wait_s`."""
         for frame in self._receiver.take(self._link.read(wait_s)):
             if frame.type in (Say.OK, Say.NO):
-                if frame.tag == self._awaited:
+                if frame.tag in self._awaited:
                     self._answer = frame
             else:
                 self._told(frame)
@@ -125,16 +128,17 @@ class Session:
         """How long ago the last request was sent."""
         return self._clock() - self.last_sent_s
 
-    def configure(self, configuration: Configuration) -> int:
-        """Configure and let the target confirm by its digest; gives it. Refuses a target that understood another."""
+    def configure(self, configuration: Configuration) -> bytes:
+        """Configure, and let the target confirm by its digest, which it must share; gives what ARM repeats."""
         for what, payload in configuration.frames():
             self.ask(what, payload)
-        theirs, ours = Payload(self.ask(Ask.READY)).one("I"), configuration.digest
+        ready = self.ask(Ask.READY)
+        theirs, ours = Payload(ready).one("I"), configuration.digest
         if theirs != ours:
             raise RigError(
                 "the target understood another configuration", f"digest {theirs:08x} for {ours:08x}", "do not arm it"
             )
-        return ours
+        return ready
 
     def status(self, run: int = 0, received: int = 0) -> Status:
         """How the target is; tells it how many samples of a run are here without a gap."""

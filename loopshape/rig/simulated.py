@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, Array
 from loopshape.data.channel import Channel
 from loopshape.data.controller import Controller
@@ -49,8 +49,7 @@ def plan(study: Study, plant: Rig) -> list[Planned]:
     Refuses what the plant cannot do before anything moves. Seeds of sensor noise follow from the study's
     seed and the place in this list, so a resumed or a partial campaign gives the same recordings.
     """
-    if study.solver not in plant.solvers:
-        raise WrongUseError("a solver is not known", f"{study.solver!r}", f"use {' or '.join(plant.solvers)}")
+    refuse_unknown("a solver is not known", study.solver, plant.solvers)
     _check_solver(study, plant)
     out = listed(study, plant)
     for template in study.experiments:

@@ -182,7 +182,7 @@ def _again(armed: Armed) -> bool:
         return False
     if armed.session.status().state is State.FAULT:
         armed.session.ask(Ask.CLEAR)
-        armed.session.ask(Ask.ARM, armed.session.configure(armed.configuration).to_bytes(4, "little"))
+        armed.session.ask(Ask.ARM, armed.session.configure(armed.configuration))
     return True
 
 

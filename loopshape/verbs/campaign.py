@@ -109,11 +109,15 @@ def _read(file: Path) -> tuple[Campaign, Path]:
 
 def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str | None], watch: Watch) -> int:
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
-    from loopshape.io.campaigns import write_index
-    from loopshape.io.run_folder import sweep
+    from loopshape.io.campaigns import index_of
+    from loopshape.io.run_folder import refuse_other, sweep
     from loopshape.rig.many import carried_out
 
-    write_index(out, planned.machines)
+    write_index, there = index_of(out, planned.machines), {path.name for path in out.iterdir()}
+    for one in planned.machines:
+        if one.name in there:  # what is refused leaves the table of machines as it was
+            refuse_other(out / one.name, _run(one.study, one.name, planned.plant, planned.origin))
+    write_index()
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
     begun, made = set[str](), 0

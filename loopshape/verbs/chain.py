@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown_keys
 from loopshape.data.block import BlockTemplate
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
@@ -23,14 +23,14 @@ from loopshape.data.run import Run
 from loopshape.data.shorthand import bounded
 from loopshape.data.verdict import Verdict
 from loopshape.design.tune import Tuning
-from loopshape.identify.settings import Settings
+from loopshape.identify.settings import settings_of
 from loopshape.verbs.files import read
 from loopshape.verbs.given import Plants, controller_of, met, plants_of
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.disturbance import Disturbance
-    from loopshape.data.prediction import Prediction
+    from loopshape.data.prediction import Comparison, Prediction
     from loopshape.design.several import SeveralTuning
     from loopshape.loop.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
@@ -52,7 +52,7 @@ def frfs(
     from loopshape.identify.frequency_response import estimate_together, excited_recordings
 
     whole = run if isinstance(run, Run) else read(run)
-    chosen = Settings(**settings)
+    chosen = settings_of(settings)
     names = None if loop is None else whole.loop(loop).name
     mine = [r for r in excited_recordings(whole) if r.info.alone and names in (None, r.info.excites)]
     grouped = groups.realisations(mine) if realisations else [[r] for r in mine]
@@ -89,11 +89,15 @@ def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None
     return found[0]
 
 
-def fit(P: FRF, structure: str = "auto", *, weighting: str = "variance", **orders: Any) -> Fit:
+def fit(
+    P: FRF, structure: str = "auto", *, weighting: str = "variance", stable: bool | None = None, **orders: Any
+) -> Fit:
     """A low-order model of a FRF, with intervals and a test of what it leaves.
 
     `structure` is "auto", "third_order", "integrator" (each with "_delay" too) or "rational" with `numerator`,
-    `denominator`, `integrators` and `delay`. Misleads where the structure is wrong: see `sufficient` and `misfit_db`.
+    `denominator`, `integrators` and `delay`. With `stable` rational structures have
+    no pole in the right half plane; None asks for that of FRFs that were recorded in open loop. Misleads where the
+    structure is wrong: see `sufficient` and `misfit_db`, and `disputed` where few starts reached the optimum.
 
     Examples
     --------
@@ -103,12 +107,13 @@ def fit(P: FRF, structure: str = "auto", *, weighting: str = "variance", **order
     >>> bool(ls.fit(P, "rational", numerator=0, denominator=1).sufficient)
     True
     """
+    from loopshape.identify.fit.fit import ORDERS, fit_automatically, structure_by_name
     from loopshape.identify.fit.fit import fit as fit_structure
-    from loopshape.identify.fit.fit import fit_automatically, structure_by_name
 
+    refuse_unknown_keys("a fit has no such option", orders, ORDERS)
     if structure == "auto":
-        return fit_automatically(P, weighting=weighting)
-    return fit_structure(P, structure_by_name(structure, **orders), weighting=weighting)
+        return fit_automatically(P, weighting=weighting, stable=stable)
+    return fit_structure(P, structure_by_name(structure, **orders), weighting=weighting, stable=stable)
 
 
 @overload
@@ -254,7 +259,7 @@ def check(
         controller = C if isinstance(C, GainScheduled) else controller_of(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        plants, asked_one = met(P, R or Requirements(controller.loop))
+        plants, asked_one = met(P, Requirements(controller.loop) if R is None else R)
         shaken = disturbances_of(disturbance, plants[0].loop)
         return check_loop(plants, controller, asked_one, tuple(fits), disturbances=shaken)
     if disturbance is not None:
@@ -355,19 +360,48 @@ def shape(
 def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0) -> tuple[Prediction, ...]:
     """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
 
-    With intervals from the FRF's error; steps need fits. Same seed, same draws.
+    With intervals from the FRF's error; steps need fits. Same seed, same draws. Refuses a negative seed.
     """
+    if seed < 0:
+        raise WrongUseError("seed must be 0 or above", f"{seed}")
     from loopshape.loop.prediction import predict as predict_loop
 
     return tuple(predict_loop(plants_of(P), controller_of(C), tuple(fits), seed=seed))
 
 
-def compare(run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0) -> list[Remeasured]:
+@overload
+def compare(
+    run: FRF | Sequence[FRF], predictions: FRF | Sequence[FRF], *, tolerance_db: float = 0.0
+) -> list[Comparison]: ...
+@overload
+def compare(
+    run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0
+) -> list[Remeasured]: ...
+def compare(
+    run: Run | str | Path | FRF | Sequence[FRF],
+    predictions: Sequence[Prediction] | FRF | Sequence[FRF],
+    *,
+    tolerance_db: float = 0.0,
+) -> list[Remeasured] | list[Comparison]:
     """Predictions against a run that was recorded under the predicted controllers: S, steps and profiles.
 
     Each has `comparisons` with an outcome; all together reject true predictions 5 % of the time. Deviations of |S|
     of the rms size `tolerance_db` count as none. Raises WrongUseError where no recording belongs to a prediction.
+
+    Two FRFs, or FRFs of two runs (also of import-frf), are compared as plants: each of the second with each of the
+    first that is of its loop and operating point.
     """
+    from loopshape.data.prediction import Prediction
+    from loopshape.loop.prediction import compare_all
     from loopshape.loop.remeasured import remeasure
 
-    return remeasure(run if isinstance(run, Run) else read(run), tuple(predictions), tolerance_db=tolerance_db)
+    listed = (predictions,) if isinstance(predictions, FRF) else tuple(predictions)
+    plants = [x for x in listed if isinstance(x, FRF)]
+    foretold = [x for x in listed if isinstance(x, Prediction)]
+    if len(foretold if isinstance(run, Run | str | Path) else plants) < len(listed):
+        raise WrongUseError(
+            "a run is compared with predictions, FRFs with FRFs", "both kinds", "make predictions by ls.predict"
+        )
+    if not isinstance(run, Run | str | Path):
+        return compare_all(plants_of(run), plants, tolerance_db=tolerance_db)
+    return remeasure(run if isinstance(run, Run) else read(run), foretold, tolerance_db=tolerance_db)

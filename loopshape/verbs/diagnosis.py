@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,8 @@ from loopshape.data.run import Run
 from loopshape.verbs.files import read
 
 if TYPE_CHECKING:
-    from loopshape.data.gap_report import GapReport
+    from loopshape.data.effect import Fix
+    from loopshape.data.gap_report import GapReport, Visible
     from loopshape.data.machine import Model
     from loopshape.data.plant import Followable
 
@@ -29,19 +31,60 @@ def gap(
     `model` is a machine of your own, or the path of its `model.toml`, whose Python file is run (or whose MuJoCo model
     or FMU is read). Without it the run names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none"
     and "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest. Raises
-    WrongUseError for a run without a plant, and for a model whose channels are mapped with a wrong sign or unit.
+    WrongUseError for a run without a plant, and for a model whose columns are mapped with a wrong sign, unit or zero.
+    A file of the model that changes meanwhile is told in the notes: the answer is of the model as it was read.
     """
     from loopshape.diagnose.diagnose import diagnose
+    from loopshape.io.seen import changed, read_once
 
     whole = run if isinstance(run, Run) else read(run)
-    plant = _followable(whole, model)
-    return diagnose(plant, whole, name or ("run" if isinstance(run, Run) else Path(run).name), table=table, say=say)
+    with read_once() as files:
+        plant, with_files = _followable(whole, model)
+    label = name or ("run" if isinstance(run, Run) else Path(run).name)
+    found = diagnose(plant, whole, label, table=table, say=say)
+    if later := [Path(path).name for path in changed(files)]:
+        note = f"{', '.join(later)} changed meanwhile: the answer is of the model as it was read at the start"
+        found = replace(found, notes=[*found.notes, note])
+    return found if found.fix is None else replace(found, fix=with_files(found.fix))
 
 
-def _followable(run: Run, model: Model | str | Path | None) -> Followable:
-    """The user's machine, or the plant that the run names."""
+def identifiability(
+    run: Run | str | Path,
+    *,
+    model: Model | str | Path | None = None,
+    say: Callable[[str], None] = lambda step: None,
+) -> list[Visible]:
+    """How small each effect may be to be seen in recordings, and which others look like it there; before a diagnosis.
+
+    `least` of each is in its unit, None where it moves nothing; `alike` are effects whose signature is the same within
+    a cosine of 0.95, so that these recordings will not tell them apart. Sizes are by straight lines, and of a machine
+    without other faults. Raises as `gap`.
+
+    >>> import numpy as np, loopshape as ls
+    >>> from loopshape.data.recording import Recording, RecordingInfo
+    >>> rng, rate_hz = np.random.default_rng(0), 500.0
+    >>> u = np.repeat(rng.normal(0.0, 0.1, 200), 10)
+    >>> v = np.cumsum(u) / rate_hz / 0.02
+    >>> y = np.cumsum(v) / rate_hz + 1e-5 * rng.standard_normal(u.size)
+    >>> info = RecordingInfo("r.parquet", "noise", "control")
+    >>> run = ls.Run(rate_hz, (), (Recording(info, rate_hz, {"torque_nm": u, "angle_rad": y}),))
+    >>> axis = ls.axis({"inertia": 0.02, "damping": 0.001}, "torque_nm", "angle_rad", window_s=0.4)
+    >>> found = ls.identifiability(run, model=axis)
+    >>> "sensor_delay@encoder" in next(x for x in found if x.effect == "actuator_delay@drive").alike
+    True
+    """
+    from loopshape.diagnose import identifiability as found
+
+    whole = run if isinstance(run, Run) else read(run)
+    plant, _ = _followable(whole, model)
+    return found.identifiability(plant, whole, say=say)
+
+
+def _followable(run: Run, model: Model | str | Path | None) -> tuple[Followable, Callable[[Fix], Fix]]:
+    """The user's machine, or the plant that the run names; and what puts a fix of it into files."""
     from loopshape.data.machine import Mechanism, Unit
     from loopshape.io.machine import read_model
+    from loopshape.model.own.fix import in_files
     from loopshape.model.own.kinds import with_kinds
     from loopshape.model.own.mechanism import machine
     from loopshape.model.own.mockup import machine_of
@@ -53,7 +96,9 @@ def _followable(run: Run, model: Model | str | Path | None) -> Followable:
         kinds = own.kinds
         if isinstance(own, Unit):
             own = machine_of(own)
-        return OwnMachine(with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds))
+        mechanism = own if isinstance(own, Mechanism) else None
+        whole = with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds)
+        return OwnMachine(whole), lambda fix: in_files(fix, whole, mechanism)
     if run.plant is None:
         raise WrongUseError(
             "the run names no plant, so there is no model to compare with",
@@ -61,4 +106,4 @@ def _followable(run: Run, model: Model | str | Path | None) -> Followable:
             "name one (plant = ...), give a model of your own (--model model.toml), "
             "or a second run: loopshape gap RUN_REAL RUN_SIM",
         )
-    return diagnosable(run.plant)
+    return diagnosable(run.plant), lambda fix: fix

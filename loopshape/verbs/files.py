@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from datetime import datetime
 from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown_keys
 from loopshape.data.controller import Controller
 from loopshape.data.diagram import Diagram
 from loopshape.data.frf import FRF
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from loopshape.data.profile import Profile
     from loopshape.data.run_report import RunReport
 
-FIGURES_MB = 0.7  # pictures that a report carries, together
+FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
 
 def read(folder: str | Path) -> Run:
@@ -54,6 +55,7 @@ def read_frf(file: str | Path, **stated: Any) -> FRF:
     from loopshape.io.frf_exchange import read_frf_file
     from loopshape.io.frf_foreign import Stated
 
+    refuse_unknown_keys("what is stated of a FRF is not known", stated, [f.name for f in fields(Stated)])
     return read_frf_file(Path(file), Stated(**stated))
 
 
@@ -173,6 +175,15 @@ def export(
     return export_controllers(Path(folder), (one,) if isinstance(one, Controller | GainScheduled) else tuple(one), to)
 
 
+def figure_bytes(megabytes: float) -> int:
+    """Size of the pictures that a report carries; refuses what is no size."""
+    if not 0.0 <= megabytes <= MOST_MB:
+        raise WrongUseError(
+            f"the size of the embedded pictures (figures_mb) is a number of 0 .. {MOST_MB:g} MB", f"{megabytes:g} MB"
+        )
+    return int(1e6 * megabytes)
+
+
 def report(
     run_folder: str | Path,
     out: str | Path | None = None,
@@ -194,7 +205,7 @@ def report(
     folder = Path(run_folder)
     given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
     path = Path(out or folder / "report.html")
-    write_bytes_whole(path, report_page(folder, given[0], given[1], given[2], date, int(1e6 * figures_mb))[1])
+    write_bytes_whole(path, report_page(folder, given[0], given[1], given[2], date, figure_bytes(figures_mb))[1])
     return path
 
 

@@ -8,7 +8,8 @@ from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.interrupts import interrupts
 from loopshape.data.controller import Block, Controller
 from loopshape.data.gain_scheduled import GainScheduled
 from loopshape.data.run import Run
@@ -20,7 +21,6 @@ from loopshape.io.study import read_study
 from loopshape.model import registry
 from loopshape.rig.described import DescribedRig
 from loopshape.rig.effects import asked
-from loopshape.rig.interrupts import interrupts
 from loopshape.rig.link import open_link
 from loopshape.rig.messages import Identity
 from loopshape.rig.session import Session
@@ -43,6 +43,8 @@ def measure(
     arm: bool = False,
     again: bool = False,
     states: bool = False,
+    verdict: str | Path | None = None,
+    allow_unverified: bool = False,
     confirm: Confirm | None = None,
     watch: Watch | None = None,
 ) -> Run:
@@ -57,6 +59,10 @@ def measure(
     the controllers of the loops whose control it gives; `effects`, words NAME or NAME=MAGNITUDE,
     are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
     of progress.
+
+    `verdict` is a file of `loopshape check --save-verdict`: where it does not pass the very controllers of a target's
+    loops, or a diagram is unstable by itself, nothing moves unless `allow_unverified`. What is not verified, and that
+    it was allowed, stands in the notes of the motion and in the run's journal.
 
     Raises WrongUseError for a study that the rig cannot do and for a target that was not armed, RigError for a lost
     line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
@@ -75,7 +81,10 @@ def measure(
         extra["files_sha256"] = dict(files)
     if wanted.rig == "target":
         may = confirm or (lambda motion: arm)
-        record_on_target(wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra)
+        record_on_target(
+            wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra,
+            verdict=None if verdict is None else Path(verdict), allow_unverified=allow_unverified,
+        )  # fmt: skip
         return read_run(folder)
     todo = plan(wanted, plant)
     done = frozenset((whole if again else finished)(folder))
@@ -115,11 +124,18 @@ class Target:
             return Session(link).status().state.name.lower()
 
     def show(
-        self, study: str | Path, *, controllers: Iterable[Controller | GainScheduled] = (), diagram: Wired | None = None
+        self,
+        study: str | Path,
+        *,
+        controllers: Iterable[Controller | GainScheduled] = (),
+        diagram: Wired | None = None,
+        verdict: str | Path | None = None,
+        allow_unverified: bool = False,
     ) -> Motion:
         """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
         wanted, plant = _asked(Path(study), controllers, ())
-        return motion_of(_with_diagram(wanted, diagram), plant, self.port)
+        kept = None if verdict is None else Path(verdict)
+        return motion_of(_with_diagram(wanted, diagram), plant, self.port, kept, allow_unverified)
 
     def measure(self, study: str | Path, out: str | Path, *, arm: bool = False, **options: Any) -> Run:
         """`ls.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""
@@ -166,8 +182,7 @@ def emulator(
 def _asked(file: Path, controllers: Iterable[Controller | GainScheduled], effects: Sequence[str]) -> tuple[Study, Rig]:
     """A study with what replaces its own, and its plant."""
     study = read_study(file)
-    if study.rig not in ("simulated", "target"):
-        raise WrongUseError("a rig is not known", f"{study.rig!r}", 'use rig = "simulated" or "target"')
+    refuse_unknown("a rig is not known", study.rig, ("simulated", "target"))
     plant = DescribedRig(study.loops) if study.loops else registry.plant(study.plant)
     study = replace(study, effects=merged_effects(study.effects, asked(plant, effects)))
     return with_controllers(study, controllers), plant

@@ -7,16 +7,25 @@ from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.interrupts import interrupts, unhurried
+from loopshape.core.units import Array
+from loopshape.data.baseline import Checked
+from loopshape.data.channel import sum_terms
+from loopshape.data.experiment import Experiment, LoopSetup
 from loopshape.data.recording import RecordingInfo
 from loopshape.data.study import Study
-from loopshape.data.target_settings import TargetSettings
+from loopshape.data.target_settings import Limit, TargetSettings
 from loopshape.io.arriving import adopted, arriving, keep_arrived
 from loopshape.io.journal import note
 from loopshape.io.measuring import marked
 from loopshape.io.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run_tables import recording_table
-from loopshape.rig.interrupts import interrupts
+from loopshape.io.verdicts import read_verdicts
+from loopshape.rig.blocks import own_radius
+from loopshape.rig.intake import RATE_TICKS
 from loopshape.rig.link import open_link
 from loopshape.rig.messages import Configuration, Identity
 from loopshape.rig.session import Session
@@ -25,6 +34,8 @@ from loopshape.rig.taking import Arrived
 from loopshape.rig.target import arm, configuration, drive, vented_on_error
 from loopshape.verbs.watch import Confirm, Motion, Watch
 
+CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
+
 
 class StoppedAtLimitError(RigError):
     """A real machine passed a limit: what was recorded is kept, and a person looks before anything moves again."""
@@ -32,7 +43,7 @@ class StoppedAtLimitError(RigError):
 
 def record_on_target(
     study: Study, plant: Rig, out: Path, watch: Watch, *, port: str | None, confirm: Confirm, again: bool,
-    extra: dict[str, object],
+    extra: dict[str, object], verdict: Path | None = None, allow_unverified: bool = False,
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target. Moves nothing that was not confirmed."""
     settings = study.target
@@ -52,12 +63,13 @@ def record_on_target(
         return
     with open_link(name, settings.baud) as link:
         session = Session(link)
-        motion, wanted = _motion(session, name, study, plant, todo)
+        motion, wanted = _motion(session, name, study, plant, todo, verdict, allow_unverified)
         if not confirm(motion):
             raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
         start_run(out, head)
-        with alone(out), marked(out, name), interrupts():
+        with alone(out), marked(out, name), unhurried(), interrupts():
             keep_arrived(out)  # of a measurement that was killed
+            note(out, "armed", target=session.identity.board, notes=motion.notes, allow_unverified=allow_unverified)
             try:
                 _drive(session, wanted, todo, study, plant, out, watch)
             except LoopshapeError as error:
@@ -75,27 +87,68 @@ def record_on_target(
 
 
 def _motion(
-    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned]
-) -> tuple[Motion, Configuration]:
+    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned],
+    verdict: Path | None, allow_unverified: bool,
+) -> tuple[Motion, Configuration]:  # fmt: skip
     """What a target is about to do, and how it is configured for that; refuses what is outside its limits."""
-    settings = study.target
+    settings, identity, loops = study.target, session.identity, todo[0].loops
     assert settings is not None
-    head = header(study, plant)
-    wanted = configuration(
-        session.identity, todo[0].loops, settings, study.rate_hz, head.pwm or study.pwm, study.diagram
-    )
-    motion = Motion(session.identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one))
-    _refuse_points_beyond_limits(motion)
+    pwm = header(study, plant).pwm or study.pwm
+    wanted = configuration(identity, loops, settings, study.rate_hz, pwm, study.diagram)
+    notes = (*_unverified(loops, wanted, verdict, allow_unverified), *_older_target(identity))
+    motion = Motion(identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one), notes)
+    _refuse_signals_beyond_limits(motion, wanted)
     return motion, wanted
 
 
-def motion_of(study: Study, plant: Rig, port: str) -> Motion:
+def motion_of(
+    study: Study, plant: Rig, port: str, verdict: Path | None = None, allow_unverified: bool = False
+) -> Motion:
     """What a target at a port would do in a study, with nothing moved; refuses what measuring would refuse."""
     if study.target is None:
         raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.measure")
     _refuse_what_only_models_do(study)
     with open_link(port, study.target.baud) as link:
-        return _motion(Session(link), port, study, plant, plan(study, plant))[0]
+        return _motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]
+
+
+def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | None, allowed: bool) -> tuple[str, ...]:
+    """What is not verified of the controllers, a sentence each.
+
+    Refuses, unless allowed, a kept verdict (`check --save-verdict`) that does not pass these very controllers, and a
+    diagram whose controllers are unstable by themselves.
+    """
+    kept = {} if file is None else {one.verdict.loop: one for one in read_verdicts(file)}
+    doubts = [note for loop in loops if (note := _verdict_doubt(loop, kept.get(loop.name), file))]
+    radius = own_radius(wanted.blocks, 2 * len(wanted.outputs))
+    if radius is None:
+        doubts.append("the diagram has too many states for the stability of its controllers alone to be computed")
+    circle = [f"the diagram's controllers alone are unstable, |z| = {radius:.9g}"] if (radius or 0.0) > CIRCLE else []
+    if not allowed and (refused := [*(doubts if file else []), *circle]):
+        raise WrongUseError(
+            "the controllers are not verified", "; ".join(refused),
+            "check them anew, or allow it: --allow-unverified (allow_unverified=True)",
+        )  # fmt: skip
+    return (*doubts, *circle)
+
+
+def _verdict_doubt(loop: LoopSetup, kept: Checked | None, file: Path | None) -> str | None:
+    """A sentence where a loop's controller has no passed verdict in this file."""
+    if file is None:
+        return f"loop {loop.name}: no verdict is given on its controller (loopshape check --save-verdict, --verdict)"
+    if loop.controller is None:
+        return f"loop {loop.name}: a schedule or diagram has no verdict in {file.name}"
+    if kept is None:
+        return f"loop {loop.name}: no verdict on it in {file.name}"
+    theirs, ours = kept.controller, loop.controller
+    if theirs.rate_hz != ours.rate_hz or not np.array_equal(theirs.biquads(), ours.biquads()):
+        return f"loop {loop.name}: the verdict in {file.name} is of another controller"
+    return None if kept.verdict.passed else f"loop {loop.name}: the verdict in {file.name} is {kept.verdict.outcome}"
+
+
+def _older_target(identity: Identity) -> list[str]:
+    note = "the target is older than this host: recorded bytes can arm it; build it anew from this version's sources"
+    return [] if identity.guarded else [note]
 
 
 def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out: Path, todo: Sequence[str]) -> None:
@@ -157,15 +210,59 @@ def _refuse_what_only_models_do(study: Study) -> None:
         )
 
 
-def _refuse_points_beyond_limits(motion: Motion) -> None:
-    """Refuse an operating point, or a setpoint on the way, outside the limits of the column that it is held on."""
+def _refuse_signals_beyond_limits(motion: Motion, wanted: Configuration) -> None:
+    """Refuse setpoints and excitations that pass a limit by themselves, whatever the loops make of them.
+
+    A setpoint, and what is added to it at the controller's input, against the limits of the loop's output (a sum of
+    sensors has the sum of theirs); what enters the plant's input against the span of each command, as the controller
+    may add any offset; with open loops the commands are known, their rates too.
+    """
     for e in motion.experiments():
         for k, loop in enumerate(e.loops):
-            limit = motion.settings.limits.get(loop.output)
-            low, high = float(e.references[:, k].min()), float(e.references[:, k].max())
-            if limit is not None and not limit.low < low <= high < limit.high:
-                raise WrongUseError(
-                    f"the setpoint of {loop.name} in {e.name!r} lies outside its limits",
-                    f"{limit.said(low if low <= limit.low else high)}, limits {limit}",
-                    "move the operating point, or widen the limit",
-                )
+            _refuse_references(motion, e.name, loop, e.references[:, k], e.injected[:, k], e.injection)
+        if e.injection in ("plant_input", "control"):
+            _refuse_commands(motion, e, e.injected @ wanted.mixing.T)
+
+
+def _refuse_references(
+    motion: Motion, name: str, loop: LoopSetup, setpoint: Array, injected: Array, injection: str
+) -> None:
+    limits = [motion.settings.limits[column] for column in sum_terms(loop.output)]
+    limit = Limit(limits[0].column, sum(one.low for one in limits), sum(one.high for one in limits))
+    low, high = float(setpoint.min()), float(setpoint.max())
+    if not limit.low < low <= high < limit.high:
+        raise WrongUseError(
+            f"the setpoint of {loop.name} in {name!r} lies outside its limits",
+            f"{limit.said(low if low <= limit.low else high)}, limits {limit}",
+            "move the operating point, or widen the limit",
+        )
+    asked = setpoint + injected
+    low, high = float(asked.min()), float(asked.max())
+    if injection == "controller_input" and not limit.low <= low <= high <= limit.high:
+        raise WrongUseError(
+            f"the excitation of {loop.name} in {name!r} asks for what lies outside its limits",
+            f"{limit.said(low if low < limit.low else high)} with its setpoint, limits {limit}",
+            "give a smaller amplitude, or widen the limit",
+        )
+
+
+def _refuse_commands(motion: Motion, e: Experiment, asked: Array) -> None:
+    """`asked` (samples, commands): what the excitation alone gives each command."""
+    for column, values in zip(motion.identity.commands, asked.T, strict=True):
+        limit, low, high = motion.settings.limits[column], float(values.min()), float(values.max())
+        grain = 1e-9 * (limit.high - limit.low)
+        opened = e.injection == "control"
+        passed = low < limit.low - grain or high > limit.high + grain if opened else high - low > limit.high - limit.low
+        if passed:
+            raise WrongUseError(
+                f"the excitation in {e.name!r} passes the limits of {column} by itself",
+                f"{limit.said(low)} to {limit.said(high)}, limits {limit}",
+                "give a smaller amplitude, or widen the limit",
+            )
+        rates = np.abs(values[RATE_TICKS:] - values[:-RATE_TICKS]) * (e.rate_hz / RATE_TICKS)
+        if opened and rates.size and rates.max() > limit.rate * (1.0 + 1e-9):
+            raise WrongUseError(
+                f"the excitation in {e.name!r} changes {column} faster than its limit",
+                f"{limit.said(float(rates.max()))}/s over {RATE_TICKS} ticks, limits {limit}",
+                "give a smaller or slower one, or widen the limit",
+            )

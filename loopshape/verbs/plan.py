@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.errors import LoopshapeError, WrongUseError, refuse_unknown_keys
 from loopshape.data.channel import Channel
 from loopshape.data.controller import Controller
 from loopshape.data.excitation_sets import realised
@@ -28,7 +29,7 @@ def plan(
     run: Run | str | Path,
     recording: str | None = None,
     *,
-    std: float,
+    std: float | None = None,
     controllers: Controller | Sequence[Controller] = (),
     **limits: Any,
 ) -> Plan:
@@ -37,6 +38,7 @@ def plan(
     It is planned from one short recording of a run (`recording`, where it has several), whose noise and distortion it
     knows. The crossover is that of the run's own controller, of the loop's among `controllers`, or `at_hz`. `limits`
     are max_amplitude, max_input, max_output (stored units), longest_s, f_low_hz, f_high_hz, kind ("odd", "log", "all").
+    Without `std` the experiment is told: `resolution_hz`, `seconds` and the band, as an undecided verdict orders them.
     `reached` tells whether they allow it, `met` that the recording has that accuracy already; `ls.write_plan` writes
     the study. Raises WrongUseError for a recording that excites no loop and for limits that noise alone breaks.
 
@@ -52,6 +54,7 @@ def plan(
     >>> bool(found.reached or found.met)
     True
     """
+    refuse_unknown_keys("a plan has no such limit", limits, [f.name for f in fields(Required) if f.name != "std"])
     whole = run if isinstance(run, Run) else read(run)
     chosen = _first(whole, recording)
     loop = whole.loop(str(chosen.info.excites))

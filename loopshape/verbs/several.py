@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from loopshape.core.errors import BadSignalError
 from loopshape.data.frf import FRF
 from loopshape.data.run import Run
-from loopshape.identify.settings import Settings
+from loopshape.identify.settings import Settings, settings_of
 from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
@@ -26,7 +26,7 @@ def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
     from loopshape.identify.frequency_response import excited_recordings
 
     whole = run if isinstance(run, Run) else read(run)
-    return tuple(matrices_of(whole, excited_recordings(whole), Settings(**settings), Unwatched()))
+    return tuple(matrices_of(whole, excited_recordings(whole), settings_of(settings), Unwatched()))
 
 
 def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, watch: Watch) -> list[FRF]:

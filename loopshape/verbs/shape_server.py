@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from secrets import compare_digest, token_urlsafe
+from socket import SHUT_RDWR, socket
 from threading import Lock
+from time import monotonic
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
@@ -23,6 +26,12 @@ from loopshape.view.page.payload import Shaped, certificate_words, controller_fr
 
 #: a request of the page is far smaller
 MOST_BYTES = 1_000_000
+#: connections at once; a further one takes the place of the one that has been sending its request for longest
+MOST_CONNECTIONS = 16
+#: within which a request has come whole, and each part of an answer is taken
+MOST_S = 10.0
+#: what the page is given for the file that Save writes, in place of the mark of its present content
+_MARK = token_urlsafe(24)
 #: a free parameter may be tuned to so many times its value and as little
 REACH = 10.0
 
@@ -34,12 +43,26 @@ class ShapeServer:
         self.title, self.several = title, several
         self.save_to, self.token, self.lock = save, token_urlsafe(24), Lock()
         self._show(loops)
-        self.http = ThreadingHTTPServer(("127.0.0.1", 0), _handler(self))
-        self.http.daemon_threads = True
+        self.http = _Bounded(("127.0.0.1", 0), _handler(self))
 
     def _show(self, loops: Sequence[Shaped]) -> None:
         self.loops = {one.controller.loop: one for one in loops}
-        self.page = served_page(loops, self.title)
+        self._page = served_page(loops, self.title, _MARK)
+
+    @property
+    def page(self) -> bytes:
+        """The page, with the mark of what Save would replace."""
+        return self._page.replace(_MARK.encode(), self._mark().encode())
+
+    def _mark(self) -> str:
+        """What tells the content of Save's file from any other, "none" where there is no file."""
+        from loopshape.io.provenance import file_sha256
+        from loopshape.io.seen import own
+
+        own(self.save_to)  # that another writes it is what this is for, and ends no command
+        found = file_sha256(self.save_to) if self.save_to.exists() else "none"
+        own(self.save_to)
+        return found
 
     @property
     def origin(self) -> str:
@@ -98,11 +121,21 @@ class ShapeServer:
 
     def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.controllers import write_controllers
+        from loopshape.io.files import make_folder
+        from loopshape.io.held import held
 
         mine = controller_from(asked["controller"])
-        self.loops[mine.loop] = replace(one, controller=mine)
-        write_controllers(self.save_to, [x.controller for x in self.loops.values()], None)
-        return {"words": f"saved to {self.save_to}"}
+        make_folder(self.save_to.parent)
+        with held(self.save_to.parent):
+            if asked["saved"] != self._mark():
+                raise WrongUseError(
+                    "not saved: the file was changed by another since this page was loaded or saved it last",
+                    str(self.save_to), "keep a copy of it if it is needed, load the page again, which keeps this"
+                    " design, and save",
+                )  # fmt: skip
+            self.loops[mine.loop] = replace(one, controller=mine)
+            write_controllers(self.save_to, [x.controller for x in self.loops.values()], None)
+            return {"words": f"saved to {self.save_to}", "saved": self._mark()}
 
 
 def _template(block: Block, locked: Sequence[str]) -> BlockTemplate:
@@ -119,14 +152,70 @@ def _template(block: Block, locked: Sequence[str]) -> BlockTemplate:
     return BlockTemplate(block.kind, made, tie)
 
 
+class _Bounded(ThreadingHTTPServer):
+    """A bounded number of connections, each of which says its request in a bounded time."""
+
+    daemon_threads = True
+
+    def __init__(self, *given: Any) -> None:
+        self._since: dict[socket, float] = {}
+        self._asking: set[socket] = set()
+        self._counting = Lock()
+        super().__init__(*given)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """In a thread of its own; the one that has been asking for longest goes where there are too many."""
+        with self._counting:
+            if len(self._since) >= MOST_CONNECTIONS:
+                for one in list(self._since):
+                    if one in self._asking:
+                        self._drop(one)
+                        break
+                else:
+                    self.shutdown_request(request)  # all of them are being answered
+                    return
+            self._since[request] = monotonic()
+            self._asking.add(request)
+        super().process_request(request, client_address)
+
+    def asked(self, request: Any) -> None:
+        """A request has come whole."""
+        with self._counting:
+            self._asking.discard(request)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Its end, whoever ended it."""
+        super().shutdown_request(request)
+        self._since.pop(request, None)
+        self._asking.discard(request)
+
+    def service_actions(self) -> None:
+        """Twice a second: requests that are not whole in time are dropped."""
+        with self._counting:
+            for one in [one for one in self._asking if monotonic() - self._since.get(one, 0.0) > MOST_S]:
+                self._drop(one)
+
+    def _drop(self, one: socket) -> None:
+        self._since.pop(one, None)
+        self._asking.discard(one)
+        with suppress(OSError):
+            one.shutdown(SHUT_RDWR)  # its thread reads the end, and closes it
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Nothing: a connection that broke is no news."""
+
+
 def _handler(server: ShapeServer) -> type[BaseHTTPRequestHandler]:
     """The class that answers requests for a server."""
 
     class Handler(BaseHTTPRequestHandler):
         """Requests of the page alone."""
 
+        timeout = MOST_S
+
         def do_GET(self) -> None:
             """The page."""
+            server.http.asked(self.connection)
             if self._allowed(""):
                 self._send(200, "text/html; charset=utf-8", server.page)
 
@@ -139,6 +228,8 @@ def _handler(server: ShapeServer) -> type[BaseHTTPRequestHandler]:
                 answer = server.answer(name, self._asked())
             except LoopshapeError as error:
                 self._send(400, "application/json", json.dumps({"error": str(error)}).encode())
+            except RecursionError:
+                self._send(400, "application/json", b'{"error": "a request without sense: it is nested too deeply"}')
             except (KeyError, TypeError, ValueError) as error:
                 self._send(400, "application/json", json.dumps({"error": f"a request without sense: {error}"}).encode())
             else:
@@ -157,7 +248,9 @@ def _handler(server: ShapeServer) -> type[BaseHTTPRequestHandler]:
             size = int(self.headers.get("Content-Length") or 0)
             if not 0 < size <= MOST_BYTES or self.headers.get("Content-Type") != "application/json":
                 raise WrongUseError("a request of the page is JSON of up to 1 MB", f"{size} bytes")
-            asked = json.loads(self.rfile.read(size))
+            text = self.rfile.read(size)
+            server.http.asked(self.connection)
+            asked = json.loads(text)
             if not isinstance(asked, dict):
                 raise WrongUseError("a request of the page is a JSON object", type(asked).__name__)
             return asked

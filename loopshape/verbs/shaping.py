@@ -86,9 +86,9 @@ def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
     return ShapeWidget(loops[0], title, __version__)
 
 
-def served_page(loops: Sequence[Shaped], title: str) -> bytes:
-    """The page as bytes with the buttons that ask a server."""
-    return shape_page(loops, title, __version__, served=True).encode("utf-8")
+def served_page(loops: Sequence[Shaped], title: str, saved: str) -> bytes:
+    """The page as bytes with the buttons that ask a server; `saved` marks what its Save may replace."""
+    return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
 def several_run(run: Path, require: Path | None, controller: Path) -> tuple[SeveralLoops, list[Shaped]]:

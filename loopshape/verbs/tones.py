@@ -10,11 +10,16 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
+from loopshape.data.arrays import rate, real_array
 from loopshape.data.channel import Channel, sum_terms
+from loopshape.data.excitation_parts import is_sweep
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.data.tones import Tones
+from loopshape.identify.roles import rows_of_a_period
+from loopshape.identify.signals import has_instrument, moved_signal
 from loopshape.identify.tones import CHANCE, Period, tones_of, without_periods
+from loopshape.identify.transforms import measured_period
 from loopshape.verbs.files import read
 
 
@@ -47,8 +52,7 @@ def tones(
     if isinstance(signals, Run | str | Path):
         run = signals if isinstance(signals, Run) else read(signals)
         return tuple(one for recording in run.recordings for one in tones_in(run, recording, channels, chance))
-    if rate_hz is None or not rate_hz > 0.0:
-        raise WrongUseError("tones of arrays need their rate", f"rate_hz {rate_hz}", "give rate_hz in Hz")
+    rate_hz = rate(rate_hz, "rate_hz of the signals")
     named = signals if isinstance(signals, Mapping) else {"signal": signals}
     return tuple(
         tones_of(_checked(name, values), rate_hz, chance=chance, channel=name) for name, values in named.items()
@@ -57,12 +61,14 @@ def tones(
 
 def tones_in(run: Run, recording: Recording, channels: Sequence[str] = (), chance: float = CHANCE) -> list[Tones]:
     """Those of one recording: errors, outputs and controls of its loops, or the columns that are named."""
-    known = [recording.signal(c) for c in dict.fromkeys(_moved(run)) if c in recording.columns]
+    known = [recording.signal(c) for c in dict.fromkeys(_moved(run, recording)) if c in recording.columns]
     signals = {c: (recording.signal(c), c) for c in channels} or _channels(run, recording)
+    period = _period(run, recording)
+    swept = recording.info.kind == "sweep" or (period is None and any(is_sweep(x) for x in known))
     return [
         tones_of(
-            signal, recording.rate_hz, known=known, period=_period(recording), chance=chance,
-            recording=recording.info.name, **_named(name, column),
+            signal, recording.rate_hz, known=known, period=period, chance=chance, recording=recording.info.name,
+            swept=swept, closed_loop=recording.info.closed_loop, **_named(name, column),
         )
         for name, (signal, column) in signals.items()
     ]  # fmt: skip
@@ -72,9 +78,9 @@ def signal_of(run: Run, recording: Recording, found: Tones) -> np.ndarray:
     """The signal (n,) of which `found` tells, without its periodic part."""
     for name, (signal, column) in _channels(run, recording).items():
         if _named(name, column)["channel"] == found.channel:
-            return without_periods(np.asarray(signal), _period(recording))
+            return without_periods(np.asarray(signal), _period(run, recording))
     column = next(c for c in recording.columns if _named(c, c)["channel"] == found.channel)
-    return without_periods(recording.column(column), _period(recording))
+    return without_periods(recording.column(column), _period(run, recording))
 
 
 def _named(name: str, column: str) -> dict[str, str]:
@@ -82,8 +88,11 @@ def _named(name: str, column: str) -> dict[str, str]:
     return {"channel": channel.name if name == column else name, "unit": channel.unit}
 
 
-def _moved(run: Run) -> list[str]:
-    return [c for loop in run.loops for c in (loop.injected, loop.reference) if c is not None]
+def _moved(run: Run, recording: Recording) -> list[str]:
+    """Columns that only we moved: what is injected, setpoints, and in open loop the control."""
+    opened = recording.info.injection == "control" or not recording.info.closed_loop
+    controls = [loop.control for loop in run.loops if opened]
+    return [*(c for loop in run.loops for c in (loop.injected, loop.reference) if c is not None), *controls]
 
 
 def _channels(run: Run, recording: Recording) -> dict[str, tuple[Signal, str]]:
@@ -107,17 +116,25 @@ def _difference(reference: Signal, output: Signal) -> Signal:
     return np.asarray(reference - output)
 
 
-def _period(recording: Recording) -> Period | None:
+def _period(run: Run, recording: Recording) -> Period | None:
+    """The period as the excitation shows it: near the stated one, or found where none was stated."""
     info = recording.info
-    if info.period_s is None:
+    if info.excites is None or not has_instrument(recording, run.loop(info.excites)):
+        return None if info.period_s is None else Period(*_stated(recording))
+    moved = moved_signal(recording, run.loop(info.excites))
+    if info.period_s is not None:
+        samples, first = _stated(recording)
+        return Period(measured_period(moved[first:], samples), first)
+    if isinstance(moved, LongSignal):
         return None
-    return Period(round(info.period_s * recording.rate_hz), round((info.periodic_from_s or 0.0) * recording.rate_hz))
+    samples, first = rows_of_a_period(moved)
+    return Period(samples, first) if samples else None
+
+
+def _stated(recording: Recording) -> tuple[int, int]:
+    info, rate = recording.info, recording.rate_hz
+    return round((info.period_s or 0.0) * rate), round((info.periodic_from_s or 0.0) * rate)
 
 
 def _checked(name: str, values: ArrayLike) -> np.ndarray:
-    array = np.asarray(values, dtype=float)
-    if array.ndim != 1 or not np.isfinite(array).all():
-        raise WrongUseError(
-            f"signal {name} is (n,) and holds finite numbers", f"{array.shape}", "give one signal, or several by name"
-        )
-    return array
+    return real_array(values, f"signal {name}", ndim=1)

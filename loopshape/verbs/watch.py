@@ -54,6 +54,8 @@ class Motion:
     settings: TargetSettings
     recordings: Sequence[Planned]
     experiment: Callable[[Planned], Experiment]
+    notes: tuple[str, ...] = ()
+    """What a person should know before it moves: of verdicts, of what was allowed, of an older target."""
 
     def experiments(self) -> Iterator[Experiment]:
         """The recordings with their signals, one at a time."""

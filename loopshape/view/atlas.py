@@ -190,7 +190,7 @@ def _row_names(ax: Axes, loops: Sequence[Loop], rows: Sequence[Row], order: Sequ
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_yticks(range(len(rows)), names, fontsize=7.0)
     ax.tick_params(axis="y", length=0.0)
-    text, left = ", ".join(quantity(key) for key in keys) if keys else "recording", -4.2 * max(map(len, names)) - 10.0
+    text, left = ", ".join(quantity(key) for key in keys) if keys else "recording", -4.4 * max(map(len, names)) - 14.0
     look: dict[str, Any] = {"rotation": 90.0, "ha": "center", "va": "center", "annotation_clip": False}
     ax.annotate(text, (0.0, 0.5), (left, 0.0), "axes fraction", "offset points", fontsize=9.0, gid="rows", **look)
 

@@ -127,10 +127,10 @@ def _finish(row: Sequence[Axes], sheet: EffectSheet, *, last: bool) -> None:
         ax.tick_params(labelsize=6.5, pad=1.5, labelbottom=last, length=2.0)
         ax.locator_params(axis="y", nbins=4)
     form = sheet.form
-    unit = "" if form.unit == "1" else f" {form.unit}"
-    words = f"{form.effect.replace('_', ' ')}, {number(sheet.magnitude)}{unit}"
+    size = f"{form.quantity} {number(sheet.magnitude)} {'' if form.quantity else form.unit}".strip()
+    words = f"{form.effect.replace('_', ' ')}, {size}"
     text = row[0].annotate(
-        words, (0.0, 1.0), (-16.0, 2.0), xycoords="axes fraction", textcoords="offset points", fontsize=7.5,
+        words, (0.0, 1.0), (-10.0, 2.0), xycoords="axes fraction", textcoords="offset points", fontsize=7.5,
         fontweight="bold", va="bottom", gid="effect",
     )  # fmt: skip
     text.set_in_layout(False)

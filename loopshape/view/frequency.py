@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, db
 from loopshape.data.frf import FRF
+from loopshape.data.method import in_short
 from loopshape.data.model import Estimate, Fit
 from loopshape.view.curves import (
     draw_band,
@@ -259,7 +260,7 @@ def frf_overview(frfs: Sequence[FRF], fits: Sequence[Fit] | None = None) -> Figu
     if fits is not None:
         place_notes(top, [("fits", {"color": "0.2", "linewidth": 0.7, "linestyle": "--"})], "upper right")
     place_key(figure, key)
-    head(figure, _overview_title(frfs), key.common, _methods(frfs))
+    head(figure, _overview_title(frfs), key.common, in_short(frfs))
     return figure
 
 
@@ -267,7 +268,3 @@ def _overview_title(frfs: Sequence[FRF]) -> str:
     what = f"{expression(frfs[0].outputs[0])} / {expression(frfs[0].inputs[0])}"
     loop = f"loop {symbol(frfs[0].loop)}" if frfs[0].loop else ""
     return "  ·  ".join(part for part in (f"FRF {what}", loop, count(frfs)) if part)
-
-
-def _methods(frfs: Sequence[FRF]) -> str:
-    return "; ".join(dict.fromkeys(frf.method for frf in frfs))

@@ -13,6 +13,8 @@ from loopshape.core.units import Array
 from loopshape.data.gap_report import GapReport, Ranked, Trace
 from loopshape.view.gap_chain import chain, percent
 from loopshape.view.gap_distances import HEALED, NOMINAL, compared, distances, named
+from loopshape.view.gap_missing import missing
+from loopshape.view.gap_missing import shown as missing_curves
 from loopshape.view.labels import bracket, symbol
 from loopshape.view.style import FULL_WIDTH_IN, QUIET, axes_or_new, styled
 
@@ -26,15 +28,17 @@ _LONG = 40  # characters of a name that leaves room for two columns of the key
 
 @styled()
 def gap_figure(report: GapReport) -> Figure:
-    """One figure of a diagnosis under its sentence: (a) where, (b) which, (c) how far, (d) a stretch of a recording.
+    """One figure of a diagnosis under its sentence: where, which, how far, a stretch of a recording, the missing force.
 
-    Colours and marks stay the same throughout: vermilion for the nominal model, blue for the model with the effect,
-    green for its rival. Without recordings to look at (d) is left out.
+    Colours and marks stay the same in the first four: vermilion for the nominal model, blue for the model with the
+    effect, green for its rival. Without recordings to look at the stretch is left out, and the force where no places
+    are known.
     """
     title = balanced(report.sentence).replace("$", r"\$")
     shown = bool(report.traces)
     legend_rows = 1 if report.verdict in ("none", "unknown") else 2
-    heights = [1.42, 2.75 + 0.17 * legend_rows, *([2.3] if shown else [])]
+    curves = missing_curves(next(iter(report.missing_by_place.values()), []))
+    heights = [1.42, 2.75 + 0.17 * legend_rows, *([2.3] if shown else []), *([2.0] if curves else [])]
     figure = Figure(figsize=(FULL_WIDTH_IN, sum(heights) + 0.18 + 0.17 * (1 + title.count("\n"))))
     figure.suptitle(title, x=0.012, ha="left", fontsize=10.0, linespacing=1.25)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
@@ -53,6 +57,13 @@ def gap_figure(report: GapReport) -> Figure:
         errors(report, trace, ax=below)
         above.tick_params(labelbottom=False)
         parts[2].align_ylabels()
+    if curves:
+        axes = parts[-1].subplots(1, len(curves), squeeze=False)[0]
+        for ax, curve in zip(axes, curves, strict=True):
+            missing(report, curve, ax=ax)
+        _headed(axes[0], "e", "What is missing", f"a nameless force or signal at {curves[0].place}, 95 % interval")
+        handles, texts = max((ax.get_legend_handles_labels() for ax in axes), key=lambda both: len(both[1]))
+        parts[-1].legend(handles, texts, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -67,7 +78,7 @@ def _distance(report: GapReport) -> str:
     if report.gap is None:
         return "fitted recordings, none held out"
     after = f" to {report.gap.after:.3g}" if any(s.after is not None for s in compared(report)) else ""
-    return f"held-out gap {report.gap.before:.3g}{after} × noise floor"
+    return f"held out: {report.gap.before:.3g}{after} × noise floor"
 
 
 def _headed(ax: Axes, letter: str, word: str, rest: str, x: float = 0.0) -> None:
@@ -89,14 +100,14 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax)
     rows = leading(report.ranking)
     for k, r in enumerate(rows):
-        inside = r.effect in report.ambiguity
+        inside = any(r.effect in group for group in report.ambiguity)
         colour = HEALED if inside else "#A9BBC7"
         ax.barh(k + 0.74, r.probability, 0.2, color=colour, gid=f"probability {r.effect}", zorder=2.0)
         ax.barh(k + 0.74, 1.0, 0.2, color="0.94", zorder=1.0)
-        name, weight = named(r.effect), "bold" if k == 0 else "normal"
+        name, size, weight = named(r.effect), sizes(r), "bold" if k == 0 else "normal"
         ax.text(0.0, k + 0.17, name, va="center", fontsize=min(8.0, 300.0 / len(name)), fontweight=weight)
         ax.text(1.02, k + 0.74, percent(r.probability), va="center", fontsize=8.0, fontweight=weight)
-        ax.text(0.0, k + 0.46, sizes(r), va="center", fontsize=7.0, color=QUIET)
+        ax.text(0.0, k + 0.46, size, va="center", fontsize=min(7.0, 390.0 / max(len(size), 1)), color=QUIET)
     ax.set_xlim(0.0, 1.0)
     ax.set_ylim(max(len(rows), 4), 0.0)
     ax.set_yticks([])
@@ -110,14 +121,10 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
 
 def sizes(r: Ranked) -> str:
     """Magnitudes with intervals and units, "" where there are none."""
-    parts = list(r.parts.values())
-    if r.magnitude is not None:
-        parts = [(r.magnitude, r.interval, r.unit or "")]
-    return ";  ".join(_size(*part) for part in parts)
+    return ";  ".join(_size(*part) for part in r.sizes.values())
 
 
-def _size(value: float, interval: tuple[float, float] | None, unit: str) -> str:
-    text = f"{value:.3g}{'' if unit in ('', '1') else ' ' + unit}"
+def _size(text: str, interval: tuple[float, float] | None) -> str:
     if interval is not None and interval[1] > interval[0]:  # one recording alone gives none
         text += f" ({interval[0]:.3g} to {interval[1]:.3g})"
     return text.replace("-", "\N{MINUS SIGN}")

@@ -60,7 +60,7 @@ def gap_map(table: GapTable, *, ax: Axes | None = None) -> Axes:
     bar = figure_of(ax).colorbar(ScalarMappable(norm, colours), ax=ax, shrink=0.7, aspect=28, pad=0.02, extend="both")
     bar.set_ticks([1.0, 3.0, 10.0, 30.0, 100.0], labels=["1", "3", "10", "30", "100"])
     bar.ax.minorticks_off()
-    bar.set_label("|difference| / |response| [%]")
+    bar.set_label("|difference| /\n|response| [%]")
     return ax
 
 

@@ -28,7 +28,10 @@ def accuracy(plan: Plan, *, ax: Axes | None = None) -> Axes:
             plan.lines_hz, floor, color=COLOURS[1], linewidth=0.9, linestyle=":",
             label="of which distortion", gid="floor",
         )  # fmt: skip
-    ax.axhline(100.0 * plan.required.std, color=LIMIT, linewidth=1.0, linestyle="--", label="required", gid="required")
+    if plan.required.std is not None:
+        ax.axhline(
+            100.0 * plan.required.std, color=LIMIT, linewidth=1.0, linestyle="--", label="required", gid="required"
+        )
     crossover_line(plan, ax)
     _percent_axis(ax)
     frequency_axis(ax, *_band(plan))

@@ -61,7 +61,7 @@ def determinant(loops: LoopMatrix, *, ax: Axes | None = None) -> Axes:
     ax.set_aspect("equal")
     ax.set_xticks([])
     ax.set_yticks([])
-    ax.set_xlabel("det(I + L), log scale about 0; dot: lowest frequency")
+    ax.set_xlabel("det(I + L), log scale about 0\ndot: lowest frequency")
     return ax
 
 

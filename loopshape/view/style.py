@@ -21,6 +21,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 LIMIT = "#B2182B"  # what must not be crossed
 QUIET = "#6E6E6E"  # what only helps to read
 FULL_WIDTH_IN = 7.0
+HEAD_IN = 1.0  # of a figure's height, which its own size allows for title and details
 DPI = 150
 _MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
 
@@ -43,6 +44,7 @@ RC: dict[str, object] = {
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.1,
     "lines.markersize": 4.0,
+    "xtick.major.pad": 5.5,  # clear of the lowest label of the other axis
     "xtick.direction": "in",
     "ytick.direction": "in",
     "xtick.minor.size": 1.5,
@@ -96,9 +98,11 @@ def shades(n: int) -> list[str]:
 
 @styled()
 def head(figure: Figure, title: str, *details: str) -> None:
-    """Title at the left, details below it in grey; the layout keeps room for all of them."""
+    """Title at the left, details below it in grey; the figure grows by what leaves the axes too little room."""
     lines = [line for detail in details for line in _wrapped(detail, round(16.5 * figure.get_figwidth()))]
-    height, room = figure.get_figheight(), 0.24 + 0.165 * len(lines)
+    room = 0.24 + 0.165 * len(lines)
+    height = figure.get_figheight() + max(0.0, room - HEAD_IN)
+    figure.set_figheight(height)
     figure.text(0.012, 1.0 - 0.06 / height, title, va="top", fontsize=10.0)
     for k, line in enumerate(lines):
         figure.text(0.012, 1.0 - (0.25 + 0.165 * k) / height, line, va="top", fontsize=8.0, color=QUIET)

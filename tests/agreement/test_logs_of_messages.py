@@ -114,7 +114,12 @@ def test_mcap_with_json_messages(tmp_path):
     np.testing.assert_allclose(signal(tmp_path / "a.mcap", "time of /axis"), np.arange(N) / 200.0, atol=1e-12)
     names = open_source(tmp_path / "a.mcap", CsvShape()).names
     assert not [name for name in names if "blob" in name or "name" in name]
-    assert draft_map(tmp_path / "a.mcap").rate_hz == 200.0
+    draft = draft_map(tmp_path / "a.mcap")
+    assert draft.rate_hz == 200.0
+    assert set(open_source(tmp_path / "a.mcap", CsvShape()).closed) == {
+        "/blob (encoded as protobuf)", "/axis.name (no number)",
+    }  # fmt: skip
+    assert any("not read: /blob (encoded as protobuf), /axis.name (no number)" in guess for guess in draft.guesses)
 
 
 @pytest.mark.short
@@ -138,7 +143,10 @@ def test_bags_of_ros_by_the_sensor_s_own_stamps(tmp_path, ending):
     np.testing.assert_array_equal(signal(file, "/axis.angle[1]"), -X)
     np.testing.assert_array_equal(signal(file, "/axis.effort"), (0.5 * X).astype(np.float32))
     np.testing.assert_allclose(signal(file, "time of /axis"), np.arange(N) / 200.0, atol=1e-12)  # not those of logging
-    assert "/axis.many[0]" not in open_source(file, CsvShape()).names
+    source = open_source(file, CsvShape())
+    assert "/axis.many[0]" not in source.names
+    assert "/axis.note (no number)" in source.closed
+    assert "/axis.many[0] (not in every message)" in source.closed
 
 
 FORMATS = {
@@ -188,6 +196,13 @@ def test_dataflash_with_instances_and_multipliers(tmp_path):
     np.testing.assert_array_equal(signal(tmp_path / "a.bin", "IMU#1.GyrX"), (X + 1).astype(np.float32))
     np.testing.assert_allclose(signal(tmp_path / "a.bin", "IMU.T"), 25.0 + 0.01 * np.arange(N))
     np.testing.assert_allclose(np.diff(signal(tmp_path / "a.bin", "time of RATE")), 0.0025, atol=1e-12)
+    (tmp_path / "b.bin").write_bytes(dataflash()[:-5])
+    cut = 3 + 8 + 64 - 5
+    for name, last in (("a.bin", []), ("b.bin", [f"the last {cut} bytes (no whole message)"])):
+        closed = open_source(tmp_path / name, CsvShape()).closed
+        assert [one for one in closed if "bytes" in one] == last
+        assert {"FMTU.UnitIds (text)", "FMTU.MultIds (text)"} <= set(closed)
+    assert "MSG.Message (text)" in open_source(tmp_path / "a.bin", CsvShape()).closed
 
 
 def test_a_draft_of_a_dataflash_log_takes_the_roll_axis(tmp_path):
@@ -244,6 +259,23 @@ Unit;mm;Unit;1
 """
 
 
+def test_a_codesys_trace_as_text_has_all_its_variables_and_asks_for_the_unit_of_its_stamps(tmp_path):
+    """The layout that the manual of CoDeSys 2.3 shows: two lines, names after `Cycle`, numbers between blanks."""
+    u = np.round(np.random.default_rng(1).standard_normal(2000), 4)
+    y = np.round(np.convolve(u, [0.0, 0.5, 0.3])[:2000] + 0.01 * np.random.default_rng(2).standard_normal(2000), 4)
+    rows = "".join(f"{2 * k} {a} {b}\n" for k, (a, b) in enumerate(zip(u, y, strict=True)))
+    text = "CoDeSys Trace\nD:\\PROJECTS\\AXIS.PRO\nCycle PLC_PRG.U PLC_PRG.Y\n" + rows
+    (tmp_path / "a.txt").write_text(text)
+    draft = draft_map(tmp_path / "a.txt")
+    assert [one.startswith("'Cycle' rises by 2 a row without a unit") for one in draft.open] == [True]
+    assert draft.roles == {"PLC_PRG.U": "control", "PLC_PRG.Y": "output"}
+    for column, values in zip(draft.columns, (u, y), strict=True):
+        np.testing.assert_array_equal(column.values, values)
+    (tmp_path / "a.trace").write_text("<Trace/>")
+    with pytest.raises(UnreadableInputError, match=r"save the trace as text \(\.txt\)"):
+        draft_map(tmp_path / "a.trace")
+
+
 def test_twincat_scope_csv_with_a_time_beside_each_channel(tmp_path):
     rows = [f"{k},0;{X[k]:.9f};{k},0;{0.5 * X[k]:.9f}".replace(".", ",") for k in range(N)]
     (tmp_path / "a.csv").write_text(SCOPE + "\n".join(rows) + "\n")
@@ -265,3 +297,102 @@ def test_a_decoded_blackbox_of_betaflight(tmp_path):
     draft = draft_map(tmp_path / "a.csv")
     assert draft.rate_hz == 4000.0
     assert {draft.roles.get(n) for n in ("setpoint[0]", "gyroADC[0] (deg/s)", "axisSum[0]")} >= {"reference"}
+
+
+ARM = ("shoulder", "elbow", "wrist")
+WALKS = np.cumsum(np.random.default_rng(3).normal(size=(N, 3, 3)), axis=0)
+
+
+def joint_values(k):
+    """Position, velocity and effort of each joint at message k."""
+    return {name: tuple(WALKS[k, i]) for i, name in enumerate(ARM)}
+
+
+def write_joints(path, names_of):
+    """Messages of sensor_msgs/JointState, of the joints `names_of(k)` in that order, and commands 2 ms later."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    first = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
+    if first:
+        writer, pack = rosbag1.Writer(path), store.serialize_ros1
+    else:
+        kind = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer, pack = rosbag2.Writer(path.parent / path.stem, version=9, storage_plugin=kind), store.serialize_cdr
+    State, Stamp, Header = (
+        store.types[t] for t in ("sensor_msgs/msg/JointState", "builtin_interfaces/msg/Time", "std_msgs/msg/Header")
+    )
+    Number = store.types["std_msgs/msg/Float64"]
+    with writer:
+        states = writer.add_connection("/joint_states", State.__msgtype__, typestore=store)
+        commands = writer.add_connection("/command", Number.__msgtype__, typestore=store)
+        for k, t in enumerate(NS.tolist()):
+            stamp = Stamp(int(t // 10**9), int(t % 10**9))
+            header = Header(k, stamp, "") if first else Header(stamp, "")
+            names, values = names_of(k), joint_values(k)
+            told = State(header, list(names), *(np.array([values[n][i] for n in names]) for i in range(3)))
+            writer.write(states, t + 300_000, pack(told, State.__msgtype__))
+            writer.write(commands, t + 2_000_000, pack(Number(X[k]), Number.__msgtype__))
+    return path if first else next((path.parent / path.stem).glob(f"*{path.suffix}"))
+
+
+@pytest.mark.short
+@pytest.mark.parametrize("ending", [".bag", ".db3", ".mcap"])
+def test_joint_states_go_by_joint_whatever_the_order_of_names(tmp_path, ending):
+    pytest.importorskip("rosbags")
+    pytest.importorskip("mcap")
+    file = write_joints(tmp_path / f"log{ending}", lambda k: ARM[k % 3 :] + ARM[: k % 3])
+    source = open_source(file, CsvShape())
+    for i, field in enumerate(("position", "velocity", "effort")):
+        for name in ARM:
+            expected = [joint_values(k)[name][i] for k in range(N)]
+            np.testing.assert_array_equal(signal(file, f"/joint_states.{name}.{field}"), expected)
+    assert not [name for name in source.names if "[0]" in name]
+    assert source.units()["/joint_states.elbow.velocity"] == "rad/s"
+    draft = draft_map(file)
+    assert draft.rate_hz == 200.0  # by the header's stamps, whose parts are no signals
+    assert not [column.name for column in draft.columns if "stamp" in column.name]
+    units = {rule["from"]: rule["unit"] for rule in draft.table["columns"].values()}
+    assert units["/joint_states.wrist.position"] == "rad"
+    assert units["/joint_states.wrist.effort"] in ("N m", "Nm")
+    assert any("one that slides" in guess for guess in draft.guesses)
+
+
+def test_a_joint_that_is_not_in_every_message_has_stamps_of_its_own(tmp_path):
+    pytest.importorskip("rosbags")
+    pytest.importorskip("mcap")
+    file = write_joints(tmp_path / "log.mcap", lambda k: ARM if k % 4 == 0 else ARM[:2])
+    np.testing.assert_array_equal(signal(file, "/joint_states.wrist.position"), WALKS[::4, 2, 0])
+    stamps = signal(file, "time of /joint_states.wrist.position")
+    np.testing.assert_allclose(stamps, np.arange(0, N, 4) / 200.0, atol=1e-12)
+    rule = next(r for r in draft_map(file).table["columns"].values() if r["from"] == "/joint_states.wrist.position")
+    assert rule["time"] == "time of /joint_states.wrist.position"
+
+
+def test_topics_of_one_length_and_other_stamps_are_brought_to_one_time(tmp_path):
+    # a draft that took the rows as they lie would hide 2 ms of the 5 ms between command and answer
+    pytest.importorskip("rosbags")
+    pytest.importorskip("mcap")
+    file = write_joints(tmp_path / "log.mcap", lambda k: ARM)
+    rules = {rule["from"]: rule for rule in draft_map(file).table["columns"].values()}
+    assert rules["/command.data"]["time"] == "time of /command"
+    assert "time" not in rules["/joint_states.elbow.position"]
+
+
+def test_states_of_a_trajectory_controller_in_json_go_by_joint(tmp_path):
+    pytest.importorskip("mcap")
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as file:
+        out = Writer(file)
+        out.start()
+        schema = out.register_schema("state", "jsonschema", b'{"type": "object"}')
+        channel = out.register_channel("/arm/state", "json", schema)
+        for k, t in enumerate(NS.tolist()):
+            point = {"positions": [X[k], -X[k]], "velocities": []}
+            told = {"joint_names": ["a", "b"], "reference": point, "feedback": point, "gains": [1.0, 2.0]}
+            out.add_message(channel, t, json.dumps(told).encode(), t)
+        out.finish()
+    np.testing.assert_array_equal(signal(tmp_path / "a.mcap", "/arm/state.b.reference.positions"), -X)
+    assert "/arm/state.gains[1]" in open_source(tmp_path / "a.mcap", CsvShape()).names

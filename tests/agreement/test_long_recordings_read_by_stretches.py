@@ -120,8 +120,10 @@ def test_noise_of_a_long_recording_is_estimated_by_segments(tmp_path, by_stretch
 
 
 def test_a_sweep_of_a_long_recording_is_estimated_as_one_that_is_held_whole(tmp_path, by_stretches):
-    t, slope = np.arange(ROWS) / RATE_HZ, np.log(100.0) * RATE_HZ / ROWS
+    half = ROWS // 2  # up and down again: one way alone is estimated in parts
+    t, slope = np.arange(half) / RATE_HZ, np.log(100.0) * RATE_HZ / half
     n = np.sin(2.0 * np.pi / slope * (np.exp(slope * t) - 1.0))
+    n = np.concatenate([n, n[::-1], np.zeros(ROWS - 2 * half)])
     y = lfilter([0.0, 0.1], [1.0, -0.9], n + 0.05 * n**2) + 0.001 * np.random.default_rng(4).standard_normal(ROWS)
     loop = LoopSetup("axis", None, "n_v", "u_v", "y_m", None)
     info = RecordingInfo("r.parquet", "sweep", "controller_input", excites="axis")

@@ -26,6 +26,7 @@ static uint64_t state;
 static double sensors[2];
 static int safe, may_enable;
 static uint32_t now_ms, digest;
+static uint64_t fresh = UINT64_C(1) << 40; /* changed frames draw none of these */
 static unsigned long frames, arms, vents;
 
 static void hold(int fine, const char *what)
@@ -93,6 +94,11 @@ int board_place(const double *outputs, uint8_t loops, const double *references, 
     return 0;
 }
 
+uint64_t board_fresh(void)
+{
+    return ++fresh;
+}
+
 void board_noise(uint64_t noise)
 {
     (void)noise;
@@ -131,7 +137,7 @@ static double any_number(void)
 /* The payload of a request: fitting, with numbers of any kind, or of any bytes. */
 static void fill(uint8_t type, struct writer *p)
 {
-    static const char *const form[0x15] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "i",   "dd", "iibhqb",
+    static const char *const form[0x15] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "iq",  "dd", "iibhqb",
                                            "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbhbbdbddddd", "bb"};
     const char *text = type <= 0x14 ? form[type] : "qqq";
     if (drawn(8) == 0) {
@@ -216,7 +222,7 @@ static void configure(uint8_t hold_on_limit)
         part(0x04, &p);
     }
     ask(0x05, &p);
-    put_u32(&p, digest);
+    put_u32(&p, digest), put_bits(&p, fresh, 8);
     ask(0x06, &p);
 }
 

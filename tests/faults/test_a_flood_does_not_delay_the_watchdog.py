@@ -82,7 +82,7 @@ def test_the_main_loop_of_board_h_keeps_its_ticks(tmp_path, kind, request):
     one = np.array([[1.0]])
     limits = np.array([[-1.0, 1.0, np.inf], [-1.0, 1.0, np.inf]])
     wanted = Configuration(one, one, (np.array([[1.0, 0, 0, 0, 0]]),), limits, False, WATCHDOG_MS, 0.0)
-    asked = [*wanted.frames(), (Ask.READY, b""), (Ask.ARM, struct.pack("<I", wanted.digest))]
+    asked = [*wanted.frames(), (Ask.READY, b""), (Ask.ARM, struct.pack("<IQ", wanted.digest, 1))]
     script = b"".join(Frame(what, k + 1, payload).encoded for k, (what, payload) in enumerate(asked))
     said = subprocess.run([program, str(kind)], input=script, capture_output=True, check=True, timeout=20).stdout
     took_ms = float(said) if said != b"never\n" else np.inf

@@ -162,6 +162,7 @@ def wrong(area, file, seed, whole):
     code, out, err = told(work, name)
     found, its = tree(area), f"work/{file}"
     mine = {path for path in {*before, *after} if before.get(path) != after.get(path)} | {its}
+    mine |= {f"work/{one}" for one in ("junit.xml", "verdict.json", "verdict.md")}  # written anew each time
     tops = {path.split("/")[1] for path in mine}
     faults = []
     if code not in (0, 1, 2) or "Traceback" in err:

@@ -4,6 +4,7 @@ import io
 import json
 import locale
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,9 +14,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import typer
 from bench import command, commands, in_a_child, prepare
 
 from loopshape.cli import main
+from loopshape.cli.output import safe
 from loopshape.io.frfs import read_frfs
 from loopshape.io.run_folder import read_run
 
@@ -57,6 +60,47 @@ def test_every_command_can_be_read_in_a_terminal_of_few_signs(whole, tmp_path, e
         assert out.encode("latin-1").decode(encoding) is not None
         if "--json" in words:
             json.loads(out.encode("latin-1").decode(encoding))
+
+
+@pytest.mark.long
+def test_no_command_passes_an_escape_of_a_file_on_to_the_terminal(whole, tmp_path):
+    shutil.copytree(whole, folder := tmp_path / "whole")
+    path = folder / "runs" / "axis" / "run.toml"
+    path = path if path.exists() else next(folder.rglob("run.toml"))
+    text = re.sub(
+        r"^notes = \[", 'notes = ["a \\\\u001b]0;owned\\\\u0007 note", ', path.read_text(), count=1, flags=re.M
+    )
+    assert "owned" in text
+    path.write_text(text)
+    assert safe("a \x1b]0;owned\x07 note") == "a \\x1b]0;owned\\x07 note"
+    for name, words in commands(folder).items():
+        text, status = in_a_child(lambda words=words: printed(words, "utf-8"))
+        assert status == 0, name
+        _, out, err = json.loads(text)
+        assert not {"\x1b", "\x07", "\r"} & set(out + err), name
+
+
+ESCAPE = "\x1b]0;owned\x07"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("frf", "run", f"more{ESCAPE}"), (f"frf{ESCAPE}",), ("frf", "run", f"--no{ESCAPE}"), (f"--no{ESCAPE}",),
+        ("frf", "run", "--resolution-hz", ESCAPE), ("frf", f"run{ESCAPE}"), ("shape", f"run{ESCAPE}"),
+        ("emulator", "--change", ESCAPE), ("emulator", "--change", f"{ESCAPE}=1"), ("emulator", "--tcp", ESCAPE),
+    ],
+    ids=range(10),
+)  # fmt: skip
+def test_no_word_of_the_command_line_steers_the_terminal(words):
+    found = command(words)
+    assert found.code == 2
+    assert not {"\x1b", "\x07"} & set(found.out + found.err), found
+
+
+@pytest.mark.parametrize("error", [ValueError("a"), typer.BadParameter(f"a{ESCAPE}")])
+def test_an_error_of_use_is_shown_whatever_typer_makes_of_it(error):
+    assert ESCAPE not in str(getattr(main._shown(error), "message", ""))
 
 
 def test_a_sign_that_a_terminal_does_not_know_becomes_a_word_and_a_letter_its_number(whole):

@@ -135,12 +135,13 @@ def test_a_host_that_is_killed_keeps_what_came(tmp_path):
 
 def test_what_a_limit_ended_is_made_again_on_request_alone(tmp_path):
     """The machine is put right in between: its disturbance is gone; the earlier table is kept."""
-    text = study_text(experiment("small"), experiment("large", amplitude=0.2), angle="low_rad = -3.0, high_rad = 0.16")
+    large = experiment("large", injection="plant_input", unit="v", amplitude=4.0)
+    text = study_text(experiment("small"), large, angle="low_rad = -3.0, high_rad = 0.16")
     study, run = write_study(tmp_path, text), tmp_path / "run"
 
     with Running(target) as running:
         assert len(measured(study, run, running.port)) == 1
-        before, first = finished(run), table(run, "large")
+        before, first = finished(run), table(run, "large", "plant_input")
         assert len(measured(study, run, running.port)) == 1  # not asked for: nothing is made
         assert not (run / EARLIER).exists()
     lame = lambda: target(ignores_limits=False)  # noqa: E731
@@ -149,7 +150,7 @@ def test_what_a_limit_ended_is_made_again_on_request_alone(tmp_path):
         assert ended_early(measure(study, run, port=running.port, arm=True, again=True)) == []
     assert finished(run) == before
     assert read_run(run).recording("large").info.file == "large.again-1.parquet"
-    assert table(run, "large")["s1"].size > first["s1"].size
+    assert table(run, "large", "plant_input")["s1"].size > first["s1"].size
     np.testing.assert_array_equal(pd.read_parquet(run / EARLIER / "large-1.parquet")["angle1_rad"], first["s1"])
     assert [path.name for path in sorted(run.glob("*.parquet"))] == ["large.again-1.parquet", "small.parquet"]
     assert not [one for one in verify(run) if one.sound is False]

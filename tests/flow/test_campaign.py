@@ -1,6 +1,7 @@
 """Many machines: the same to the last bit whoever simulates them, whoever dies on the way; nothing finished is lost."""
 
 import csv
+import fcntl
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import loopshape as ls
 from loopshape.core.errors import LoopshapeError, RigError
 from loopshape.data.campaign import Part
 from loopshape.io.campaigns import read_campaign
+from loopshape.io.replacing import replace_run
 from loopshape.io.run_folder import read_run
 from loopshape.io.verify import verify
 from loopshape.model.arm.arm1 import Arm1
@@ -198,6 +200,20 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, 
             _, said = process.communicate(timeout=240)
     assert process.returncode == 0, said.decode()
     assert content(out) == content(alone)
+
+
+def test_a_run_is_not_replaced_while_its_campaign_records(campaign, alone):
+    """The campaign's hold is on its folder; that of the machine comes and goes with each table."""
+    before, machine = content(alone), next(path for path in sorted(alone.iterdir()) if path.is_dir())
+    run = read_run(machine)
+    handle = os.open(alone, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)  # as another process holds it
+        with pytest.raises(LoopshapeError, match="another process is writing this run"):
+            replace_run(machine, run)
+    finally:
+        os.close(handle)
+    assert content(alone) == before
 
 
 def read(campaign, *changes):

@@ -8,6 +8,7 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
 from loopshape.data.frf import FRF
@@ -154,3 +155,23 @@ def test_what_stands_in_a_folder_is_not_mixed_up(run, tmp_path):
 def test_quiet_is_quiet(run, tmp_path):
     assert loopshape("export", run, "--to", "mat", "--out", tmp_path / "o", "--quiet") == ""
     assert loopshape("import-frf", tmp_path / "o" / "r01.axis.mat", "--out", tmp_path / "b", "--quiet") == ""
+
+
+def test_two_imported_frfs_are_compared(tmp_path):
+    """20 log10(1.06) is 0.51 dB: an imported FRF that is 6 % larger, known to 1 %, is another plant's."""
+    rng, f = np.random.default_rng(3), np.geomspace(0.5, 60.0, 80)
+    for name, gain in (("before", 1.0), ("again", 1.0), ("after", 1.06)):
+        G = gain * PLANT.response(f)
+        G = G * (1.0 + 0.01 * (rng.standard_normal(80) + 1j * rng.standard_normal(80)) / np.sqrt(2.0))
+        np.savetxt(
+            tmp_path / f"{name}.csv", np.column_stack([f, G.real, G.imag]), delimiter=",", comments="",
+            header="frequency_hz,real,imag",
+        )  # fmt: skip
+        loopshape(
+            "import-frf", tmp_path / f"{name}.csv", "--relative-std", 0.01, "--loop", "axis", "--out", tmp_path / name
+        )
+    same = json.loads(loopshape("compare", tmp_path / "before", tmp_path / "again", "--json"))
+    other = json.loads(loopshape("compare", tmp_path / "before", tmp_path / "after", "--json", code=1))
+    assert (same["outcome"], other["outcome"]) == ("held", "did not hold")
+    assert abs(np.mean([band["sensitivity_db"] for band in other["comparisons"][0]["bands"]]) - 0.51) < 0.05
+    assert ls.compare(*(read_frfs(tmp_path / name) for name in ("before", "again")))[0].outcome == "held"

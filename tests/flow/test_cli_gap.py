@@ -11,9 +11,10 @@ from loopshape.model.arm.arm1 import Arm1
 from loopshape.rig.simulated import measure, plan
 
 KEYS = {
-    "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "where": dict,
-    "gap": dict, "submodels": list, "next_experiment": dict, "control": list, "parameters": dict,
-    "software": list, "notes": list, "sentence": str,
+    "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "kinds": dict,
+    "where": dict, "gap": dict, "submodels": list, "next_experiment": dict, "control": list, "parameters": dict,
+    "software": list, "notes": list, "sentence": str, "budget": list, "missing": list, "fix": dict,
+    "windows_tried_s": list, "by_recording": dict, "window_s": type(None),
 }  # fmt: skip
 
 
@@ -85,7 +86,7 @@ def test_the_ranking_lists_every_effect_none_and_unknown_and_sums_to_one(answer)
     probabilities = [row["probability"] for row in answer["ranking"]]
     assert sum(probabilities) == pytest.approx(1.0)
     assert probabilities == sorted(probabilities, reverse=True)
-    assert set(answer["ambiguity_set"]) <= set(names)
+    assert {name for group in answer["ambiguity_set"] for name in group} <= set(names)
     assert sum(answer["where"]["blocks"].values()) == pytest.approx(1.0)
 
 

@@ -1,6 +1,7 @@
 """`loopshape plan` on the simulated 1-DoF arm: a first record of 30 s, a plan, the planned experiment, its scatter."""
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -130,3 +131,49 @@ def test_wrong_use_is_a_sentence(run, words, sentence):
     code, _, error = loopshape("plan", run, *words)
     assert code == 2
     assert sentence in error
+
+
+def test_the_line_of_an_undecided_verdict_is_a_plan_as_it_is(run, tmp_path):
+    """|L| has not fallen below 1 where the record ends: what `check` prints is pasted, and its study is measurable."""
+    rate_hz = read_run(run).rate_hz
+    (tmp_path / "c.toml").write_text(
+        f'format = "loopshape-controllers/1"\nrate_hz = {rate_hz}\n[[loop]]\nname = "theta2"\n'
+        'controller = [{ kind = "gain", gain = 1e5 }]\n'
+    )
+    (tmp_path / "r.toml").write_text(
+        'format = "loopshape-requirements/1"\n[[loop]]\nname = "theta2"\nintegrators = 0\nunstable_poles = 0\n'
+        "phase_margin_deg = 10.0\n"
+    )
+    assert loopshape("frf", run, "--quiet")[0] == 0
+    code, printed, error = loopshape(
+        "check", run, tmp_path / "c.toml", "--require", tmp_path / "r.toml", "--no-figures"
+    )
+    assert code == 1, error
+    assert "undecided" in printed
+    line = next(x for x in printed.splitlines() if x.startswith("to settle it: "))
+    words = shlex.split(line.removeprefix("to settle it: "))
+    assert words[:3] == ["loopshape", "plan", str(run)]
+    asked = dict(zip(words[3::2], words[4::2], strict=True))
+    code, said, error = loopshape(*words[1:], "--json")
+    assert code == 0, error
+    told = json.loads(said)
+    assert told["complete"]
+    assert told["binds"] == "seconds"
+    assert told["wished_std"] is None
+    apart = np.diff(told["lines_hz"])
+    assert apart == pytest.approx(1.0 / told["period_s"], rel=1e-6)
+    assert 1.0 / told["period_s"] <= float(asked["--resolution-hz"]) * (1.0 + 1e-9)
+    assert told["period_s"] * told["periods"] == pytest.approx(float(asked["--seconds"]), rel=0.5 / told["periods"])
+    assert told["lines_hz"][0] >= float(asked["--from-hz"]) * 0.999
+    assert told["lines_hz"][-1] <= float(asked["--to-hz"]) * 1.001
+    assert any("predicted as at its edge" in note for note in told["notes"])
+    assert read_study(Path(told["study"])).experiments[0].excitation.periods == told["periods"]
+
+
+@pytest.mark.parametrize(
+    "words", [("--resolution-hz", "0.1"), ("--seconds", "40"), ("--std-db", "0.1", "--seconds", "9")]
+)
+def test_a_told_experiment_has_both_numbers_and_no_accuracy(run, words):
+    code, _, error = loopshape("plan", run, *words)
+    assert code == 2
+    assert "a resolution and a time instead" in error

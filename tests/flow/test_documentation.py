@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from text_layout import unreadable
 
 import loopshape as ls
 
@@ -99,11 +100,41 @@ def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
 def test_the_pictures_show_what_the_code_computes() -> None:
     noted = json.loads((ROOT / "figures" / "shown.json").read_text())
     computed = runpy.run_path(str(DOCS / "pictures.py"))["shown"]()
-    assert set(noted) == set(computed) == {"readme", "shape"}
+    assert set(noted) - {"demo", "swing"} == set(computed) == {"readme", "shape"}
     for name, rows in computed.items():
         assert set(noted[name]) == set(rows)
         for requirement, numbers in rows.items():
             assert noted[name][requirement] == pytest.approx(numbers, rel=2e-3), (name, requirement, "make pictures")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)  # two joints with two sensors: 80 s of a free core
+@pytest.mark.parametrize(
+    ("name", "made", "drawn"),
+    [
+        ("demo", "diagnosed", "gap_figure"),
+        pytest.param("swing", "diagnosed_swing", "swing_figure", marks=pytest.mark.hour),
+    ],
+)
+def test_the_picture_of_a_gap_shows_what_the_code_computes(name: str, made: str, drawn: str) -> None:
+    noted = json.loads((ROOT / "figures" / "shown.json").read_text())[name]
+    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    report = pictures[made]()
+    computed = pictures["shown_of"](report)
+    assert set(noted) == set(computed)
+    for row, numbers in computed.items():
+        assert noted[row] == pytest.approx(numbers, rel=2e-3), (row, "make pictures")
+    assert unreadable(pictures[drawn](report)) == []
+
+
+def test_every_picture_kept_is_named_by_a_page() -> None:
+    """By its name or its study's folder: a picture that no page names is neither looked at nor drawn anew."""
+    pages = [ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "experiments").rglob("*.md")]
+    text = "\n".join(page.read_text() for page in pages if "made" not in page.parts)
+    shape = ROOT / "figures" / "shape"  # `make pictures` draws the page of shape in every size
+    kept = [path for path in sorted((ROOT / "figures").rglob("*.png")) if path.parent != shape]
+    named = [path for path in kept if path.name in text or re.search(rf"figures/{path.parent.name}(?!/[\w-]+\.)", text)]
+    assert [str(path.relative_to(ROOT)) for path in kept if path not in named] == []
 
 
 @pytest.mark.long

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from loopshape.core.errors import UnreadableInputError
+import loopshape as ls
+from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.control_frd import from_control, to_control
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
@@ -37,6 +38,7 @@ def frf(ny=2, nu=2, nf=6, **words):
         "parameters": {"supply_bar": 1.25},
         "notes": ("first, °C", "second"),
         "averages": 12.0,
+        "method_numbers": {"sweep_s": 202.5, "rationals_percent": 41.0},
         "variance_freedom": 22.0,
         "line_overlap": 1.94,
         "held_by": Controller("theta2", (Block("gain", {"gain": 0.5}),), 1000.0),
@@ -294,3 +296,43 @@ def test_two_complex_variables_are_no_response(tmp_path):
     savemat(tmp_path / "a.mat", {"hz": np.arange(1.0, 9.0), "a": 1j * np.ones(8), "b": 1j * np.ones(8)})
     with pytest.raises(UnreadableInputError, match="holds no response"):
         read_frf_file(tmp_path / "a.mat", Stated(relative_std=0.01))
+
+
+def test_a_controller_becomes_its_tustin_sections_in_python_control() -> None:
+    rate, f = 1000.0, np.geomspace(0.5, 400.0, 40)
+    made = ls.to_control(
+        ls.controller(
+            ls.gain(3.0), ls.lead_lag(8.0, 90.0), ls.notch(40.0, 0.05, 0.6), ls.pi(0.5), rate_hz=rate,
+            computation_delay_s=0.002,
+        )
+    )  # fmt: skip
+    z = np.exp(2j * np.pi * f / rate)
+    s, w = 2.0 * rate * (z - 1.0) / (z + 1.0), 2.0 * np.pi * 40.0
+    by_hand = 3.0 * (1.0 + s / (2 * np.pi * 8.0)) / (1.0 + s / (2 * np.pi * 90.0)) * (s + np.pi) / s / z**2
+    by_hand *= (s * s + 0.1 * w * s + w * w) / (s * s + 1.2 * w * s + w * w)
+    assert made.dt == 1.0 / rate
+    assert made(z) == pytest.approx(by_hand, rel=1e-9)
+    with pytest.raises(WrongUseError, match="whole samples of delay"):
+        ls.to_control(ls.controller(ls.gain(1.0), rate_hz=rate, computation_delay_s=0.0004))
+
+
+def test_a_model_of_python_control_is_fitted_and_its_default_names_serve() -> None:
+    P = ls.FRF.from_control(
+        control.tf([900.0], [1.0, 8.0, 0.0]), np.geomspace(0.2, 400.0, 250), relative_std=0.01, rate_hz=2000.0
+    )
+    found = ls.fit(P, "rational", numerator=0, denominator=2, integrators=1)
+    assert found.model.num[-1] == pytest.approx(900.0, rel=1e-6)
+    assert found.model.den[1] == pytest.approx(8.0, rel=1e-6)
+    assert found.sufficient
+    assert "nothing but noise" in repr(found)
+    assert ls.fit(P, "third_order")["kappa"].unit.endswith("s3)")
+
+
+def test_run_frf_controller_and_requirements_agree_without_names() -> None:
+    C = ls.controller(ls.gain(0.2), rate_hz=1000.0)
+    f_hz = np.geomspace(0.5, 200.0, 100)
+    P = ls.FRF.from_arrays(f_hz, 10.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=1000.0)
+    n = np.random.default_rng(1).standard_normal((2, 5000))
+    quiet = ls.Run.from_arrays(u=n[0], y=n[1], reference=0.0 * n[0], rate_hz=1000.0, controller=C)
+    R = ls.Requirements(error_rms=2.0, integrators=1, unstable_poles=0)
+    assert np.isfinite(ls.check(P, C, R, disturbance=quiet).margins["frf 1"].error_rms)

@@ -61,6 +61,18 @@ def test_channels_of_an_mdf_file_and_their_times(mdf):
     assert source.signal(Place("time of temperature")) == pytest.approx(np.arange(20) * 0.5)
 
 
+def test_a_channel_of_two_groups_is_left_out_and_named(tmp_path):
+    asammdf = pytest.importorskip("asammdf", reason="the extra `mdf` is not installed")
+    t, file = np.arange(200) / RATE, asammdf.MDF(version="4.10")
+    for names in (("angle", "twice"), ("command", "twice")):
+        file.append([asammdf.Signal(np.sin(t), t, name=name) for name in names])
+    file.save(tmp_path / "a.mf4", overwrite=True)
+    file.close()
+    source = open_source(tmp_path / "a.mf4", CsvShape())
+    assert "twice" not in source.names
+    assert source.closed == ("twice (of 2 groups)",)
+
+
 @pytest.mark.short
 def test_an_mdf_file_becomes_a_run(mdf, tmp_path):
     (tmp_path / "map.toml").write_text(MAP)

@@ -130,6 +130,13 @@ def test_from_a_complex_response_in_five_lines() -> None:
     v = ls.check(P, C, R)
     assert v.outcome is ls.Outcome.PASSED
     assert repr(v) == "Verdict: passed"
+    rows = [line.split() for line in str(v).splitlines()]
+    assert rows[0][:2] == ["verdict:", "pass:"]
+    (margin,) = [row for row in rows if row[:1] == ["phase_margin_deg"]]
+    (found,) = v.margins.values()
+    low, high = found.intervals["phase_margin_deg"]
+    assert [float(margin[k]) for k in (1, 3, 5)] == pytest.approx([45.0, low, high], rel=1e-3)
+    assert max(map(len, str(v).splitlines())) <= 80
     assert "<table" in v._repr_html_()
 
 
@@ -206,6 +213,15 @@ def test_the_gap_needs_a_run_that_names_its_plant() -> None:
         ls.gap(ls.Run.from_arrays(u=np.arange(9.0), y=np.arange(9.0), rate_hz=1.0))
 
 
+def test_arrays_may_be_held_out_and_take_columns_of_a_machine() -> None:
+    (recording,) = ls.Run.from_arrays(u=np.arange(9.0), y=np.ones(9), rate_hz=1.0, role="validation").recordings
+    assert recording.info.role == "validation"
+    own = replace(recording, columns={"torque_nm": np.arange(9.0), "lever_rad": np.ones(9)})
+    assert ls.Run(1.0, (), [own]).recordings[0].column("lever_rad").size == 9
+    with pytest.raises(WrongUseError, match="estimation"):
+        ls.Run.from_arrays(u=np.arange(9.0), y=np.ones(9), rate_hz=1.0, role="held out")
+
+
 def test_reprs_are_one_line(arrays: dict[str, np.ndarray]) -> None:
     P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.01, rate_hz=RATE_HZ)
     run = ls.Run.from_arrays(**arrays, rate_hz=RATE_HZ)
@@ -231,16 +247,16 @@ def test_an_error_that_is_not_stated_is_refused(given: dict[str, object], words:
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     with pytest.raises(WrongUseError, match="for each frequency"):
-        ls.FRF.from_arrays(F_HZ, np.ones(3), relative_std=0.1)
+        ls.FRF.from_arrays(F_HZ, np.ones(3) + 0j, relative_std=0.1)
     with pytest.raises(BadSignalError, match="not numbers"):
-        ls.FRF.from_arrays(F_HZ, np.full(F_HZ.size, np.nan), relative_std=0.1)
+        ls.FRF.from_arrays(F_HZ, np.full(F_HZ.size, np.nan + 0j), relative_std=0.1)
     with pytest.raises(WrongUseError, match="of one length"):
         ls.Run.from_arrays(u=np.ones(3), y=np.ones(4), rate_hz=1.0)
     with pytest.raises(WrongUseError, match="needs numbers"):
         ls.controller(ls.gain(), rate_hz=1000.0)
     with pytest.raises(WrongUseError, match="0 < low < high"):
         ls.notch((5.0, 2.0))
-    with pytest.raises(WrongUseError, match="a plant is a FRF"):
+    with pytest.raises(WrongUseError, match=r"P of ls\.check must be a FRF, a sequence of FRF or a Diagram"):
         ls.check([3.0], ls.controller(ls.gain(1.0), rate_hz=1000.0))
     with pytest.raises(WrongUseError, match="only frequency response data and systems"):
         ls.from_control(3.0)
@@ -265,7 +281,7 @@ def test_files_go_out_and_come_back(tmp_path: Path, arrays: dict[str, np.ndarray
     np.testing.assert_array_equal(read.response(F_HZ), C.response(F_HZ))
     (header,) = ls.export(C, tmp_path / "c", "c")
     assert header.suffix == ".h"
-    with pytest.raises(ls.LoopshapeError, match="no file for this; received int"):
+    with pytest.raises(ls.LoopshapeError, match=r"what of ls\.write must be a Run, a Controller"):
         ls.write(3, tmp_path / "x")  # type: ignore[arg-type]
     assert ls.report(tmp_path / "run", date="today").stat().st_size > 10_000
 

@@ -13,18 +13,22 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap")]
+HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine")]
 PAGES = "\n".join([README, *(page.read_text() for page in HOW_TO)])
 
 
 def blocks() -> dict[str, str]:
-    """Console blocks by the name in the comment before them."""
+    """Console blocks by the name in the comment before them; `winch` runs in `test_docs_page_of_your_own_machine`."""
     return dict(re.findall(r"<!-- (\w+) -->\n```console\n(.*?)```", PAGES, flags=re.S))
 
 
 @pytest.mark.long
-# the demo of the arm is the whole of its block
-@pytest.mark.parametrize("name", ["tour", "own", "rig", pytest.param("arm", marks=pytest.mark.hour), "several", "gap"])
+# the demo of the arm is the whole of its block; the double pendulum takes 80 s of a free core
+@pytest.mark.parametrize(
+    "name",
+    ["tour", "own", "rig", pytest.param("arm", marks=pytest.mark.hour), "several", "gap",
+     pytest.param("machine", marks=pytest.mark.timeout(900))],
+)  # fmt: skip
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent
@@ -51,12 +55,32 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         answer = json.loads((tmp_path / "out" / "gap" / "gap.json").read_text())
         assert answer["verdict"] == "gas_law"
         assert answer["gap"]["shrink"] > 0.9
+    elif name == "machine":
+        for line in _printed_on("machine"):
+            assert _stands_in(line, done.stdout), line
+        assert (tmp_path / "out" / "swing" / "gap_fix.py").exists()
     elif name == "several":
         assert "theta1 and theta2, 0.5 to 1 Hz: decoupled" in done.stdout
         assert "theta1 and theta2, 1 to 2 Hz: coupled" in done.stdout
         assert len(list((tmp_path / "out" / "arm2" / "export").glob("*.csv"))) == 5
     else:
         assert "\nverdict: pass: " in done.stdout
+
+
+def _printed_on(page: str) -> list[str]:
+    """Lines of a page's first block of text, those that are broken joined; "..." stands for what is left out."""
+    block = re.search(r"```text\n(.*?)```", (ROOT / "docs" / f"{page}.md").read_text(), flags=re.S)
+    assert block
+    return [" ".join(line.split()) for line in block[1].replace("\n  ", " ").splitlines() if line.strip(". ")]
+
+
+def _stands_in(line: str, printed: str) -> bool:
+    """The same words, and numbers within 5 %."""
+    number = r"(?<![\w.])\d+(?:\.\d+)?"
+    words = r"(\d+(?:\.\d+)?)".join(map(re.escape, re.split(number, line)))
+    alike = [float(x) for x in re.findall(number, line)]
+    found = re.finditer(words, " ".join(printed.split()))
+    return any([float(x) for x in one.groups()] == pytest.approx(alike, rel=0.05) for one in found)
 
 
 def _free_port() -> int:
@@ -84,9 +108,11 @@ def test_every_command_line_shown_is_run_by_a_test() -> None:
 
 def test_the_python_of_the_readme_runs() -> None:
     (shown,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
+    (printed,) = re.findall(r"```text\n(.*?)```", README, flags=re.S)
     done = subprocess.run([sys.executable, "-c", shown], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "Verdict: passed\n"
+    assert done.stdout == printed
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 def test_the_workflow_shown_is_the_one_that_is_tested() -> None:
@@ -108,7 +134,7 @@ def test_the_readme_is_short() -> None:
 
 
 def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
-    """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 37.4 Hz of bandwidth."""
+    """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 36.6 Hz of bandwidth."""
     import numpy as np
 
     from loopshape.cli.fit import fit_run
@@ -138,4 +164,4 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     assert found["pole2_f_hz"] == pytest.approx(76.2, abs=0.1)
     tuned = tune([frf], read_requirements(bench / "requirements.toml")[0], fits)
     assert tuned.feasible
-    assert tuned.bandwidth_hz == pytest.approx(37.4, abs=0.3)
+    assert tuned.bandwidth_hz == pytest.approx(36.6, abs=0.3)

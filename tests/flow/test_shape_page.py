@@ -1,14 +1,17 @@
 """The page of `shape` as a person uses it: shaping from gain 1 to a passing loop, drag, type, keys, undo, files."""
 
 import json
+import re
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
-from threading import Thread
+from socket import create_connection
+from threading import Thread, active_count
 from typing import Any
 
 import numpy as np
@@ -26,7 +29,7 @@ from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import SeveralLoops, shaped
 from loopshape.view.page import page as page_module
-from loopshape.view.page.payload import Shaped
+from loopshape.view.page.payload import Shaped, controller_words
 
 SOURCES = Path(page_module.__file__).parent
 
@@ -271,7 +274,7 @@ def test_the_step_of_the_fit_stands_in_place_of_the_phase_and_names_the_fit(brow
     before = page.evaluate("loopshape.step(0).y.at(-1)")
     typed(page, "gain of block 1, gain", 0.7 * C.blocks[0].parameters["gain"])
     page_in_browser.until(page, f"loopshape.step(0) && loopshape.step(0).y.at(-1) < {before} - 0.02")
-    typed(page, "gain of block 1, gain", -1)
+    typed(page, "gain of block 1, gain", -2.0 * C.blocks[0].parameters["gain"])
     page.locator("#step-words", has_text="does not come to rest").wait_for()
     context.close()
 
@@ -373,7 +376,7 @@ def test_operating_points_may_have_names_of_their_own(tmp_path: Path) -> None:
 
 
 def test_a_plant_without_a_rate_needs_a_controller(tmp_path: Path) -> None:
-    P = ls.FRF.from_arrays(np.geomspace(1.0, 10.0, 20), np.ones(20), relative_std=0.01)
+    P = ls.FRF.from_arrays(np.geomspace(1.0, 10.0, 20), np.ones(20) + 0j, relative_std=0.01)
     with pytest.raises(WrongUseError, match="rate"):
         ls.shape(P, out=tmp_path / "none.html")
 
@@ -438,6 +441,76 @@ def test_no_other_page_can_ask_the_server(server: ShapeServer) -> None:
     assert status(server, f"/{server.token}/save", b"{}", **{"Content-Type": "text/plain"}) == 400
     assert status(server, f"/{server.token}/save", b"[]", **{"Content-Type": "application/json"}) == 400
     assert not server.save_to.exists()
+
+
+JSON = {"Content-Type": "application/json"}
+
+
+def asked(server: ShapeServer, what: str, body: bytes) -> tuple[int, dict[str, Any]]:
+    line = HTTPConnection("127.0.0.1", server.http.server_address[1], timeout=20)
+    line.request("POST", f"/{server.token}/{what}", body, JSON)
+    answer = line.getresponse()
+    found = answer.status, json.loads(answer.read())
+    line.close()
+    return found
+
+
+@pytest.mark.parametrize("body", [b"[" * 200_000, b'{"a":' * 150_000])
+def test_json_nested_too_deeply_is_answered(server: ShapeServer, body: bytes) -> None:
+    code, said = asked(server, "check", body)
+    assert (code, said["error"]) == (400, "a request without sense: it is nested too deeply")
+
+
+def test_silent_and_slow_connections_hold_neither_threads_nor_the_page(
+    server: ShapeServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two hundred that say nothing, or a byte now and then: at most 16 threads, and the page comes at once."""
+    from loopshape.verbs import shape_server
+
+    monkeypatch.setattr(shape_server, "MOST_S", 1.0)
+    before = active_count()
+    silent = [create_connection(("127.0.0.1", server.http.server_address[1])) for _ in range(200)]
+    slow = silent[-1]
+    slow.sendall(b"GET ")
+    time.sleep(0.3)
+    assert active_count() - before <= shape_server.MOST_CONNECTIONS
+    assert status(server, f"/{server.token}/") == 200
+    end = time.monotonic() + 10.0
+    while active_count() > before and time.monotonic() < end:
+        with suppress(OSError):
+            slow.sendall(b"x")
+        time.sleep(0.1)
+    assert active_count() <= before
+    for one in silent:
+        one.close()
+
+
+def test_a_save_notices_that_another_wrote_the_file(tmp_path: Path) -> None:
+    """Two servers on one file, and two pages of one: the later Save is refused until it is loaded anew."""
+    P, R, _ = shaped_cases.bench()
+    C = ls.controller(ls.gain(12.0), rate_hz=2500.0, loop="motor")
+    loops = [shaped([P], C, R, ())]
+
+    def mark(server: ShapeServer) -> str:
+        return re.search(rb'"saved":\s*"([^"]*)"', server.page)[1].decode()
+
+    def save(server: ShapeServer, saved: str) -> tuple[int, dict[str, Any]]:
+        words = {"saved": saved, "controller": controller_words(C)}
+        return asked(server, "save", json.dumps(words).encode())
+
+    with served(loops, tmp_path) as one, served(loops, tmp_path) as other:
+        first, second = mark(one), mark(other)
+        assert (first, second) == ("none", "none")
+        code, said = save(one, first)
+        assert code == 200
+        assert save(one, said["saved"])[0] == 200  # what it wrote itself is no news
+        kept = one.save_to.read_bytes() + b"# by hand\n"
+        one.save_to.write_bytes(kept)
+        for server, stale in ((other, second), (one, said["saved"])):
+            code, words = save(server, stale)
+            assert (code, "changed by another" in words["error"]) == (400, True)
+            assert one.save_to.read_bytes() == kept
+        assert save(other, mark(other))[0] == 200
 
 
 def test_served_each_loop_of_a_matrix_meets_the_others_as_they_are_now(browser: Any, tmp_path: Path) -> None:

@@ -13,18 +13,33 @@ from axis_study import experiment, measured, simulated, study_text, table, targe
 from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE, RUNNING, SETPOINT, VENT
 from python_target_line import Running
 from typer.testing import CliRunner
+from verdict_cases import checked, line, margins
 
+import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.interrupts import interrupts
+from loopshape.data.controller import Block, Controller
 from loopshape.data.target_settings import spoken
 from loopshape.io import measuring
+from loopshape.io.journal import read_journal
 from loopshape.io.run_folder import finished, read_run
-from loopshape.rig.interrupts import interrupts
+from loopshape.io.study import read_study
+from loopshape.io.verdicts import write_verdicts
+from loopshape.rig.blocks import Block as Computed
+from loopshape.rig.blocks import own_radius
+from loopshape.verbs.machine import measure
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
     experiment("large", period_s=0.25, amplitude=0.2),
     experiment("after", period_s=0.25),
+)
+#: "large" passes an angle of 0.16 rad that no signal asks for: nobody sees that before
+AT_THE_PLANT = (
+    EXPERIMENTS[0],
+    experiment("large", injection="plant_input", unit="v", amplitude=4.0, period_s=0.25),
+    EXPERIMENTS[2],
 )
 REAL = ("place = false", "settle_s = 0.1", "soft_start_s = 0.1")
 
@@ -110,7 +125,8 @@ LIMITS = [
 def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
     tmp_path, key, rate, where, limits, at, words, ignores
 ):
-    text = study_text(*EXPERIMENTS, target=["soft_start_s = 1.0"], **{where: limits})
+    asked, injection = (AT_THE_PLANT, "plant_input") if key == "s1" and not rate else (EXPERIMENTS, "controller_input")
+    text = study_text(*asked, target=["soft_start_s = 1.0"], **{where: limits})
     study, run = write_study(tmp_path, text), tmp_path / "run"
     with Running(lambda: target(ignores_limits=ignores)) as running:
         ended = measured(study, run, running.port)
@@ -124,7 +140,7 @@ def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
     assert ended[0].startswith(f"large: {words} {when}: {found_said}, by {by} beyond {limit}")
     assert ("the target did not act, the host vented it" in ended[0]) == ignores
     assert finished(run) == {"small", "large", "after"}  # emulated: armed anew
-    found, expected = table(run, "large"), simulated(study, "large")
+    found, expected = table(run, "large", injection), simulated(study, "large")
     assert found["s1"].size == tick + 1
     for one in ("s1", "r1"):
         np.testing.assert_array_equal(found[one], expected[one][: tick + 1])
@@ -134,7 +150,9 @@ def test_a_limit_ends_the_recording_at_its_tick_and_says_by_how_much(
 @pytest.mark.long
 @pytest.mark.parametrize("on_limit", ["vent", "hold"])
 def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
-    text = study_text(*EXPERIMENTS, target=(*REAL, f'on_limit = "{on_limit}"'), angle="low_rad = -3.0, high_rad = 0.16")
+    text = study_text(
+        *AT_THE_PLANT, target=(*REAL, f'on_limit = "{on_limit}"'), angle="low_rad = -3.0, high_rad = 0.16"
+    )
     study, run = write_study(tmp_path, text), tmp_path / "run"
     with Running(real) as running:
         words = ("measure", study, "--out", run, "--port", running.port, "--arm")
@@ -165,7 +183,7 @@ def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
 
 
 def test_a_last_recording_at_a_limit_is_an_end_at_a_limit_too(tmp_path):
-    text = study_text(*EXPERIMENTS[:2], target=REAL, angle="low_rad = -3.0, high_rad = 0.16")
+    text = study_text(*AT_THE_PLANT[:2], target=REAL, angle="low_rad = -3.0, high_rad = 0.16")
     study = write_study(tmp_path, text)
     with Running(real) as running:
         code, said, _ = command("measure", study, "--out", tmp_path / "run", "--port", running.port, "--arm", "--json")
@@ -373,3 +391,138 @@ def test_sentences_come_in_three_breaths(tmp_path):
         said.append(caught.value)
     for one in said:
         assert all((one.what, one.received, one.way_out)), one
+
+
+def shown(study, run, running, *more):
+    """What --show says and warns of; nothing moves."""
+    code, said, warned = command("measure", study, "--out", run, "--port", running.port, "--show", *more)
+    assert not {ARM, SETPOINT, BEGIN, GO} & set(told(running))
+    return code, said, warned
+
+
+NARROW = {"angle": "low_rad = -0.7, high_rad = 0.7"}
+SLOW = {"drive": "low_v = -40.0, high_v = 40.0, rate_v_s = 500.0"}
+BEYOND = [
+    ("controller_input", "rad", 1.0, NARROW, "the excitation of axis1 in 'one' asks for what lies outside"),
+    ("plant_input", "v", 60.0, {}, "the excitation in 'one' passes the limits of drive1_v by itself"),
+    ("control", "v", 45.0, {}, "the excitation in 'one' passes the limits of drive1_v by itself"),
+    ("control", "v", 20.0, SLOW, "the excitation in 'one' changes drive1_v faster than its limit"),
+]
+
+
+@pytest.mark.parametrize(("injection", "unit", "amplitude", "limits", "words"), BEYOND)
+def test_an_excitation_beyond_the_limits_is_refused_before_anything_moves(
+    tmp_path, injection, unit, amplitude, limits, words
+):
+    """Shown or armed; a twentieth of it is not refused."""
+    for part, refused in ((1.0, True), (0.05, False)):
+        folder = tmp_path / str(part)
+        folder.mkdir()
+        asked = experiment(injection=injection, unit=unit, amplitude=part * amplitude)
+        study = write_study(folder, study_text(asked, target=REAL, **limits))
+        with Running(real) as running:
+            code, _, why = shown(study, folder / "run", running)
+            assert (code, words in why) == ((2, True) if refused else (0, False)), why
+            if refused:
+                with pytest.raises(WrongUseError, match=words):
+                    measured(study, folder / "run", running.port)
+                assert ARM not in told(running)
+
+
+def verdict_on(folder, study, outcome="passed", gain=1.0, loop="axis1"):
+    """A kept verdict on the study's controller, its gain multiplied by a factor."""
+    gains, *rest = read_study(study).loops[0].controller.blocks
+    blocks = (Block("gain", {"gain": gain * gains.parameters["gain"]}), *rest)
+    one = checked({"one": margins()}, [line(outcome=outcome)], loop, Controller("axis1", blocks, 1000.0))
+    write_verdicts(folder / "verdict.json", [one])
+    return folder / "verdict.json"
+
+
+def test_without_a_verdict_measuring_says_so(tmp_path):
+    study = write_study(tmp_path, study_text(target=REAL))
+    with Running(real) as running:
+        code, _, warned = shown(study, tmp_path / "run", running)
+        assert (code, "loop axis1: no verdict is given on its controller" in warned) == (0, True)
+        code, _, warned = shown(study, tmp_path / "run", running, "--verdict", verdict_on(tmp_path, study))
+        assert (code, "verdict" in warned) == (0, False)
+        measure(study, tmp_path / "run", port=running.port, arm=True)
+    (armed,) = [entry for entry in read_journal(tmp_path / "run")[0] if entry["event"] == "armed"]
+    assert ["no verdict is given" in note for note in armed["notes"]] == [True]
+    assert armed["allow_unverified"] is False
+
+
+DOUBTFUL = [
+    ({"outcome": "failed"}, "loop axis1: the verdict in verdict.json is failed"),
+    ({"outcome": "undecided"}, "loop axis1: the verdict in verdict.json is undecided"),
+    ({"gain": 500.0}, "loop axis1: the verdict in verdict.json is of another controller"),
+    ({"loop": "axis2"}, "loop axis1: no verdict on it in verdict.json"),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), DOUBTFUL)
+def test_a_verdict_that_does_not_pass_these_controllers_is_refused_or_allowed_by_name(tmp_path, change, words):
+    study, run = write_study(tmp_path, study_text(target=REAL)), tmp_path / "run"
+    kept = verdict_on(tmp_path, study, **change)
+    with Running(real) as running:
+        code, _, why = shown(study, run, running, "--verdict", kept)
+        assert (code, words in why, "--allow-unverified" in why) == (2, True, True)
+        armed = ("measure", study, "--out", run, "--port", running.port, "--arm", "--verdict", kept)
+        code, _, why = command(*armed)
+        assert (code, words in why) == (2, True)
+        assert ARM not in told(running)
+        assert not run.exists()
+        code, _, why = shown(study, run, running, "--verdict", kept, "--allow-unverified")
+        assert (code, words in why) == (0, True)
+        assert command(*armed, "--allow-unverified")[0] == 0
+    (entry,) = [entry for entry in read_journal(run)[0] if entry["event"] == "armed"]
+    assert (entry["notes"], entry["allow_unverified"]) == ([words], True)
+
+
+def circle(gain):
+    """A controller that reads what it gave five samples ago: z^5 = -gain."""
+    late = Controller("axis1", (Block("gain", {"gain": gain}),), 1000.0, computation_delay_s=5e-3)
+    plant = ls.FRF.from_arrays([1.0, 2.0], [1.0, 0.5j], relative_std=0.01)
+    parts = (
+        ls.Part("C", "e", "u", Controller("axis1", (Block("gain", {"gain": 1.0}),), 1000.0)),
+        ls.Part("L", "u", "w", late), ls.Part("P", "u", "y", plant),
+    )  # fmt: skip
+    wires = {"r": "r_axis1_rad", "y": "angle1_rad", "u": "z1_v"}
+    return ls.Wired(ls.Diagram(parts, {"e": "r - y - w"}, "C"), wires)
+
+
+@pytest.mark.parametrize("late", [1, 2, 7])
+@pytest.mark.parametrize("weight", [-1.2, -0.9, 0.5, 1.05])
+def test_the_poles_of_blocks_alone_are_those_of_their_equation(late, weight):
+    """v = weight z^-late H v with H = 1/(1 - 0.6 z^-1): z^late - 0.6 z^(late-1) - weight = 0."""
+    section = np.array([[1.0, 0.0, 0.0, -0.6, 0.0]])
+    equation = np.zeros(late + 1)
+    equation[:2] = 1.0, -0.6
+    equation[-1] -= weight
+    expected = np.abs(np.roots(equation)).max()
+    assert own_radius([Computed(((2, weight), (0, 1.0)), section, late)], 2) == pytest.approx(expected, rel=1e-9)
+    through = [Computed(((3, weight),), section), Computed(((2, 1.0),), np.zeros((0, 5)), late)]
+    assert own_radius(through, 2) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("gain", "stable"), [(0.9, True), (1.2, False)])
+def test_a_diagram_that_is_unstable_by_itself_is_refused(tmp_path, gain, stable):
+    study = write_study(tmp_path, study_text(target=REAL, point=0.0))
+    with Running(real) as running:
+        machine, wired = ls.connect(running.port), circle(gain)
+        if stable:
+            machine.show(study, diagram=wired)
+            return
+        with pytest.raises(WrongUseError, match=r"alone are unstable, \|z\| = 1\.0371"):  # 1.2 ** 0.2
+            machine.show(study, diagram=wired)
+        notes = machine.show(study, diagram=wired, allow_unverified=True).notes
+        assert any("alone are unstable" in note for note in notes)
+
+
+def test_an_older_target_is_armed_and_named(tmp_path):
+    """It gives no number, and its ARM is the digest alone."""
+    study = write_study(tmp_path, study_text(target=REAL))
+    with Running(lambda: real(guarded=False)) as running:
+        _, _, warned = shown(study, tmp_path / "run", running)
+        assert "older than this host: recorded bytes can arm it; build it anew" in warned
+        assert measured(study, tmp_path / "run", running.port) == []
+    assert finished(tmp_path / "run") == {"one"}

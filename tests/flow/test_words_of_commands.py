@@ -141,6 +141,19 @@ def test_the_help_groups_every_command_under_a_heading():
     assert [told.index(f"{heading}:") for heading in COMMANDS] == sorted(told.index(f"{h}:") for h in COMMANDS)
 
 
+def test_the_help_cuts_no_description_at_80_columns():
+    """Each command's line ends with its sentence's own full stop, nothing is left out and nothing is folded."""
+    told = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "80"}).stdout
+    assert max(map(len, told.splitlines())) <= 80
+    listed = told[told.index("Start:") :].splitlines()
+    for commands in COMMANDS.values():
+        for name, function, _ in commands:
+            (line,) = [line for line in listed if line.split()[:1] == [name]]
+            assert line.endswith("."), line
+            assert not line.endswith("..."), line
+            assert function.__doc__.startswith(line.split(maxsplit=1)[1]), name
+
+
 @pytest.mark.parametrize("name", [name for commands in COMMANDS.values() for name, _, _ in commands])
 def test_every_command_has_an_example_that_it_takes(name):
     """The words of the example are parsed by the command itself: a wrong option would be refused."""

@@ -7,11 +7,13 @@ from dataclasses import replace
 import matplotlib as mpl
 import picture_nouns as nouns
 import pytest
+from text_layout import unreadable
 
+from loopshape.data.method import by_loop, in_short
 from loopshape.view import frequency
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import decibel, number, numbers, product, quantity, ratio, superscripts, symbol, unit_of
-from loopshape.view.style import png, shades
+from loopshape.view.style import head, new_figure, png, shades
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
@@ -88,3 +90,62 @@ def test_names_and_units_are_written_as_on_paper() -> None:
     assert number(-30.0) == "\N{MINUS SIGN}30"
     assert numbers([0.8, 1.0, 1.2]) == ["0.8", "1.0", "1.2"]
     assert numbers([-30.0, 0.0]) == ["\N{MINUS SIGN}30", "0"]
+
+
+def sweeps() -> list:
+    """24 FRFs whose methods differ in windows, rationals and harmonics, as those of the demo."""
+    return [
+        replace(
+            frf,
+            method=f"reference estimator, local fits of a sweep of 202.5 s, windows of 0.0543 to {1 + 0.1 * k:.2g} Hz, "
+            f"{26 + k} % of lines by rationals, without the sweep's harmonics 2, 3",
+            method_numbers={"sweep_s": 202.5, "rationals_percent": 26.0 + k},
+        )
+        for k, frf in enumerate(nouns.frfs())
+    ]
+
+
+def test_many_methods_are_one_line_with_ranges_and_one_method_stands_in_full() -> None:
+    frfs = sweeps()
+    assert in_short(frfs) == "24 estimates: local fits of sweeps of 202.5 s, 26-49 % rationals"
+    assert in_short(frfs[:1]) == in_short(frfs[:1] * 2) == frfs[0].method
+    assert in_short([]) == ""
+    periodic = [replace(frfs[0], method=f"{n} periods", method_numbers={"periods": n, "period_s": 4.0}) for n in (5, 7)]
+    foreign = [replace(frfs[0], method=name, method_numbers={}) for name in ("of A", "of B")]
+    assert in_short([*frfs[:2], *periodic, *foreign]) == (
+        "2 estimates: local fits of sweeps of 202.5 s, 26-27 % rationals; 2 estimates: 5-7 periods of 4 s; "
+        "2 estimates by 2 methods"
+    )
+    pressures = [replace(frf, loop="p_ab") for frf in frfs[:2]]
+    assert by_loop([*frfs[2:5], *pressures])[1] == (
+        "p_ab: 2 estimates: local fits of sweeps of 202.5 s, 26-27 % rationals"
+    )
+
+
+def test_24_methods_leave_both_axes_of_the_overview_free() -> None:
+    figure = frequency.frf_overview(sweeps(), nouns.fits())
+    details = [text.get_text() for text in figure.texts]
+    assert details[1:] == ["24 estimates: local fits of sweeps of 202.5 s, 26-49 % rationals"]
+    assert unreadable(figure) == []
+
+
+def test_a_long_head_makes_the_figure_taller_and_leaves_the_axes_their_room() -> None:
+    short, long = (frequency.frf_page(replace(nouns.frf(), notes=notes)) for notes in ((), ("a note " * 40,) * 12))
+    assert unreadable(long) == []
+    heights = [figure.axes[0].get_position().height * figure.get_figheight() for figure in (short, long)]
+    assert heights[1] > 0.8 * heights[0]
+
+
+def test_text_over_axes_over_text_and_beyond_the_frame_is_found() -> None:
+    figure = new_figure(1, 1, (4.0, 3.0))
+    (ax,) = figure.axes
+    ax.text(0.5, 0.5, "in its own axes", transform=ax.transAxes)
+    head(figure, "a title")
+    assert unreadable(figure) == []
+    figure.text(0.5, 0.5, "a caption over the plot")
+    figure.text(0.9, 0.0, "beyond the right edge of the figure")
+    found = "; ".join(unreadable(figure))
+    assert "'a caption over the plot' over the axes" in found
+    assert "'in its own axes' over 'a caption over the plot'" in found
+    assert "'beyond the right edge of the figure' is cut" in found
+    figure.clear()  # each figure of these tests is looked at

@@ -53,7 +53,7 @@ def single() -> GapReport:
             Ranked("none", 0.0099),
             Ranked("leak", 1e-4),
         ],
-        ambiguity=["payload"],
+        ambiguity=[["payload"]],
         where=Where(
             "body", {"body": 0.96, "unknown": 0.03, "none": 0.0099} | {b: 0.0 for b in BLOCKS if b != "body"},
             "theta2", (0.2, 3.1), [{"theta2_deg": 0.0, "p_ab_bar": 1.0}],
@@ -78,7 +78,7 @@ def pair() -> GapReport:
     where = replace(
         single().where, block="body+sensor", blocks=dict(single().where.blocks) | {"body+sensor": 0.8, "body": 0.1}
     )
-    return replace(single(), verdict=PAIR, ranking=ranking, ambiguity=[PAIR, "payload", "none"], where=where)
+    return replace(single(), verdict=PAIR, ranking=ranking, ambiguity=[[PAIR], ["payload"], ["none"]], where=where)
 
 
 def none() -> GapReport:
@@ -86,7 +86,8 @@ def none() -> GapReport:
     where = replace(single().where, block="none", blocks=dict(single().where.blocks) | {"none": 0.9, "body": 0.05})
     ranking = [Ranked("none", 0.9), *(replace(r, probability=0.02) for r in single().ranking[:3])]
     return replace(
-        single(), verdict="none", ranking=ranking, ambiguity=["none"], where=where, gap=gap, submodels=rows(None, None),
+        single(), verdict="none", ranking=ranking, ambiguity=[["none"]], where=where, gap=gap,
+        submodels=rows(None, None),
         traces=[replace(t, with_effect=t.nominal) for t in single().traces], sentence="r: no gap.",
     )  # fmt: skip
 
@@ -110,9 +111,13 @@ def of_ones_own() -> GapReport:
     both = "actuator_gain_error@drive+coulomb_friction@ring"
     parts = {"actuator_gain_error@drive": (0.0075, (0.003, 0.012), "1"),
              "coulomb_friction@ring": (4.02, (3.61, 4.44), "N m")}  # fmt: skip
+    bent = "actuator_gain_error@drive+viscous_error@ring"
+    long = {"actuator_gain_error@drive": (-0.121, (-0.179, -0.0631), "1"),
+            "viscous_error@ring": (-0.0288, (-0.0421, -0.0155), "N m per speed")}  # fmt: skip
     ranking = [
         Ranked("coulomb_friction@ring", 0.62, 3.96, (3.55, 4.38), "N m", "bristles"),
-        Ranked(both, 0.3, form="a + b", parts=parts), Ranked("unknown", 0.07),
+        Ranked(both, 0.25, form="a + b", parts=parts), Ranked("unknown", 0.07),
+        Ranked(bent, 0.05, form="a + b", parts=long, quantities={"actuator_gain_error@drive": "gain"}),
         Ranked("joint_flexibility@rail", 0.01, 2384.0, (2100.0, 2600.0), "N m/rad per travel"),
     ]  # fmt: skip
     blocks = {"ring": 0.62, "drive+ring": 0.3, "unknown": 0.07, "rail": 0.01, "none": 0.0, "encoder": 0.0, "hook": 0.0}
@@ -120,8 +125,8 @@ def of_ones_own() -> GapReport:
     own = [replace(s, path=f"inputs -> {name}") for s in rows(1.1, 3.0) for name in ("encoder", "inclinometer")]
     gap = Shrink("rms", 192.9, 12.2, 0.94, (0.9, 0.97), ("val0.parquet",))
     return replace(
-        single(), verdict="coulomb_friction@ring", ranking=ranking, ambiguity=["coulomb_friction@ring", both], gap=gap,
-        where=where, submodels=own,
+        single(), verdict="coulomb_friction@ring", ranking=ranking, ambiguity=[["coulomb_friction@ring"], [both]],
+        gap=gap, where=where, submodels=own,
     )  # fmt: skip
 
 
@@ -267,7 +272,7 @@ def test_without_an_effect_only_the_nominal_model_has_a_distance(make) -> None:
 def test_without_validation_the_fitted_recordings_are_shown_and_said() -> None:
     assert xs(distances(without_validation()), "before each") == [4.0, 8.0] * 2
     assert "fitted recordings, none held out" in words(gap_figure(without_validation()))
-    assert "held-out gap 6.3 to 1.2 × noise floor" in words(gap_figure(single()))
+    assert "held out: 6.3 to 1.2 × noise floor" in words(gap_figure(single()))
 
 
 def test_the_stretch_is_where_the_nominal_model_is_plainest_off() -> None:
@@ -307,3 +312,14 @@ def test_a_short_trace_is_shown_whole() -> None:
 
 def test_a_dollar_in_a_runs_name_is_no_mathematics() -> None:
     assert png(gap_figure(replace(single(), sentence="a$b$c: no gap.")))
+
+
+def test_a_size_without_a_unit_says_what_it_is() -> None:
+    one = Ranked("gas_law", 1.0, 0.9, (0.8, 1.0), "1", "share", quantities={"gas_law": "gas absolute share"})
+    ax = hypotheses(replace(single(), ranking=[one, *single().ranking]))
+    assert "gas absolute share 0.9 (0.8 to 1)" in [t.get_text() for t in ax.texts]
+    assert one.to_dict()["quantities"] == {"gas_law": "gas absolute share"}
+    assert one.to_dict()["unit"] == "1"
+    pair = Ranked("gas_law+payload", 1.0, parts={"payload": (40.0, None, "g"), "gas_law": (0.9, None, "1")})
+    pair = replace(pair, quantities={"gas_law": "gas absolute share"})
+    assert [size for size, _ in pair.sizes.values()] == ["40 g", "gas absolute share 0.9"]

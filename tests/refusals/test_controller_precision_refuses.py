@@ -124,7 +124,11 @@ def test_export(tmp_path):
     def named(name):
         return Controller(name, (GAIN,), 1000.0)
 
-    no([make()], "C", "format for controllers is not known; received 'C'; use json, matlab, simulink, c")
+    no(
+        [make()],
+        "C",
+        "format for controllers is not known; received 'C'; did you mean 'c'. use json, matlab, simulink, c",
+    )
     no([], "c", "no controller")
     no([named("a b"), named("a_b")], "c", "two loops would become one file; received controller_a_b.h")
     no([named("Axis"), named("axis")], "json", "two loops would become one file")
@@ -174,7 +178,7 @@ controller = [{ kind = "gain", gain = 1.0 }]
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("prewarp = 5.0", "unknown key; received 'prewarp'; known are .*prewarp_hz"),
+        ("prewarp = 5.0", "unknown key; received 'prewarp'; .*known are .*prewarp_hz"),
         ('prewarp_hz = "5"', "prewarp_hz must be a finite number; received '5'"),
         (
             "prewarp_hz = 50.0",

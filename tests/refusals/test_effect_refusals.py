@@ -1,5 +1,6 @@
 """Each bad request for an effect, and the sentence that the user gets."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -23,7 +24,9 @@ def study(**fields):
 
 @pytest.mark.parametrize("word", ["friction", "", "Payload", "quadratic_drag"])
 def test_an_unknown_effect_lists_the_known(arm, word):
-    with pytest.raises(WrongUseError, match=r"arm-1dof has no such effect; received .*; known are loop_delay, .*lash"):
+    with pytest.raises(
+        WrongUseError, match=r"arm-1dof has no such effect; received .*; .*known are loop_delay, .*lash"
+    ):
         asked(arm, [word])
     with pytest.raises(WrongUseError, match="arm-1dof has no such effect"):
         moves(arm, asked(arm, [f"{word}=1"]))
@@ -35,13 +38,17 @@ def test_an_unknown_effect_lists_the_known(arm, word):
         ("payload", 900.0, "the magnitude of payload lies between 0 and 500 g; received 900"),
         ("payload", -1.0, "the magnitude of payload lies between 0 and 500 g; received -1"),
         ("payload", float("nan"), "received nan"),
-        ("gas_law", 2.0, "the magnitude of gas_law lies between 0 and 1 or 1 and 1.6; received 2"),
-        ("gas_law:1", 1.2, "the magnitude of gas_law:1 lies between 0 and 1; received 1.2"),
+        (
+            "gas_law",
+            2.0,
+            "the magnitude of gas_law lies between 0 and 1 (gas absolute share) or 1 and 1.6 (polytropic exponent)",
+        ),
+        ("gas_law:1", 1.2, "the magnitude of gas_law:1 lies between 0 and 1 (gas absolute share); received 1.2"),
         ("base_tilt", 40.0, "between -25 and 25 deg; received 40"),
     ],
 )
 def test_a_magnitude_out_of_bounds(arm, key, magnitude, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(WrongUseError, match=re.escape(sentence)):
         chosen(arm, key, magnitude)
 
 

@@ -83,7 +83,7 @@ def test_a_moving_reference_that_was_not_logged_is_refused():
 def test_an_unknown_estimator_is_refused(words):
     text = refusal(WrongUseError, lambda: Settings(**words))
     assert "an estimator is not known" in text
-    assert "use reference or direct" in text
+    assert "use reference, direct, joint" in text
 
 
 @pytest.mark.parametrize("overlap", [-0.1, 0.95, 1.0, float("nan")])

@@ -44,7 +44,8 @@ def test_no_common_loop() -> None:
 
 def test_an_unknown_kind_of_band() -> None:
     with pytest.raises(
-        WrongUseError, match=r"kind of band is not known; received 'decade'; use octave or third_decade"
+        WrongUseError,
+        match=r"kind of band is not known; received 'decade'; did you mean 'third_decade'. use octave or third_decade",
     ):
         compare(run(), run(), bands="decade")
 

@@ -1,7 +1,9 @@
 """Mistakes of people who import their first recording: each ends in a sentence that names the cure."""
 
 import re
+import zipfile
 
+import control
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from loopshape.core.errors import LoopshapeError
 from loopshape.io.check_files import check_files
 from loopshape.io.frfs import write_frfs
 from loopshape.io.import_file import import_file
+from loopshape.io.machine import _function, _unpacked
 from loopshape.io.profiles import profile_of
 
 MAP = """format = "loopshape-map/1"
@@ -117,13 +120,25 @@ def test_recording_and_map_given_the_wrong_way_round(tmp_path):
 
 P = ls.FRF.from_arrays([1.0, 2.0, 4.0], [1.0, 0.5j, 0.1], relative_std=0.01, rate_hz=1000.0, loop="axis")
 
+C = ls.controller(ls.gain(0.5), rate_hz=1000.0, loop="axis")
+TF = control.tf([1.0], [1.0, 1.0, 0.0])
+
+
+def run_of(**words):
+    return ls.Run.from_arrays(**{"u": U, "y": X, "excitation": U, "rate_hz": 1000.0, **words})
+
+
+def frf_with(**words):
+    return ls.FRF.from_arrays([1.0, 2.0], [1.0, 0.5j], relative_std=0.01, **words)
+
+
 #: mistake -> what is done, and what the sentence must say
 IN_PYTHON = {
-    "per cent for a share": (lambda: ls.FRF.from_arrays([1.0], [1.0], relative_std=5.0), "500 %", "write 0.05"),
+    "per cent for a share": (lambda: ls.FRF.from_arrays([1.0], [1.0 + 0j], relative_std=5.0), "500 %", "write 0.05"),
     "a coherence without averages": (
-        lambda: ls.FRF.from_arrays([1.0], [1.0], coherence=[0.9]), "averages", "give coherence and averages"
+        lambda: ls.FRF.from_arrays([1.0], [1.0 + 0j], coherence=[0.9]), "averages", "give coherence and averages"
     ),
-    "no error": (lambda: ls.FRF.from_arrays([1.0], [1.0]), "the error of this FRF", "give std, relative_std"),
+    "no error": (lambda: ls.FRF.from_arrays([1.0], [1.0 + 0j]), "the error of this FRF", "give std, relative_std"),
     "magnitude without phase": (
         lambda: ls.FRF.from_arrays([1.0], magnitude_db=[0.0], relative_std=0.1), "1 of", "magnitude_db and phase_deg"
     ),
@@ -132,6 +147,45 @@ IN_PYTHON = {
         lambda: ls.check(P, ls.controller(ls.gain(1.0), rate_hz=500.0)), "500 and 1000 Hz", "the recording's rate_hz"
     ),
     "a profile misspelled": (lambda: profile_of("iso"), "'iso'", "servo"),
+    "an injection misspelled": (lambda: run_of(injection="plant-input"), "'plant-input'", "did you mean 'plant_input'"),
+    "an injection in capitals": (lambda: run_of(injection="Plant_Input"), "'Plant_Input'", "did you mean 'plant_in"),
+    "an injection with a space": (lambda: run_of(injection="plant input"), "did you mean 'plant_input'?"),
+    "a method misspelled": (lambda: ls.frf(run_of(), method="welsh"), "'welsh'", "did you mean 'welch'?"),
+    "a setting misspelled": (lambda: ls.frf(run_of(), resolution=1.0), "'resolution'", "did you mean 'resolution_hz'?"),
+    "a structure misspelled": (lambda: ls.fit(P, "thirdorder"), "did you mean 'third_order'?"),
+    "an order misspelled": (lambda: ls.fit(P, "rational", poles=2), "'poles'", "known are numerator"),
+    "a sense misspelled": (lambda: ls.Mask("S", ((1.0, 0.0), (2.0, 0.0)), "at-most"), "did you mean 'at_most'?"),
+    "a hold misspelled": (lambda: frf_with(hold="includes"), "'includes'", "did you mean 'included'?"),
+    "a field misspelled": (lambda: frf_with(ratehz=1.0), "'ratehz'", "did you mean 'rate_hz'?"),
+    "a real response": (lambda: ls.FRF.from_arrays([1.0], [1.0], relative_std=0.1), "must be complex", "H + 0j"),
+    "truth values for a response": (
+        lambda: ls.FRF.from_arrays([1.0], [True], relative_std=0.1), "must hold numbers", "truth values"
+    ),
+    "a masked response": (
+        lambda: ls.FRF.from_arrays([1.0, 2.0], np.ma.array([1j, 1j], mask=[0, 1]), relative_std=0.1), "masked", "1 of 2"
+    ),
+    "masked samples": (lambda: run_of(u=np.ma.masked_greater(U, 1.0)), "masked values", "cut them out"),
+    "complex samples": (lambda: run_of(y=X + 1j), "y of a run must be real", ".real"),
+    "dates for samples": (lambda: run_of(u=np.arange(N).astype("datetime64[s]")), "dates", "seconds"),
+    "texts for samples": (lambda: run_of(u=["a"] * N), "u of a run must hold numbers", "texts"),
+    "objects for samples": (lambda: run_of(u=np.array([None] * N)), "u of a run", "objects"),
+    "a sample that is no number": (lambda: run_of(u=np.where(U > 1, np.nan, U)), "are not numbers", "at index"),
+    "samples of 1e300": (lambda: run_of(y=1e300 * X), "above 1e+50", "check its unit"),
+    "no samples": (lambda: run_of(u=[], y=[]), "of one length", "u (0,)"),
+    "a rate of zero": (lambda: run_of(rate_hz=0), "rate_hz of a run must be a positive", "0"),
+    "a rate below zero": (lambda: run_of(rate_hz=-1.0), "rate_hz of a run must be a positive", "-1"),
+    "a rate that is no number": (lambda: run_of(rate_hz=float("nan")), "rate_hz of", "nan"),
+    "a rate of 1e300": (lambda: run_of(rate_hz=9e299), "between 1e-06 and 1e+12 Hz"),
+    "a rate of 1e-300": (lambda: run_of(rate_hz=1e-300), "between 1e-06 and 1e+12 Hz", "1e-300"),
+    "a rate in quotes": (lambda: run_of(rate_hz="500"), "rate_hz of", "a number", "'500'"),
+    "a period that is no number": (lambda: run_of(period_s=float("nan")), "period_s of", "nan"),
+    "no frequencies": (lambda: ls.FRF.from_arrays([], np.zeros(0, complex), relative_std=0.1), "(0,) frequencies"),
+    "errors for a share": (
+        lambda: ls.FRF.from_arrays([1.0, 2.0], [1j, 1j], relative_std=np.array([0.1, 0.1])), "relative_std", "a number"
+    ),
+    "check with its arguments swapped": (lambda: ls.check(C, P), "the wrong way round", "ls.check(P, C, R)"),
+    "check with all of them moved": (lambda: ls.check(ls.Requirements(), P, C), "ls.check(P, C, R)"),
+    "a model for a plant": (lambda: ls.check(TF, C), "P of ls.check", "ls.FRF.from_control(system, frequency_hz)"),
 }  # fmt: skip
 
 
@@ -169,3 +223,29 @@ def test_a_mistake_of_requirements_ends_in_its_cure(mistake, tmp_path):
     (tmp_path / "r.toml").write_text(text)
     said = sentence(lambda: check_files(tmp_path / "run", tmp_path / "c.toml", tmp_path / "r.toml"))
     assert [word for word in words if word not in said] == [], said
+
+
+def test_slips_of_a_requirements_file_name_the_users_own_value(tmp_path):
+    path = tmp_path / "r.toml"
+    for line, words in (
+        ("gain_margin_db = 6,25", "write a decimal point: 6.25"),
+        ("phase_margin = 30.0", "did you mean 'phase_margin_deg'"),
+        ('phase_margin_deg = "30 deg"', "leave the unit out: phase_margin_deg = 30"),
+    ):
+        path.write_text(f'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis"\n{line}\n')
+        assert words in sentence(lambda: ls.read_requirements(path))
+
+
+def test_a_models_file_does_not_end_the_command(tmp_path):
+    (tmp_path / "m.py").write_text("import sys\nsys.exit(0)\n")
+    assert "m.py does not run" in sentence(lambda: _function(tmp_path, "m.py", "motion"))
+
+
+def test_an_fmu_that_would_fill_the_disk_is_refused_before_it_is_unpacked(tmp_path):
+    pytest.importorskip("fmpy")
+    with zipfile.ZipFile(tmp_path / "m.fmu", "w", zipfile.ZIP_DEFLATED) as made, made.open("big", "w") as big:
+        for _ in range(257):
+            big.write(bytes(1 << 20))
+    said = sentence(lambda: _unpacked(tmp_path, "m.fmu"))
+    assert "m.fmu is no FMU" in said
+    assert str(257 << 20) in said

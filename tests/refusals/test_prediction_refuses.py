@@ -88,7 +88,7 @@ def test_damaged_and_foreign_prediction_files_are_refused(tmp_path: Path) -> Non
         write_predictions(path, [prediction(), prediction()])
 
 
-@pytest.mark.parametrize("value", [0.0, 1e-30, 1e30, 1e300])
+@pytest.mark.parametrize("value", [0.0, 1e-30, 1e30, 1e49])
 def test_a_prediction_file_with_sensitivities_that_no_loop_has_is_refused(tmp_path: Path, value: float) -> None:
     path, own = tmp_path / "p.npz", prediction()
     response = own.sensitivity.response.copy()

@@ -73,7 +73,7 @@ def test_a_plant_that_is_not_square():
         ({"modulus_margin": 1.5}, "modulus_margin of several loops must not exceed 1"),
         ({"sensitivity_peak_db": np.inf}, "sensitivity_peak_db of several loops must be finite"),
         ({"integrators": -1}, "integrators of several loops is a whole number from 0"),
-        ({"unstable_poles": True}, "unstable_poles of several loops is a whole number from 0"),
+        ({"unstable_poles": True}, "unstable_poles of a SeveralRequirements must be a whole number"),
         ({"band_hz": (3.0, 1.0)}, "band_hz is two rising frequencies"),
     ],
 )
@@ -87,7 +87,7 @@ def test_values_that_make_no_sense(fields, words):
     [
         ("gain_margin_db = 6.0", "several: unknown key; received 'gain_margin_db'; known are disk_margin"),
         ('disk_margin = "much"', "disk_margin must be a finite number"),
-        ("integrators = 1.5", "several: integrators of several loops is a whole number"),
+        ("integrators = 1.5", "several: integrators of a SeveralRequirements must be a whole number"),
         ("band_hz = 3.0", "band_hz must be a list of numbers"),
         ("band_hz = [3.0, 1.0]", "band_hz is two rising frequencies"),
     ],

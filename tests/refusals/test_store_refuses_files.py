@@ -157,7 +157,7 @@ def test_frfs(tmp_path):
     np.savez(path, **(arrays | {"header": np.array(json.dumps({"format": "other/1"}))}))
     with pytest.raises(UnreadableInputError, match="not of the format loopshape-frf/1; received 'other/1'"):
         read_frfs(tmp_path)
-    np.savez(path, **(arrays | {"response": np.ones((2, 1, 1))}))
+    np.savez(path, **(arrays | {"response": np.ones((2, 1, 1), dtype=complex)}))
     with pytest.raises(UnreadableInputError, match="a response is"):
         read_frfs(tmp_path)
     np.savez(path, **(arrays | {"header": np.array([{"a": 1}], dtype=object)}))

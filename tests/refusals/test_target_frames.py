@@ -138,7 +138,7 @@ def bench():
 
 def test_whole_frames_of_nonsense_move_nothing(bench):
     rng = np.random.default_rng(3)
-    sizes = {Ask.IDENTIFY: 2, Ask.ARM: 4, Ask.LIMIT: 25, Ask.BEGIN: 20, Ask.ROWS: 25, Ask.ALIVE: 8, Ask.AGAIN: 10}
+    sizes = {Ask.IDENTIFY: 2, Ask.ARM: 12, Ask.LIMIT: 25, Ask.BEGIN: 20, Ask.ROWS: 25, Ask.ALIVE: 8, Ask.AGAIN: 10}
     for _ in range(30):
         data = b""
         for _ in range(100):
@@ -191,7 +191,7 @@ def test_a_request_without_a_tag_is_malformed(bench):
 
 
 EXACT = {
-    Ask.IDENTIFY: 2, Ask.READY: 0, Ask.ARM: 4, Ask.LIMIT: 25, Ask.STOP: 0, Ask.DISARM: 0, Ask.ALIVE: 8, Ask.AGAIN: 10,
+    Ask.IDENTIFY: 2, Ask.READY: 0, Ask.ARM: 12, Ask.LIMIT: 25, Ask.STOP: 0, Ask.DISARM: 0, Ask.ALIVE: 8, Ask.AGAIN: 10,
     Ask.CONFIGURE: 29 + 16, Ask.SECTIONS: 43,
 }  # fmt: skip
 

@@ -3,6 +3,8 @@
 The truth needs nothing of loopshape: the loop is run by its difference equation, the plant is that equation's response.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.signal import cont2discrete, csd, freqz, lfilter
 from scipy.stats import f as f_distribution
@@ -11,8 +13,10 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.run import Run
 
 LOW, HIGH = 0.5, 80.0
+Truth = Callable[[Array, float], ComplexArray]
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
 
 
@@ -69,21 +73,41 @@ def measured(place: str, n: Array, rate_hz: float, seed: int, drift: float) -> R
     return Recording(RecordingInfo("r1.parquet", "sweep", place, excites="axis"), rate_hz, columns)
 
 
+#: numerator and denominator of a plant in open loop, by powers of 1/z (case V6)
+IN_ARRAYS = np.array([0.02, 0.02]), np.array([1.0, -1.9, 0.94])
+
+
+def easy_plant(f_hz: Array, rate_hz: float) -> ComplexArray:
+    """The truth of `in_arrays`."""
+    return np.asarray(freqz(*IN_ARRAYS, worN=TWO_PI * f_hz / rate_hz)[1])
+
+
+def in_arrays(n: Array, rate_hz: float, seed: int) -> tuple[Run, dict[str, float]]:
+    """A sweep n as arrays alone, which say nothing of its kind, with noise of 1 %, and the errors of the peers."""
+    y = lfilter(*IN_ARRAYS, n)
+    y = y + 0.01 * y.std() * np.random.default_rng(seed).standard_normal(n.size)
+    run = Run.from_arrays(u=np.zeros(n.size), y=y, excitation=n, rate_hz=rate_hz, injection="plant_input")
+    return run, _peer_errors(n, n, y, rate_hz, easy_plant)
+
+
 def peer_errors(record: Recording, place: str) -> dict[str, float]:
     """Median error of each known estimator: whole-record ratios and Welch's against the injection, and Welch's H1."""
     n, z, y = (record.column(k) for k in ("n_rad", "z_v", "y_rad"))
-    u, rate = (z + n if place == "plant_input" else z), record.rate_hz
+    return _peer_errors(n, z + n if place == "plant_input" else z, y, record.rate_hz, plant)
+
+
+def _peer_errors(n: Array, u: Array, y: Array, rate: float, truth: Truth) -> dict[str, float]:
     N, U, Y = (np.fft.rfft(x - x.mean()) for x in (n, u, y))
     f, found = np.fft.rfftfreq(n.size, 1.0 / rate), {}
     for lines in (1, 5, 15, 45, 161, 501):
         ones = np.ones(lines)
         P = np.convolve(Y * N.conj(), ones, "same") / np.convolve(U * N.conj(), ones, "same")
-        found[f"whole record, {lines} lines"] = median_error(f, P, rate)
+        found[f"whole record, {lines} lines"] = median_error(f, P, rate, truth)
     for seconds in (1.0, 2.0, 4.0):
         length = round(seconds * rate)
         g, (ny, nu, uy, uu) = spectra(((n, y), (n, u), (u, y), (u, u)), rate, length)
-        found[f"Welch, injection, {seconds:g} s"] = median_error(g, ny / nu, rate)
-        found[f"Welch, H1, {seconds:g} s"] = median_error(g, uy / uu, rate)
+        found[f"Welch, injection, {seconds:g} s"] = median_error(g, ny / nu, rate, truth)
+        found[f"Welch, H1, {seconds:g} s"] = median_error(g, uy / uu, rate, truth)
     return found
 
 
@@ -93,14 +117,14 @@ def spectra(pairs: tuple[tuple[Array, Array], ...], rate_hz: float, length: int)
     return all_of_them[0][0], [x[1] for x in all_of_them]
 
 
-def median_error(f_hz: Array, P: ComplexArray, rate_hz: float) -> float:
+def median_error(f_hz: Array, P: ComplexArray, rate_hz: float, truth: Truth = plant) -> float:
     """Median relative error within the band."""
     inside = (f_hz > LOW) & (f_hz < HIGH)
-    return float(np.median(np.abs(P[inside] / plant(f_hz[inside], rate_hz) - 1.0)))
+    return float(np.median(np.abs(P[inside] / truth(f_hz[inside], rate_hz) - 1.0)))
 
 
-def share_inside(frf: FRF, rate_hz: float, gain: float = 1.0) -> float:
+def share_inside(frf: FRF, rate_hz: float, gain: float = 1.0, truth: Truth = plant) -> float:
     """Share of errors, from the plant times `gain`, within 95 % of an F distribution with the stated freedom."""
-    error = np.abs(frf.siso - gain * plant(frf.frequency_hz, rate_hz)) ** 2
+    error = np.abs(frf.siso - gain * truth(frf.frequency_hz, rate_hz)) ** 2
     reach = f_distribution.ppf(0.95, 2, frf.variance_freedom)
     return float(np.mean(error < reach * frf.variance[:, 0, 0]))

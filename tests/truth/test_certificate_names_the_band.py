@@ -56,8 +56,12 @@ def test_between_two_lines_that_bend_too_much(spacing):
     crossing = np.roots(np.polyadd(PLANT.den, limit * PLANT.num))
     at_hz = np.abs(crossing[np.argmax(crossing.real)].imag) / TWO_PI
     assert low <= at_hz <= high
-    fine = np.sort(np.concatenate([f, np.linspace(low, high, 60)[1:-1]]))
-    assert answer(fine, gain=0.995 * limit).outcome == "stable"
+    for _ in range(3):  # beside fine lines the coarse ones are a hole, and named as well
+        f = np.sort(np.concatenate([f, np.linspace(*found.band_hz, 60)[1:-1]]))
+        found = answer(f, gain=0.995 * limit)
+        if found.outcome != "undecided":
+            break
+    assert found.outcome == "stable"
 
 
 def test_measuring_does_not_help_a_wrong_word():

@@ -10,7 +10,7 @@ from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block
 from loopshape.data.model import TransferFunction
 from loopshape.loop.between import path_of
-from loopshape.loop.obstacles import sampling
+from loopshape.loop.obstacles import obstacles, sampling
 from loopshape.loop.sampling import hidden_poles, roughness
 from loopshape.loop.stability import closed_loop_stability, count_unstable
 
@@ -235,5 +235,7 @@ def test_a_curve_between_lines_is_followed_where_its_chord_takes_the_other_side(
     coarse, dense = np.arange(1.0, 9.0), np.linspace(1.0, 8.0, 4000)
     none = np.zeros(0)
     assert count_unstable(spiral(coarse), 1, 0, none) == 0 != count_unstable(spiral(dense), 1, 0, none) == 2
-    found = closed_loop_stability(loop_of(PLANT, frf_of(coarse, spiral(coarse), 1e-9), smooth=False))
-    assert found.unstable_poles == 2
+    loop = loop_of(PLANT, frf_of(coarse, spiral(coarse), 1e-9), smooth=False)
+    path = path_of(loop)
+    assert count_unstable(path.L, 1, 0, none) == 2
+    assert next(obstacles(loop, path, sampling(loop, path), 1e3), None) is None

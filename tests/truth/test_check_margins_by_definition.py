@@ -110,11 +110,23 @@ def test_gain_reduction_margin(case):
             assert distance(open_loop, lambda _, L, share=share: share * L) > 1e-3
         return
     f = found.at_hz["gain_reduction_margin_db"]
+    if f == F[0] and found.bounds:  # as large as |L| at the first line at least: no crossing is seen
+        for share in np.linspace(0.001, 1.0, 50):
+            assert (
+                distance(open_loop, lambda _, L, share=share: L / from_db(share * found.gain_reduction_margin_db))
+                > 1e-3
+            )
+        return
     assert_margin(open_loop, lambda share: lambda _, L: L / from_db(share * found.gain_reduction_margin_db), f)
 
 
 def test_which_loops_have_a_reduction_margin():
-    have = {name for name in LOOPS if np.isfinite(margins(loop_of(name)).gain_reduction_margin_db)}
+    found = {name: margins(loop_of(name)) for name in LOOPS}
+    have = {
+        name
+        for name, m in found.items()
+        if np.isfinite(m.gain_reduction_margin_db) and "gain_reduction_margin_db" not in m.bounds
+    }
     assert {"conditionally stable, three integrators", "an integrator in the controller"} <= have
     assert not {"integrator with a resonance", "double integrator with a lead", "no integrator"} & have
 
@@ -228,24 +240,23 @@ def test_control_peaks_count_the_controller_above_the_last_line():
     assert margins(low).control_high_frequency_db == -np.inf
 
 
-def led(f_low_hz, model=True):
-    """Margins of an integrator with a resonance, crossover 3.2 Hz, from lines above `f_low_hz`, with its model."""
+def seen_from(f_low_hz):
+    """Margins of an integrator with a resonance, crossover 3.2 Hz, from lines above `f_low_hz`."""
     loop = loop_of("integrator with a resonance")
-    plant = LOOPS["integrator with a resonance"][0]
-    return margins(Loop(loop.plant.between(f_low_hz, 400.0), loop.controller, 1, 0, plant if model else None))
+    return margins(Loop(loop.plant.between(f_low_hz, 400.0), loop.controller, 1, 0))
 
 
-def test_a_model_leads_to_a_crossover_at_most_an_octave_below_the_lines():
+def test_small_models_lead_to_a_crossover_a_third_of_an_octave_below_the_lines_at_most():
     whole = margins(loop_of("integrator with a resonance"))
-    near = led(1.5 * whole.bandwidth_hz)
+    near = seen_from(1.2 * whole.bandwidth_hz)
     assert near.stable == "stable"
-    assert near.bandwidth_hz == pytest.approx(whole.bandwidth_hz, rel=1e-3)
+    assert near.bandwidth_hz == pytest.approx(whole.bandwidth_hz, rel=3e-3)
     assert near.phase_margin_deg == pytest.approx(whole.phase_margin_deg, abs=0.1)
     assert near.gain_margin_db == pytest.approx(whole.gain_margin_db, abs=1e-2)
-    for far in (led(2.5 * whole.bandwidth_hz), led(1.5 * whole.bandwidth_hz, model=False)):
-        assert far.stable == "undecided"
-        assert "the crossover lies lower" in far.stability_reason
-        assert far.bandwidth_hz == 0.0
+    far = seen_from(1.5 * whole.bandwidth_hz)
+    assert far.stable == "undecided"
+    assert "the crossover lies lower" in far.stability_reason
+    assert (far.bandwidth_hz, np.isnan(far.phase_margin_deg)) == (0.0, True)
 
 
 def test_a_loop_below_1_everywhere_needs_no_crossover():

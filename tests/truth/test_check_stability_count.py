@@ -191,16 +191,16 @@ def test_integrators_of_the_controller_count_as_well(integrators):
 
 @pytest.mark.parametrize("true", [0, 1, 2, 3])
 @pytest.mark.parametrize("declared", [0, 1, 2, 3])
-def test_a_wrong_number_of_integrators_does_not_pass(true, declared):
+def test_more_integrators_than_the_slope_shows_do_not_pass(true, declared):
     num = 300.0 * product(*[[0.4, 1.0]] * max(true - 1, 0))
     den = np.concatenate([product([0.02, 1.0], [0.003, 1.0]), np.zeros(true)])
     found = answer(num, den, LINES, 0.01, integrators=declared)
-    if declared == true:
+    if declared <= true:  # fewer: poles between 0 Hz and the first line look like integrators, and are counted alike
         assert found.unstable_poles == by_roots(num, den, 0.01)
     else:
         assert found.outcome == "undecided"
         assert f"does not fit {declared} integrators" in found.reason
-        assert "declare integrators in the requirements" in found.reason
+        assert "correct the declaration" in found.reason
 
 
 ARM = LIMITS["arm's third order"]
@@ -265,12 +265,11 @@ def test_a_model_leads_past_a_resonance_below_the_first_line(gain, lag_hz):
     num = 100.0 * pair(54.0, 0.03)
     den = product(pair(3.0, 0.3), pair(76.0, 0.02), real(lag_hz), real(600.0))
     f = np.geomspace(11.0, 5000.0, 4000)
-    alone, led = answer(num, den, f, gain), answer(num, den, f, gain, model=True)
-    assert alone.outcome == "undecided"
-    if led.outcome == "undecided":  # |L| is below 1 from an octave under the lines on: the crossover is out of sight
-        assert abs(gain * TransferFunction(num, den).response(5.5)) < 1.0
-    else:
-        assert led.unstable_poles == by_roots(num, den, gain)
+    for found in (answer(num, den, f, gain), answer(num, den, f, gain, model=True)):
+        if found.outcome == "undecided":  # |L| is below 1 at the first line: the crossover lies lower
+            assert abs(gain * TransferFunction(num, den).response(11.0)) < 1.0
+        else:
+            assert found.unstable_poles == by_roots(num, den, gain)
 
 
 def test_such_models_decide_both_ways():

@@ -7,6 +7,7 @@ import pytest
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.controller import Block, Controller
+from loopshape.data.experiment import LoopSetup
 from loopshape.data.frf import FRF
 from loopshape.data.model import TransferFunction
 from loopshape.data.recording import Recording, RecordingInfo
@@ -125,7 +126,8 @@ def test_a_record_in_open_loop_whose_output_grows_is_no_witness(growth_per_s, to
     for k in range(n - 1):
         y[k + 1] = np.exp(growth_per_s / rate) * y[k] + u[k] / rate
     info = RecordingInfo("r.parquet", "noise", "control", closed_loop=False, excites="x")
-    assert stayed_bounded([Recording(info, rate, {"u_V": u, "y_m": y})], ["y_m"]) is told
+    loop = LoopSetup("x", None, None, "u_v", "y_m", None)
+    assert stayed_bounded([Recording(info, rate, {"u_v": u, "y_m": y})], [loop], ["y_m"]) is told
 
 
 def test_with_other_loops_closed_a_plant_recorded_in_open_loop_may_be_unstable():

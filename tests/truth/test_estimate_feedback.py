@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from known_loops import CONTROLLER, LOOP, RATE, estimates, plant, record, run_loop
-from scipy.signal import lfilter
+from scipy.signal import butter, chirp, lfilter, sosfilt
 
-from loopshape.core.units import db
+from loopshape.core.units import TWO_PI, db
+from loopshape.data.controller import Block
 from loopshape.data.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
@@ -142,3 +143,68 @@ def test_direct_lines_with_little_noise_stay_in_the_valid_band():
     assert inside.trusted.all()
     assert np.median(np.abs(inside.siso / plant(inside.frequency_hz) - 1.0)) < 0.05
     assert "-1/C of the loop's own controller" not in " ".join(frf.notes)
+
+
+def excited_below_1_5_hz(kind, rng, size=20_000):
+    """An external signal with power up to 1.5 Hz only, as noise (steep or not), as a sweep, as a multisine."""
+    if kind == "sweep":
+        return chirp(np.arange(size) / RATE, 0.1, size / RATE, 1.5), {}
+    if kind == "multisine":
+        lines, each = np.arange(1, 31), 2000
+        period = np.cos(TWO_PI * np.outer(np.arange(each) / each, lines) + rng.uniform(0, TWO_PI, 30)).sum(axis=1) / 5
+        return np.tile(period, size // each), {"period_s": each / RATE, "from_s": 2 * each / RATE}
+    return 5.0 * sosfilt(butter(8 if kind == "noise" else 3, 1.5, fs=RATE, output="sos"), rng.standard_normal(size)), {}
+
+
+#: the controller as it runs, none declared, and one that is not what runs
+DECLARED = {
+    "true": CONTROLLER,
+    "none": None,
+    "wrong": replace(CONTROLLER, blocks=(Block("gain", {"gain": 0.35}), *CONTROLLER.blocks[1:])),
+}
+
+
+def valid_wrong_right_lost(kind, place, level, estimator, method, declared, seed):
+    """Lines that are valid, those of them that are wrong (by more than 10 % and three deviations), lines known to 10 %
+    that are right, and those of them that are not valid."""
+    rng = np.random.default_rng(seed)
+    n, period = excited_below_1_5_hz(kind, rng)
+    band = sosfilt(butter(4, [4.0, 30.0], "bandpass", fs=RATE, output="sos"), rng.standard_normal(n.size))
+    z, y = run_loop(place, n, 2.0 * level * band + 0.1 * level * rng.standard_normal(n.size))
+    one = record(place, kind if period or kind == "sweep" else "noise", n, z, y, **period)
+    frf = estimate_frf(one, replace(LOOP, controller=DECLARED[declared]), Settings(estimator, method=method))
+    error = np.abs(frf.siso / plant(frf.frequency_hz) - 1.0)
+    std = np.sqrt(frf.variance[:, 0, 0]) / np.abs(frf.siso)
+    wrong = frf.trusted & (error > 0.1) & (error > 3.0 * std)
+    right = (error < 0.1) & (std < 0.1)
+    return np.array([frf.trusted.sum(), wrong.sum(), right.sum(), (right & ~frf.trusted).sum()])
+
+
+@pytest.mark.parametrize("declared", DECLARED)
+@pytest.mark.parametrize(
+    ("estimator", "method", "kinds"),
+    [
+        ("direct", "welch", ("noise", "smooth", "sweep")),
+        pytest.param("direct", "local", ("noise", "smooth"), marks=pytest.mark.long),
+        ("direct", "auto", ("sweep", "multisine")),
+        pytest.param("reference", "welch", ("noise", "smooth", "sweep"), marks=pytest.mark.long),
+        pytest.param("reference", "local", ("noise", "smooth"), marks=pytest.mark.long),
+        pytest.param("joint", "auto", ("sweep", "multisine"), marks=pytest.mark.long),
+    ],
+)
+def test_minus_the_inverse_controller_is_never_valid_where_an_external_signal_is_known(
+    estimator, method, kinds, declared
+):
+    # u is the loop's own noise above 1.5 Hz: P - (P + 1/C) there, whatever is known of C
+    found = [
+        valid_wrong_right_lost(kind, place, level, estimator, method, declared, seed)
+        for seed, kind in enumerate(kinds)
+        for place in ("reference", "plant_input")
+        for level in (0.01, 0.1)
+        if (estimator, kind) != ("direct", "multisine") or level < 0.1  # u then repeats no more, and is refused
+    ]
+    valid, wrong, right, lost = np.sum(found, axis=0)
+    assert right > 20 * len(found)
+    assert valid > 0.8 * right
+    assert wrong <= 0.01 * valid
+    assert lost <= 0.05 * right

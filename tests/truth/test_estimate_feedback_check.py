@@ -60,8 +60,21 @@ def test_one_record_in_a_hundred_is_a_false_alarm(excitation):
         return u, open_loop(u, rng)
 
     p = probabilities(make, 1000)
+    if excitation is sweep:  # its own phase is taken out first, and nothing is left: no feedback without any test
+        assert np.all(p == 1.0)
+        return
     assert 0.005 <= np.mean(p < 0.01) <= 0.02  # one standard deviation of the count is 0.3 %
     assert 0.35 < np.median(p) < 0.6
+
+
+@pytest.mark.xfail(strict=True, reason="26 % at 0.1 % of noise, 42 % at 1 %: what is left of a sweep is no white noise")
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_a_sweep_measured_with_noise_is_a_false_alarm_as_rarely(noise):
+    def make(rng):
+        u = sweep(rng) + noise * rng.standard_normal(N)
+        return u, open_loop(u, rng)
+
+    assert np.mean(probabilities(make, 100) < 0.01) <= 0.05
 
 
 def test_dynamics_that_the_model_lacks_are_no_feedback():

@@ -31,7 +31,7 @@ def answer(verdict, *others, p=0.9, magnitude=None, interval=None, block=None, s
     ranking = [first, *({"effect": n, "probability": float(q)} for n, q in zip(others, rest, strict=True))]
     place = block or "+".join(sorted(BLOCKS.get(part, part) for part in verdict.split("+")))
     return {
-        "verdict": verdict, "ranking": ranking, "ambiguity_set": [verdict, *others[:1]], "where": {"block": place},
+        "verdict": verdict, "ranking": ranking, "ambiguity_set": [[verdict, *others[:1]]], "where": {"block": place},
         "gap": {"shrink": shrink}, "time_s": time_s,
     }  # fmt: skip
 

@@ -3,6 +3,8 @@
 FRFs are made up: a known response with circular Gaussian errors of known variance, independent between lines.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -413,3 +415,29 @@ def test_size_test_allows_for_variances_that_are_estimates():
     # 1000 draws know 0.05 to 0.007
     assert np.mean(np.array(p) < 0.05) == pytest.approx(0.05, abs=0.021)
     assert np.mean(np.array(p) < 0.5) == pytest.approx(0.5, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_relative_and_variance_weighting_find_one_lightly_damped_pendulum(seed):
+    """An integrator and a pendulum of 0.7355 Hz: the misfit is the noise's own, and the pole lies where it was put."""
+    f = np.arange(0.05, 1.5, 0.02)
+    w, rng = TWO_PI * 0.7355, np.random.default_rng(seed)
+    G = TransferFunction([1.0], [1.0, 0.02 * w, w * w, 0.0]).response(f)
+    std = 0.1 * np.abs(G)
+    P = frf_of(G + circular(rng, std), std, f)
+    for weighting in ("variance", "relative"):
+        found = fit(P, Rational(0, 3, 1, True), weighting=weighting)
+        assert found.misfit_db < 1.4
+        assert not found.disputed
+        assert np.sqrt(found.by_name["a1"].value) == pytest.approx(w, rel=0.02)
+
+
+def test_a_stable_model_is_asked_for_and_is_the_default_in_open_loop():
+    f = np.geomspace(0.3, 15.0, 80)
+    G = TransferFunction([100.0], [1.0, -3.0, 100.0]).response(f)  # unstable
+    std = 0.01 * np.abs(G)
+    P = frf_of(G + circular(np.random.default_rng(1), std), std, f)
+    assert fit(P, Rational(0, 2)).model.unstable_poles() == 2
+    assert fit(P, Rational(0, 2), stable=True).model.unstable_poles() == 0
+    assert fit(replace(P, open_loop=True), Rational(0, 2)).model.unstable_poles() == 0
+    assert fit(replace(P, open_loop=True), Rational(0, 2), stable=False).model.unstable_poles() == 2

@@ -30,6 +30,13 @@ TABLES = {
     + rows(2.0 * np.pi * F, DB, WRAPPED, separator=";", decimal=","),
     "parts.txt": "Frequency\treal\timag\n" + rows(F, H.real, H.imag, separator="\t"),
     "bode100.csv": BODE_100 + rows(F, DB, WRAPPED, 0 * F),
+    "bode100_forms.csv": "Frequency (Hz),TR1: Gain (Real),TR1: Gain (Imag),TR1: Gain (dB),TR2: Gain (Real),"
+    "TR2: Gain (Imag),TR2: Gain (Degree)\n" + rows(F, H.real, H.imag, DB, H.real, H.imag, WRAPPED),
+    "bode100_two_traces.csv": "Frequency (Hz),TR1: Gain (dB),TR2: Gain (Degree)\n" + rows(F, DB, WRAPPED),
+    "second_channel_is_whole.csv": "Frequency (Hz),C1 Gain (dB),C2 Gain (dB),C2 Phase (deg)\n"
+    + rows(F, 0 * F, DB, WRAPPED),
+    "names_as_ours.csv": "frequency_hz,magnitude_db,phase_deg\n" + rows(F, DB, WRAPPED),
+    "a_remark_first.csv": "# bench 3\nfreq_hz,re,im\n" + rows(F, H.real, H.imag),
     "simplis.txt": "Frequency\tdb(VOUT)\tphase(VOUT)\n" + rows(F, DB, WRAPPED, separator="\t"),
     "ltspice_polar.txt": "Freq.\tV(out)/V(in)\n"
     + "".join(f"{f:.15e}\t({a:.15e}dB,{b:.15e}°)\n" for f, a, b in zip(F, DB, WRAPPED, strict=True)),
@@ -82,6 +89,39 @@ def test_a_touchstone_file_in_dB_and_MHz_and_with_noise(tmp_path):
     (tmp_path / "n.s1p").write_text("1 2 3\n")
     with pytest.raises(ls.LoopshapeError, match="# HZ S RI R 50"):
         ls.read_frf(tmp_path / "n.s1p", relative_std=0.01)
+
+
+ROWS = "10 1 0\n20 .9 0\n{}30 .8 0\n40 .7 0\n"
+
+
+@pytest.mark.parametrize("between", ["20 .9 0\n", "15 .9 0\n", "5 1 0\n6 1 0\n"])
+def test_a_touchstone_file_whose_frequencies_do_not_rise_is_refused(between, tmp_path):
+    (tmp_path / "n.s1p").write_text("# HZ S RI R 50\n" + ROWS.format(between))
+    with pytest.raises(ls.LoopshapeError, match="do not rise at row 3"):
+        ls.read_frf(tmp_path / "n.s1p", relative_std=0.01)
+    (tmp_path / "n.s1p").write_text("# HZ S RI R 50\n" + ROWS.format(""))
+    assert ls.read_frf(tmp_path / "n.s1p", relative_std=0.01).frequency_hz.size == 4
+
+
+def test_noise_parameters_are_those_of_two_ports_and_are_counted(tmp_path):
+    network = "".join(f"{f} 1 0 2 0 3 0 4 0\n" for f in (10, 20, 30))
+    (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n" + network + "10 1 .5 30 .2\n20 1 .5 30 .2\n")
+    found = ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+    assert found.frequency_hz.tolist() == [10.0, 20.0, 30.0]
+    assert "2 rows of noise parameters were left out" in found.notes
+    (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n" + network + network)
+    with pytest.raises(ls.LoopshapeError, match="do not rise at row 4"):
+        ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+    (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n[Two-Port Data Order] 12_21\n" + network)
+    with pytest.raises(ls.LoopshapeError, match="save it as version 1"):
+        ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+
+
+def test_parts_of_several_traces_are_not_put_together(tmp_path):
+    text = "Frequency (Hz),TR1: Gain (dB),TR2: Gain (Degree),TR3: Gain (Degree)\n"
+    (tmp_path / "a.csv").write_text(text + rows(F, DB, WRAPPED, WRAPPED))
+    with pytest.raises(ls.LoopshapeError, match="no table of a FRF"):
+        ls.read_frf(tmp_path / "a.csv", relative_std=0.01)
 
 
 def test_a_loop_measured_whole_gives_its_plant_with_the_loop_s_error(tmp_path):

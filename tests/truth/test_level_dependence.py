@@ -1,5 +1,6 @@
 """A response that depends on the level of the excitation is told from recordings alone, against simulated truth."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,43 @@ def test_a_linear_machine_shows_none_at_the_stated_chance():
 def test_one_level_says_nothing():
     run = run_of((1.0, 1.1))
     assert level_dependences(run, ls.frfs(run, method="welch")) == ()
+
+
+def on_grids_of_their_own(levels, apart_hz=(0.325, 0.175), **machine):
+    """As the defaults give records of different noise: lines of each level at a distance of its own."""
+    run = run_of(levels, **machine)
+    frfs = [
+        ls.frfs(replace(run, recordings=(r,)), resolution_hz=hz, method="local")[0]
+        for r, hz in zip(run.recordings, apart_hz, strict=True)
+    ]
+    return level_dependences(run, frfs)
+
+
+@pytest.mark.parametrize("apart_hz", [(0.325, 0.175), (0.175, 0.325)])
+def test_levels_on_grids_of_their_own_are_judged_on_the_coarser(apart_hz):
+    (one,) = on_grids_of_their_own(LEVELS, apart_hz, cubic=0.002)
+    expected = equivalent_hz(LEVELS[1], 0.002) / equivalent_hz(LEVELS[0], 0.002) - 1.0
+    assert one.judged
+    assert one.frequencies > 100
+    assert one.resonance.bend is Bend.HARDENING
+    assert one.resonance.change == pytest.approx(expected, rel=0.25)
+
+
+def test_a_linear_machine_on_grids_of_its_own_shows_none():
+    runs = [on_grids_of_their_own(LEVELS, seed=100 + k)[0] for k in range(8)]
+    assert all(one.judged for one in runs)
+    assert sum(not one.linear for one in runs) <= 1
+
+
+def test_levels_measured_in_bands_of_their_own_are_not_judged_and_that_is_reported():
+    run = run_of(LEVELS, cubic=0.002)
+    low, high = (f.between(*band) for f, band in zip(ls.frfs(run, method="welch"), ((5, 30), (40, 90)), strict=True))
+    (one,) = level_dependences(run, [low, high])
+    assert not one.judged
+    assert not one.linear
+    assert one.frequencies == 0
+    assert one.resonance is one.gain is one.peak is None
+    assert "not judged" in one.sentence
 
 
 def test_two_runs_of_one_machine_say_it_in_the_conclusion():

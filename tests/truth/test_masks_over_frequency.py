@@ -167,10 +167,10 @@ def test_a_mask_without_meaning_is_refused(table, words):
         ({"sensitivity_mask_db": 1.0}, "needs a mask"),
         ({"at": [{"phase_margin_deg": 40.0}]}, "need where and a limit"),
         ({"at": [{"where": {"x": [1.0, 0.0]}, "phase_margin_deg": 40.0}]}, "must rise"),
-        ({"at": [{"where": {"x": "low"}, "phase_margin_deg": 40.0}]}, "range"),
+        ({"at": [{"where": {"x": "low"}, "phase_margin_deg": 40.0}]}, "where of an AtPoints"),
         ({"at": [{"where": {"x": [0.0, 1.0]}, "detuning_percent": 1.0}]}, "cannot be limited"),
         ({"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": 200.0}]}, "must not exceed"),
-        ({"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": "much"}]}, "must be a number"),
+        ({"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": "much"}]}, "to a number"),
     ],
 )
 def test_limits_at_operating_points_without_meaning_are_refused(more, words):

@@ -13,7 +13,7 @@ from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.sensitivity import estimate_sensitivity
 from loopshape.loop.agreement import combined, on_common_lines, paired
-from loopshape.loop.prediction import compare, plant_behind, sensitivity_of
+from loopshape.loop.prediction import compare, compare_plants, plant_behind, sensitivity_of
 
 LINES = 0.1 * np.arange(1, 151)
 #: line overlap, averages behind each variance (0: it is known), lines that a variance is pooled over
@@ -176,3 +176,30 @@ def test_where_a_loop_lets_little_noise_through_its_sensitivity_is_as_sure_as_it
         variances.append(found.variance[:4, 0, 0])
     ratio = np.mean(squares, axis=0) / np.mean(variances, axis=0)
     assert np.all((ratio > 0.2) & (ratio < 2.0)), ratio
+
+
+def two_plants(seed, relative, gain=1.0):
+    """An integrator measured twice with circular errors, the second time with another gain; known by numpy alone."""
+    rng = np.random.default_rng(seed)
+    G = 30.0 / (2j * np.pi * LINES)
+
+    def drawn(P):
+        errors = rng.standard_normal((2, LINES.size)) / np.sqrt(2.0)
+        noisy = P * (1.0 + relative * (errors[0] + 1j * errors[1]))
+        return FRF.from_arrays(LINES, noisy, std=relative * np.abs(P), inputs=("u_v",), outputs=("y_m",))
+
+    return drawn(G), drawn(gain * G)
+
+
+def test_one_plant_measured_twice_differs_as_often_as_the_level_says():
+    found = [compare_plants(*two_plants(seed, 0.05)) for seed in range(300)]
+    assert within_binomial(sum(one.outcome == "did not hold" for one in found), 300, 0.05)
+    assert all(one.outcome == "held" for one in found if one.p_value >= 0.05)
+
+
+def test_a_gain_that_changed_by_half_a_db_between_two_frfs_is_found_with_its_size():
+    found = compare_plants(*two_plants(1, 0.02, 10.0 ** (0.5 / 20.0)))
+    assert found.outcome == "did not hold"
+    assert all(abs(band.sensitivity_db - 0.5) < 4.0 * band.std_db for band in found.bands)
+    assert 0.05 < found.noticed_db < 0.2
+    assert compare_plants(*two_plants(1, 0.02, 10.0 ** (0.5 / 20.0)), tolerance_db=1.0).outcome == "held"

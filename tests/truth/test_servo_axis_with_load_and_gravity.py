@@ -128,7 +128,7 @@ def test_a_file_says_the_same(tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ('"rotary"', '"round"', "axis is not known; received 'round'; use rotary, linear"),
+    ('"rotary"', '"round"', "axis is not known; received 'round'; use rotary or linear"),
     ("gravity = 0.40", "gravitation = 0.40", "a number of the axis is not known; received 'gravitation'"),
     ("inertia = { value = 0.010, tolerance = 0.03 }", "", "no inertia"),
     ("coupling_stiffness = 30.0", "", "no coupling_stiffness"),

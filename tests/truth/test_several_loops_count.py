@@ -171,7 +171,7 @@ def test_a_declaration_that_the_recorded_loops_contradict_is_not_believed():
 def test_what_lies_above_the_judged_lines_is_not_overlooked():
     G = pair_of(F)
     above = np.linspace(310.0, 400.0, 20)
-    beyond = frf_of(above, np.tile(5.0 * np.eye(2), (20, 1, 1)))
+    beyond = frf_of(above, np.tile(5.0 * np.eye(2), (20, 1, 1)) + 0j)
     made = LoopMatrix(frf_of(F, G), (gain("a"), gain("b")), ("a", "b"), 2, 0, beyond)
     assert "above the band that is known well" in closed_loops_stability(made).reason
 

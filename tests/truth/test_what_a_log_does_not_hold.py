@@ -1,14 +1,17 @@
 """A log of reference and error alone, with a known controller: output and control are made, the FRF is the plant's."""
 
+import known_loops
 import numpy as np
 import pytest
-from scipy.signal import lfilter, tf2zpk
+from scipy.signal import chirp, lfilter, tf2zpk
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.data.controller import step
+from loopshape.identify.signals import sum_was_logged
 from loopshape.io.import_file import import_file
 from loopshape.io.made_columns import answered, read_terms
+from loopshape.io.run_folder import read_run, write_run
 
 RATE_HZ, N = 100.0, 12_000
 CONTROLLER = (
@@ -92,3 +95,42 @@ def test_sums_that_cannot_be_made_are_refused_with_their_cure(logged, old, new, 
     assert old in MAP
     with pytest.raises(WrongUseError, match=word):
         read(logged, MAP.replace(old, new))
+
+
+def logged_loop(seed, summed):
+    """u, n, y of a loop excited at the plant's input, u in front of the sum or behind it: noise, sweeps, multisines and
+    PRBS, loop noise from 1e-4 to 3 of the excitation, noise of the log alone from none to 3 %."""
+    rng, size = np.random.default_rng(seed), 3000
+    lines = np.concatenate([[0.0], np.exp(2j * np.pi * rng.uniform(size=200)), np.zeros(300)])
+    n = (
+        rng.standard_normal(size),
+        chirp(np.arange(size) / known_loops.RATE, 0.2, size / known_loops.RATE, rng.uniform(10.0, 45.0)),
+        np.tile(40.0 * np.fft.irfft(lines, 1000), 3),
+        np.repeat(rng.choice([-1.0, 1.0], size // 2), 2),
+    )[seed % 4]
+    level, log = 10.0 ** rng.uniform(-4.0, 0.5), 10.0 ** rng.uniform(-6.0, -1.5)
+    u, y = known_loops.run_loop("plant_input", n, level * rng.standard_normal(size))
+    u = u + n if summed else u
+    u = u + log * u.std() * rng.standard_normal(size) * (seed % 3 > 0)
+    return u, n, y + log * y.std() * rng.standard_normal(size) * (seed % 3 > 1)
+
+
+def test_a_control_logged_behind_the_sum_is_told_and_a_right_one_never_taken_for_it():
+    assert sum(sum_was_logged(*logged_loop(seed, summed=False)) for seed in range(200)) == 0
+    assert sum(sum_was_logged(*logged_loop(seed, summed=True)) for seed in range(200)) >= 190
+
+
+@pytest.mark.parametrize("estimator", ["reference", "direct"])
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_control_that_holds_the_injection_is_refused_from_arrays_and_from_files(tmp_path, stored, estimator):
+    for summed in (False, True):
+        u, n, y = logged_loop(0, summed)
+        run = ls.Run.from_arrays(u=u, y=y, excitation=n, injection="plant_input", rate_hz=known_loops.RATE)
+        if stored:
+            write_run(tmp_path / f"run-{summed}", run)
+            run = read_run(tmp_path / f"run-{summed}")
+        if not summed:
+            assert ls.frf(run, estimator=estimator).trusted.any()
+            continue
+        with pytest.raises(BadSignalError, match="holds the injected signal"):
+            ls.frf(run, estimator=estimator)

@@ -204,6 +204,7 @@ def mark(label: Label, answer: Mapping[str, Any]) -> Marked:
     ranking = sorted(answer["ranking"], key=lambda row: -row["probability"])
     names = [row["effect"] for row in ranking]
     said, gap = str(answer["verdict"]), answer.get("gap") or {}
+    inside = [name for group in answer.get("ambiguity_set", ()) for name in group]
     own = ranking[names.index(truth)] if label.kind == "single" and said == truth and truth in names else {}
     true_size = label.labels[truth] if label.kind == "single" else None
     found, interval = own.get("magnitude"), own.get("interval")
@@ -216,8 +217,8 @@ def mark(label: Label, answer: Mapping[str, Any]) -> Marked:
         probability=float(ranking[names.index(said)]["probability"]) if said in names else nan,
         rank=names.index(truth) + 1 if truth in names else None,
         block_ok=_block_ok(label, said, str((answer.get("where") or {}).get("block"))),
-        set_size=len(answer.get("ambiguity_set", ())),
-        in_set=truth in answer.get("ambiguity_set", ()),
+        set_size=len(inside),
+        in_set=truth in inside,
         named=len(set(said.split("+")) & set(label.labels)),
         magnitude_truth=true_size,
         magnitude=found,

@@ -65,8 +65,11 @@ def turns(paths: ComplexArray) -> Array:
 
 
 @compiled
-def turn_to_first(first: complex, integrators: int, negative: bool, either_sign: bool) -> float:
+def turn_to_first(first: complex, integrators: int, negative: bool, either_sign: bool, near: float = 0.0) -> float:
     """Angle in rad that 1 + L turns from s = j0+ to L = `first`, nan where the phase there fits badly.
+
+    `near` is the swing in rad from the phase of the integrators that the slope of L asks for: that of poles and zeros
+    below `first`.
 
     With k integrators L starts infinite at -90 k deg, swings to the phase of `first` and shrinks along it as f^-k;
     without any it starts on the real axis, and with zeros at s = 0 (k below 0) at 0. A stable plant is taken to have a
@@ -79,7 +82,8 @@ def turn_to_first(first: complex, integrators: int, negative: bool, either_sign:
     if either_sign:
         negative = ahead.real < 0.0
     swing = _angle(-ahead if negative else ahead)
-    if abs(swing) > FIT_DEG * np.pi / 180.0:
+    swing += 2.0 * np.pi * np.round((near - swing) / (2.0 * np.pi))
+    if abs(swing - near) > FIT_DEG * np.pi / 180.0:
         return np.nan
     if integrators < 0:  # from L = 0 straight to the first
         return _angle(1.0 + first)
@@ -87,19 +91,23 @@ def turn_to_first(first: complex, integrators: int, negative: bool, either_sign:
         return swing + _angle((1.0 + first) / first)
     if negative and not either_sign and first.real > -1.0:
         return np.nan
+    if near != 0.0 and abs(first) > 1.0:
+        return swing + _angle((1.0 + first) / first)
     side = 1.0 if first.imag >= 0.0 else -1.0
     return _angle(1.0 + first) - (np.pi * side if first.real < -1.0 else 0.0)
 
 
 @compiled
-def count_unstable(L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray) -> int:
+def count_unstable(
+    L: ComplexArray, integrators: int, unstable_poles: int, below: ComplexArray, near: float = 0.0
+) -> int:
     """Closed-loop poles in the right half plane by the bare count, `NO_FIT` where the first value fits badly.
 
     `below` (nb,) continues L (nf,) towards zero frequency. With P unstable open-loop poles and k integrators, passed on
     the right, the turn of 1 + L over s = j0+ ... j inf is pi (P + k/2 - Z) for Z unstable closed-loop poles.
     """
     first = below[0] if below.size else L[0]
-    start = turn_to_first(first, integrators, unstable_poles % 2 == 1, below.size > 0)
+    start = turn_to_first(first, integrators, unstable_poles % 2 == 1, below.size > 0, near)
     if np.isnan(start):
         return NO_FIT
     turn, before = turn_along(below, start, 1.0 + first)

@@ -25,6 +25,10 @@ LARGEST = (
 )  # fmt: skip
 _DB = 10.0 / np.log(10.0)  # of a squared magnitude
 _DEG = 180.0 / np.pi
+#: a first frequency that is less than this share of the second stands for 0 Hz: nothing lies below it
+AT_ZERO = 1e-4
+#: |L| from which on, at its first line, margins and peaks below it say nothing that is looked for
+LARGE = 10.0
 _TINY = 1e-300
 
 
@@ -156,6 +160,21 @@ def _above(
 
 
 @compiled
+def _below(f_first: float, first: float, found: Array, at: Array) -> None:
+    """Below the first line |L| stays above `first`, its value there; where that is no more than 1 nothing is known."""
+    _note(found, at, REDUCTION_DB, 2.0 * _DB * np.log(max(first, 1.0)), f_first, False)
+    if first >= LARGE:  # |S| stays below 1/9 there, and |T| within 1 dB of 1
+        return
+    room = max(first - 1.0, 0.0)
+    _note(found, at, LN_MODULUS, room**2, f_first, False)
+    _note(found, at, LN_DISK, (room / (1.0 + first)) ** 2, f_first, False)
+    _note(found, at, COMPLEMENTARY_DB, first**2 / max(room, 1e-9) ** 2, f_first, True)
+    if room == 0.0:
+        _note(found, at, PHASE_DEG, 0.0, f_first, False)
+        _note(found, at, LN_DELAY_S, -np.inf, f_first, False)
+
+
+@compiled
 def _above_at_best(last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array) -> None:
     """|CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last)."""
     for i in range(f_above.size):
@@ -186,19 +205,25 @@ def read_margins(
     bounded: bool,
     masks: Array,
     masks_above: Array,
+    below: bool = True,
+    least: float = 0.0,
 ) -> tuple[Array, Array]:
     """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
 
     `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
-    below its last value, counts where `bounded` is true; without it the answer is the best that may be. `masks` (10,
-    nf) and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where nothing is weighed. +-inf where
-    the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
+    below its last value, or `least` where that is more, counts where `bounded` is true; without it the answer is the
+    best that may be. So does what it may do below the first line, above its value there, where `below` is true as
+    well. `masks` (10, nf) and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where nothing is
+    weighed. +-inf where the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of
+    sight.
     """
     found, at = np.empty((len(L), COLUMNS)), np.full((len(L), COLUMNS), np.nan)
     c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
     over_c2 = 1.0 / c2
     for b in range(len(L)):
-        _read(f, L[b], c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at[b])
+        _read(
+            f, L[b], c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at[b], below, least
+        )
     return found, at
 
 
@@ -215,6 +240,7 @@ def read_drawn(
     bounded: bool,
     masks: Array,
     masks_above: Array,
+    least: float = 0.0,
 ) -> Array:
     """Margins (draws, COLUMNS) of `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
     found, at, L = np.empty((len(draws), COLUMNS)), np.empty(COLUMNS), np.empty(f.size, dtype=np.complex128)
@@ -224,14 +250,14 @@ def read_drawn(
         mine = draws[b]
         for k in range(f.size):
             L[k] = reference[k] + factor[k] * mine[k]
-        _read(f, L, c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at)
+        _read(f, L, c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at, True, least)
     return found
 
 
 @compiled
 def _read(
     f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float,
-    bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array,
+    bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array, below: bool = True, least: float = 0.0,
 ) -> None:  # fmt: skip
     """Margins of one loop into `found` (COLUMNS,), and where they lie into `at`; |C|² on the lines and above them."""
     found[:] = np.inf
@@ -250,10 +276,10 @@ def _read(
             _chord(f[k - 1], f[k], L[k - 1], now, found, at)
             if (before_size >= 1.0) != (size >= 1.0):
                 _unit_crossing(f[k - 1], f[k], L[k - 1], now, found, at)
-                if not crossed and abs(L[0]) >= 1.0:
+                if not crossed and before_size >= 1.0:
                     found[LN_BANDWIDTH_HZ] = _between(f[k - 1], f[k], before_size, size, 1.0)
                     at[LN_BANDWIDTH_HZ] = np.exp(found[LN_BANDWIDTH_HZ])
-                crossed = True
+                    crossed = True
             if (L[k - 1].imag >= 0.0) != (now.imag >= 0.0):
                 _axis_crossing(f[k - 1], f[k], L[k - 1], now, found, at)
             if not sensed and before_s < 0.5 <= s2:
@@ -270,9 +296,11 @@ def _read(
         found[LN_SENSITIVITY_HZ] = np.log(f[f.size - 1])
     if before_t >= 0.5:
         found[LN_COMPLEMENTARY_HZ] = np.log(f[f.size - 1])
+    if below and bounded and f.size > 1 and f[0] > AT_ZERO * f[1]:
+        _below(f[0], abs(L[0]), found, at)
     _read_above(
-        f[f.size - 1], np.sqrt(before_size), f_above, c2_above, from_hz, bounded, masks.shape[0] > 0, masks_above,
-        found, at,
+        f[f.size - 1], max(np.sqrt(before_size), least), f_above, c2_above, from_hz, bounded, masks.shape[0] > 0,
+        masks_above, found, at,
     )  # fmt: skip
     _finish(found)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import ComplexArray
 from loopshape.data.algebra.propagation import Term, check_operands, invert, result
 from loopshape.data.controller import Controller
@@ -33,6 +33,7 @@ def transfer(D: Diagram, source: str, to: str, *, opened: Iterable[str] = (), po
     >>> print(abs(ls.transfer(D, "r", "y").siso[0]).round(2))
     0.8
     """
+    refuse_unknown("the diagram has no such signal", source, D.signals)
     plants = {one.name: one.plants[min(point, len(one.plants) - 1)] for one in D.parts if one.plants}
     if D.rate_hz > 0.0:
         plants = {name: p.select(p.frequency_hz < 0.5 * D.rate_hz) for name, p in plants.items()}

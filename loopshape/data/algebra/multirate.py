@@ -9,6 +9,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.sampling import regrid
+from loopshape.data.arrays import rate
 from loopshape.data.controller import Controller
 from loopshape.data.frf import FRF
 
@@ -28,6 +29,7 @@ def multirate(P: FRF, fast: Controller, rate_hz: float) -> FRF:
     >>> ls.multirate(P, ls.controller(ls.notch(700.0, 0.1, 0.7), rate_hz=2000.0), 1000.0)
     FRF: 499 frequencies, 1 to 499 Hz, 1 output x 1 input, rate 1000 Hz
     """
+    rate_hz = rate(rate_hz, "rate_hz of the slow controller")
     many = round(fast.rate_hz / rate_hz)
     if many < 2 or abs(many * rate_hz - fast.rate_hz) > 1e-9 * fast.rate_hz or P.rate_hz != fast.rate_hz:
         raise WrongUseError(

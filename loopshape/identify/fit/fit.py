@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
-from loopshape.data.channel import Channel
+from loopshape.data.channel import unit_of
 from loopshape.data.frf import FRF
 from loopshape.data.model import Estimate, Fit
 from loopshape.identify.fit.least_squares import Data, Solution, solve
@@ -16,25 +18,34 @@ from loopshape.identify.fit.structures import Integrator, Rational, Structure, T
 
 STRUCTURES = ("third_order", "third_order_delay", "integrator", "integrator_delay", "rational", "auto")
 WEIGHTINGS = ("variance", "relative")
+#: what a rational structure is asked for
+ORDERS = ("numerator", "denominator", "integrators", "delay")
 
 
 def structure_by_name(
     name: str, *, numerator: int = 0, denominator: int = 1, integrators: int = 0, delay: bool = False
 ) -> Structure:
     """A structure from its word; the orders are for `rational` only."""
+    refuse_unknown("a structure is not known", name, [one for one in STRUCTURES if one != "auto"], "use one of")
     if name in ("third_order", "third_order_delay"):
         return ThirdOrder(delay or name.endswith("_delay"))
     if name in ("integrator", "integrator_delay"):
         return Integrator(delay or name.endswith("_delay"))
-    if name == "rational":
-        return Rational(numerator, denominator, integrators, delay)
-    raise WrongUseError("a structure is not known", f"{name!r}", f"use one of {', '.join(STRUCTURES)}")
+    return Rational(numerator, denominator, integrators, delay)
 
 
 def fit(
-    frf: FRF, structure: Structure, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None
+    frf: FRF,
+    structure: Structure,
+    *,
+    weighting: str = "variance",
+    band_hz: tuple[float, float] | None = None,
+    stable: bool | None = None,
 ) -> Fit:
     """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
+
+    With `stable` the poles of a rational structure, those at zero apart, lie in the left half plane. None asks for it
+    of a FRF that was recorded in open loop, where an unstable plant would not have stayed within its range.
 
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the
@@ -43,8 +54,7 @@ def fit(
     Misleads where the structure is wrong: intervals say how well the numbers are pinned, not how true they
     are; `sufficient` and `misfit_db` tell.
     """
-    if weighting not in WEIGHTINGS:
-        raise WrongUseError("a weighting is not known", f"{weighting!r}", f"use {' or '.join(WEIGHTINGS)}")
+    refuse_unknown("a weighting is not known", weighting, WEIGHTINGS)
     lines = frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()
     f, G, variance = lines.frequency_hz, lines.siso, lines.variance[:, 0, 0]
     if not variance.min() > 0.0:
@@ -58,12 +68,19 @@ def fit(
             f"too few frequencies to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
         )
     if isinstance(structure, Rational):
-        structure = _centred(structure, f)
+        structure = replace(
+            _centred(structure, f), stable=(structure.stable or frf.open_loop) if stable is None else stable
+        )
     weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
     low, high = structure.bounds()
-    starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, 1.0 / np.sqrt(weight_variance))]
+    weights = [1.0 / np.sqrt(x) for x in ((variance,) if weighting == "variance" else (weight_variance, variance))]
+    starts = [np.clip(x, low + 1e-9, high - 1e-9) for x in _starts(structure, f, G, weights)]
     data = Data(G, variance, lines.line_overlap, lines.variance_freedom, lines.variance_pooled)
-    solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
+    if isinstance(structure, Rational):
+        model, slopes = partial(structure.response, f=f), partial(structure.slopes, f=f)
+        solution = solve(model, starts, (low, high), data, weight_variance, slopes)
+    else:
+        solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
     return _fit(structure, solution, lines, frf.digest)
 
 
@@ -71,16 +88,17 @@ def fit(
 DELAYS = (0.0, 0.01, 0.03, 0.1)
 
 
-def _starts(structure: Structure, f: Array, G: ComplexArray, weight: Array) -> list[Array]:
-    """Starts of a fit: rational ones also from smoothed lines, for their linear equations suffer from noise; with a
-    delay, from data turned back by several delays, for the phase may wrap."""
-    views = [G]
+def _starts(structure: Structure, f: Array, G: ComplexArray, weights: Sequence[Array]) -> list[Array]:
+    """Starts of a fit, by each of `weights`, the fit's own first: rational ones also from smoothed lines, for their
+    linear equations suffer from noise; with a delay, from data turned back by several delays, for the phase may wrap.
+    """
+    views = [(G, weight) for weight in (weights if isinstance(structure, Rational) else weights[:1])]
     if isinstance(structure, Rational):
-        views += [_smoothed(G, half) for half in (2, 6) if f.size > 8 * half]
+        views += [(_smoothed(G, half), weights[0]) for half in (2, 6) if f.size > 8 * half]
     if "delay_s" not in structure.names:
-        return [structure.start(f, view, weight) for view in views]
+        return [structure.start(f, view, weight) for view, weight in views]
     starts = []
-    for view, delay in [(view, 0.0) for view in views] + [(G, delay) for delay in DELAYS[1:]]:
+    for (view, weight), delay in [(one, 0.0) for one in views] + [(one, d) for one in views[:1] for d in DELAYS[1:]]:
         start = structure.start(f, view * np.exp(1j * angular(f) * delay), weight)
         start[-1] = delay + 1e-4
         starts.append(start)
@@ -96,7 +114,7 @@ def _smoothed(G: ComplexArray, half: int) -> ComplexArray:
 
 def _centred(structure: Rational, f: Array) -> Rational:
     w0 = TWO_PI * float(np.exp(np.mean(np.log(f))))
-    return Rational(structure.numerator, structure.denominator, structure.integrators, structure.delay, w0)
+    return replace(structure, w0=w0)
 
 
 def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
@@ -126,6 +144,8 @@ def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
         rig_parameters=dict(lines.parameters),
         frf_digest=digest,
         delay_free="delay_s" in structure.names,
+        starts=s.starts,
+        starts_agreeing=s.agreeing,
     )
 
 
@@ -133,8 +153,8 @@ def _unit(unit: str, lines: FRF) -> str:
     """A parameter's unit with the plant's own in it: 1/s3 of a plant from V to rad is rad/(V s3)."""
     if not unit.startswith("1/s"):
         return unit
-    output, given = (Channel.from_column(c[0]).unit for c in (lines.outputs, lines.inputs))
-    return f"{SUFFIXES[output]}/({SUFFIXES[given]} {unit[2:]})"
+    output, given = (SUFFIXES[unit_of(c[0])] for c in (lines.outputs, lines.inputs))
+    return f"{output}/({given} {unit[2:]})"
 
 
 def _slopes(structure: Structure, x: Array) -> Array:
@@ -153,6 +173,7 @@ def fit_best(
     *,
     weighting: str = "variance",
     band_hz: tuple[float, float] | None = None,
+    stable: bool | None = None,
 ) -> Fit:
     """The simplest fit whose Bayesian information criterion (Schwarz 1978) lies within 10 of the least.
 
@@ -165,7 +186,7 @@ def fit_best(
         total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
         return total + count * float(np.log(2 * found.lines / frf.line_overlap))
 
-    made = [fit(frf, structure, weighting=weighting, band_hz=band_hz) for structure in structures]
+    made = [fit(frf, structure, weighting=weighting, band_hz=band_hz, stable=stable) for structure in structures]
     good = [found for found in made if found.outcome == "converged"] or made
     least = min(criterion(found) for found in good)
     near = [found for found in good if criterion(found) <= least + 10.0]
@@ -176,7 +197,13 @@ def fit_best(
 FOLLOWS_DB = 1.0
 
 
-def fit_automatically(frf: FRF, *, weighting: str = "variance", band_hz: tuple[float, float] | None = None) -> Fit:
+def fit_automatically(
+    frf: FRF,
+    *,
+    weighting: str = "variance",
+    band_hz: tuple[float, float] | None = None,
+    stable: bool | None = None,
+) -> Fit:
     """The best named structure; where it misses the lines by over 1 dB, the best with rational ones to order four."""
     named = [structure_by_name(name) for name in STRUCTURES[:4]]
     best = fit_best(frf, named, weighting=weighting, band_hz=band_hz)
@@ -185,7 +212,7 @@ def fit_automatically(frf: FRF, *, weighting: str = "variance", band_hz: tuple[f
         return best
     orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
     rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
-    return fit_best(frf, [*named, *rational], weighting=weighting, band_hz=band_hz)
+    return fit_best(frf, [*named, *rational], weighting=weighting, band_hz=band_hz, stable=stable)
 
 
 def modes(found: Fit) -> tuple[Estimate, ...]:

@@ -12,6 +12,11 @@ from scipy.stats import chi2, norm
 
 from loopshape.core.units import Array, ComplexArray
 
+#: chi²/dof below which what is left is no noise of the stated variance, but rounding: its signs tell nothing
+NO_NOISE = 1e-6
+#: sums of squares that differ by less are those of one minimum
+SAME = 1.01
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -23,6 +28,8 @@ class Solution:
     p_value: float
     runs_p_value: float
     outcome: str
+    starts: int = 1
+    agreeing: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +53,12 @@ def solve(
     bounds: tuple[Array, Array],
     data: Data,
     weight_variance: Array,
+    slopes: Callable[[Array], ComplexArray] | None = None,
 ) -> Solution:
     """Fit `model(x)` (nf,) to the data, weighted by 1/`weight_variance` (nf,), from the best of several starts.
 
+    `slopes` are those of the model (nf, parameters), found by differences where they are not given. `agreeing` counts
+    the starts that end within 1 % of the least sum of squares.
     The covariance is that of the linearised estimate under the data's own variance, whatever the weights
     (the sandwich A^-1 J' V J A^-1), widened where the residual exceeds the noise, and by the overlap where
     neighbouring lines share their error.
@@ -59,11 +69,20 @@ def solve(
         r = (model(x) - data.response) / scale
         return np.concatenate([r.real, r.imag])
 
+    def jacobian(x: Array) -> Array:
+        J = slopes(x) / scale[:, None]  # type: ignore[misc]
+        return np.concatenate([J.real, J.imag])
+
     def one(start: Array) -> Any:
         size = np.maximum(np.abs(start), 1e-3)
-        return least_squares(residual, start, bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12, gtol=1e-12)
+        return least_squares(
+            residual, start, jacobian if slopes else "2-point", bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12,
+            gtol=1e-12,
+        )  # fmt: skip
 
-    found = min((one(start) for start in starts), key=lambda result: result.cost)
+    ends = [one(start) for start in starts]
+    found = min(ends, key=lambda result: result.cost)
+    agreeing = sum(end.cost <= SAME * found.cost + data.response.size * NO_NOISE for end in ends)
     left = (model(found.x) - data.response) / np.sqrt(0.5 * data.variance)
     J, share = np.asarray(found.jac), np.tile(data.variance / weight_variance, 2)
     inverse = _inverse(J)
@@ -72,7 +91,9 @@ def solve(
     covariance = inverse @ (J.T @ (share[:, None] * J)) @ inverse * max(chi2_per_dof, 1.0) * data.overlap
     outcome = "not_converged" if found.status <= 0 else ("at_bound" if np.any(found.active_mask) else "converged")
     p_value, runs = residual_tests(left, freedom, data, stretch)
-    return Solution(found.x, covariance, chi2_per_dof, p_value, runs, outcome)
+    if chi2_per_dof < NO_NOISE:
+        runs = 1.0
+    return Solution(found.x, covariance, chi2_per_dof, p_value, runs, outcome, len(starts), agreeing)
 
 
 def _freedom(J: Array, inverse: Array, share: Array) -> tuple[float, float]:

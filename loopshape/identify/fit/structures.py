@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.gate import pass_fields
 from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, hz
 from loopshape.data.model import TransferFunction
 
@@ -141,7 +142,9 @@ class Rational:
     """Ratio of polynomials of chosen orders, with poles at zero and a delay if wanted.
 
     x holds the numerator's and the monic denominator's coefficients in s/w0 with w0 in the middle of the
-    band; reported are the coefficients in s. `fit.modes` gives zeros and poles with their spread.
+    band; reported are the coefficients in s. `fit.modes` gives zeros and poles with their spread. With `stable` the
+    poles but those at zero lie in the left half plane: x then holds p² + a p + b (and p + c of an odd number) with
+    positive numbers in the place of the denominator's coefficients.
     """
 
     numerator: int
@@ -149,8 +152,10 @@ class Rational:
     integrators: int = 0
     delay: bool = False
     w0: float = TWO_PI
+    stable: bool = False
 
     def __post_init__(self) -> None:
+        pass_fields(self)
         if not 0 <= self.numerator <= self.denominator <= 20 or not 0 <= self.integrators <= self.denominator:
             raise WrongUseError(
                 "a rational structure has 0 <= numerator <= denominator <= 20 and no more integrators than poles",
@@ -162,7 +167,7 @@ class Rational:
         """The structure's word."""
         poles = f"rational {self.numerator}/{self.denominator}"
         poles += f" with {self.integrators} at zero" if self.integrators else ""
-        return poles + (" and delay" if self.delay else "")
+        return poles + (" and delay" if self.delay else "") + (", stable" if self.stable else "")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -181,13 +186,15 @@ class Rational:
         m = levy(f, response, weight, self.numerator, self.denominator, self.integrators, iterations=30)
         num = m.num * self.w0 ** (np.arange(self.numerator, -1, -1) - self.denominator)
         powers = np.arange(self.denominator - 1, self.integrators - 1, -1) - self.denominator
-        den = m.den[1 : 1 + powers.size] * self.w0 ** powers.astype(float)
+        den = self.placed(m.den[1 : 1 + powers.size] * self.w0 ** powers.astype(float))
         return np.concatenate([num, den, [1e-4] if self.delay else []])
 
     def bounds(self) -> tuple[Array, Array]:
         """Free coefficients; the delay lies between 0 and 0.2 s."""
-        n = len(self.names)
+        n, k = len(self.names), self.numerator + 1
         low, high = np.full(n, -np.inf), np.full(n, np.inf)
+        if self.stable:
+            low[k : k + self.denominator - self.integrators] = 0.0
         if self.delay:
             low[-1], high[-1] = 0.0, MAX_DELAY_S
         return low, high
@@ -205,7 +212,64 @@ class Rational:
         powers = [self.denominator - k for k in range(self.numerator, -1, -1)]
         powers += [self.denominator - k for k in range(self.denominator - 1, self.integrators - 1, -1)]
         powers += [0] if self.delay else []
-        return x * self.w0 ** np.array(powers, dtype=float)
+        return self._coefficients(x) * self.w0 ** np.array(powers, dtype=float)
+
+    def placed(self, tail: Array) -> Array:
+        """What stands in x for the coefficients of a monic denominator in s/w0; unstable poles are mirrored."""
+        if not self.stable or not tail.size:
+            return tail
+        roots = np.roots(np.concatenate([[1.0], tail]))
+        roots = -np.abs(roots.real) - 1e-3 * np.abs(roots) + 1j * roots.imag
+        pairs = [np.array([-2.0 * r.real, abs(r) ** 2]) for r in roots if r.imag > 0.0]
+        real = np.sort(roots[roots.imag == 0.0].real)
+        pairs += [np.array([-a - b, a * b]) for a, b in zip(real[0::2], real[1::2], strict=False)]
+        return np.concatenate([*pairs, -real[-1:]] if real.size % 2 else pairs)
+
+    def _factors(self, x: Array) -> list[Array]:
+        """Factors of the denominator in s/w0 without the poles at zero, as `stable` has them."""
+        k, free = self.numerator + 1, self.denominator - self.integrators
+        own = x[k : k + free]
+        factors = [np.concatenate([[1.0], own[2 * i : 2 * i + 2]]) for i in range(free // 2)]
+        return factors + ([np.array([1.0, own[-1]])] if free % 2 else [])
+
+    def _product(self, x: Array) -> Array:
+        whole: Array = np.ones(1)
+        for factor in self._factors(x):
+            whole = np.asarray(np.polymul(whole, factor))
+        return whole
+
+    def _coefficients(self, x: Array) -> Array:
+        """Numerator's and monic denominator's coefficients in s/w0, and the delay."""
+        if not self.stable:
+            return np.array(x)
+        k, free = self.numerator + 1, self.denominator - self.integrators
+        return np.concatenate([x[:k], self._product(x)[1:], x[k + free :]])
+
+    def response(self, x: Array, f: Array) -> ComplexArray:
+        """Response (nf,) of x."""
+        return self._parts(x, f)[0]
+
+    def slopes(self, x: Array, f: Array) -> ComplexArray:
+        """Derivatives (nf, parameters) of the response with respect to x."""
+        G, den, turn, p = self._parts(x, f)
+        top = turn[:, None] * p[:, None] ** np.arange(self.numerator, -1, -1) / den[:, None]
+        by_delay = [(-1j * angular(f) * G)[:, None]] if self.delay else []
+        if not self.stable:
+            below = p[:, None] ** np.arange(self.denominator - 1, self.integrators - 1, -1)
+            return np.hstack([top, -(G / den)[:, None] * below, *by_delay])
+        by_factor = [
+            (-G / np.polyval(factor, p))[:, None] * p[:, None] ** np.arange(factor.size - 2, -1, -1)
+            for factor in self._factors(x)
+        ]
+        return np.hstack([top, *by_factor, *by_delay])
+
+    def _parts(self, x: Array, f: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+        """Response, denominator, the delay's turn, and s/w0, at each frequency."""
+        p, values, k = 1j * angular(f) / self.w0, self._coefficients(x), self.numerator + 1
+        free = self.denominator - self.integrators
+        den = np.polyval(np.concatenate([[1.0], values[k : k + free]]), p) * p**self.integrators
+        turn = np.exp(-1j * angular(f) * values[-1]) if self.delay else np.ones(f.size, dtype=complex)
+        return np.asarray(np.polyval(values[:k], p) * turn / den), np.asarray(den), np.asarray(turn), np.asarray(p)
 
 
 def levy(

@@ -106,6 +106,9 @@ class Arm1(Arm):
         """Time step in s, measured and simulated theta2 in deg (u -> theta2), for the eye."""
         return following.trace(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))
 
+    def shapes(self, prepared: Sequence[Any]) -> None:
+        """None: its submodels follow what was measured, and say themselves where a disturbance would act."""
+
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus simulated relative to its noise floor: u -> p_a, u -> p_b, p -> theta2, u -> theta2."""
         return following.paths(prepared, self.parameters.vector(dict(prepared.parameters) | dict(moves)))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.controller import Block, Controller
 from loopshape.data.experiment import Experiment, LoopSetup, decoupling_matrix, shared_unit
@@ -99,8 +99,7 @@ class Arm:
         why. `states` adds the true states as columns. Same experiments and seeds, same recordings, whatever
         the number of threads.
         """
-        if solver not in self.solvers:
-            raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(self.solvers)}")
+        refuse_unknown("a solver is not known", solver, self.solvers)
         if steps_per_tick < 1:
             raise WrongUseError("a tick is integrated in one step or more", f"{steps_per_tick!r}")
 

@@ -8,7 +8,7 @@ hypothesis: a motion that such a limit allows would not follow its commands at a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class PortScale:
     """Force that moves a port as far as it was seen moving, its speed, where it was, and the largest force to expect.
 
     The first is small where windows are long beside the motion; what an actuator gives is of the size of what it
-    works against.
+    works against. `unit` is that of its position, where a sensor reads it.
     """
 
     force: float
@@ -34,6 +34,7 @@ class PortScale:
     low: float
     high: float
     largest: float = 0.0
+    unit: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "largest", max(self.largest, 3.0 * self.force))
@@ -60,7 +61,8 @@ class Scales:
 
 def forms(model: Model, s: Scales) -> tuple[EffectForm, ...]:
     """Every form of every kind at every place that can have it."""
-    own = [f for i in model.inputs if i.column is not None for f in _actuator(i, s)]
+    own = [f for i in model.inputs if i.acts for f in _actuator(i, s)
+           if f.effect.split("@")[0] not in i.without]  # fmt: skip
     own += [f for o in model.outputs for f in _sensor(o, s)]
     own += [f for p in model.ports for f in _port(p, s)]
     own += [f for p in model.ports if p.motor_inertia for f in _coupling(p, model.values(), s)]
@@ -77,9 +79,9 @@ def spread(model: Model) -> tuple[Spread, ...]:
 
 def _form(
     kind: str, place: str, form: str, unit: str, free: tuple[Free, ...], fixed: Mapping[str, float] | None = None,
-    usual: tuple[float, float] = (0.0, _LARGE), source: str = "", scale: float = 1.0,
+    usual: tuple[float, float] = (0.0, _LARGE), source: str = "", scale: float = 1.0, extends: str = "",
 ) -> EffectForm:  # fmt: skip
-    return EffectForm(f"{kind}@{place}", form, place, unit, free, fixed or {}, {}, scale, usual, source)
+    return EffectForm(f"{kind}@{place}", form, place, unit, free, fixed or {}, {}, scale, usual, source, extends)
 
 
 def _late(kind: str, place: str, at: str, s: Scales) -> Iterator[EffectForm]:
@@ -113,13 +115,39 @@ def _sensor(o: Output, s: Scales) -> Iterator[EffectForm]:
     yield _form("sensor_offset", o.name, "constant", o.unit, (offset,))
 
 
-def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
-    at, x = f"{PORT}.{p.name}", s.port[p.name]
+def _per(p: Port, x: PortScale, seconds: str = "") -> str:
+    """Unit of a port's force over its position, or its speed: "N m s/rad"."""
+    if not x.unit:
+        return f"{p.unit} per {'speed' if seconds else 'travel'}".strip()
+    return f"{p.unit}{f' {seconds}' if seconds else ''}/{x.unit}"
+
+
+def _dry(p: Port, s: Scales) -> Iterator[EffectForm]:
+    """Coulomb friction; that of a gear grows with what it transmits, where its input gives anything."""
+    at, x, kind = f"{PORT}.{p.name}", s.port[p.name], "coulomb_friction"
     level = Free(f"{at}.coulomb", 0.0, x.largest, (0.03 * x.force, 0.2 * x.force, 0.05 * x.largest))
     slow = Free(f"{at}.coulomb_speed", 1e-4 * x.speed, 0.3 * x.speed, (0.01 * x.speed,))
     bend = Free(f"{at}.bristle", 1e-5 * x.travel, 0.05 * x.travel, (3e-3 * x.travel,))
     share = Free(f"{at}.stribeck", 0.05, 3.0, (0.4,))
     fall = Free(f"{at}.stribeck_speed", 5e-3 * x.speed, x.speed, (0.1 * x.speed,))
+    bias = Free(f"{at}.asymmetry", -0.6, 0.6, (0.1,))
+    yield _form(kind, p.name, "tanh", p.unit, (level, slow), source="Coulomb")
+    yield _form(kind, p.name, "bristles", p.unit, (level, bend), source="Dahl 1968")
+    yield _form(kind, p.name, "higher at break-away", p.unit, (level, slow, share, fall), source="Stribeck 1902")
+    yield _form(kind, p.name, "of each direction", p.unit, (level, slow, bias))
+    yield _form(kind, p.name, "bristles, higher at break-away, of each direction", p.unit,
+                (level, bend, share, fall, bias), source="Canudas de Wit 1995")  # fmt: skip
+    if s.command[p.input][0] > 0.0:
+        load, back = Free(f"{at}.load", 0.0, 1.0, (0.1,)), Free(f"{at}.driven_back", 0.0, 1.0, (0.1,))
+        soft = replace(slow, starts=(0.03 * x.speed,))  # fits that start sharper stay in local minima
+        yield _form(kind, p.name, "grows with the load", p.unit, (level, soft, load), source="Duclusaud 2024, M3",
+                    extends=kind)  # fmt: skip
+        yield _form(kind, p.name, "grows with the load, more when driven back", p.unit, (level, soft, load, back),
+                    source="after Duclusaud 2024, M5", extends=kind)  # fmt: skip
+
+
+def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
+    at, x = f"{PORT}.{p.name}", s.port[p.name]
     per_speed, per_travel = x.force / x.speed, x.force / x.travel
     most_per_speed, most_per_travel = x.largest / x.speed, x.largest / x.travel
     viscous = Free(f"{at}.viscous", -per_speed, most_per_speed, (-0.1 * per_speed, 0.1 * per_speed))
@@ -128,23 +156,16 @@ def _port(p: Port, s: Scales) -> Iterator[EffectForm]:
     rest = Free(f"{at}.rest", x.low - x.travel, x.high + x.travel, rests)
     hard = Free(f"{at}.hardening", 0.0, 30.0 / x.travel**2, (2.0 / x.travel**2,))
     constant = Free(f"{at}.offset", -x.largest, x.largest, (-0.1 * x.force, 0.1 * x.force))
-    yield _form("coulomb_friction", p.name, "tanh", p.unit, (level, slow), source="Coulomb")
-    yield _form("coulomb_friction", p.name, "bristles", p.unit, (level, bend), source="Dahl 1968")
-    yield _form("coulomb_friction", p.name, "higher at break-away", p.unit, (level, slow, share, fall),
-                source="Stribeck 1902")  # fmt: skip
-    bias = Free(f"{at}.asymmetry", -0.6, 0.6, (0.1,))
-    yield _form("coulomb_friction", p.name, "of each direction", p.unit, (level, slow, bias))
-    yield _form("coulomb_friction", p.name, "bristles, higher at break-away, of each direction", p.unit,
-                (level, bend, share, fall, bias), source="Canudas de Wit 1995")  # fmt: skip
-    power = Free(f"{at}.viscous_power", -0.8, 1.5, (-0.3, 0.6))
-    yield _form("viscous_error", p.name, "viscous", f"{p.unit} per speed".strip(), (viscous,))
-    yield _form("viscous_error", p.name, "power of the speed", f"{p.unit} per speed".strip(), (viscous, power),
+    yield from _dry(p, s)
+    power = Free(f"{at}.viscous_power", -0.5, 1.5, (-0.3, 0.6))  # below the root of the speed it is dry friction
+    yield _form("viscous_error", p.name, "viscous", _per(p, x, "s"), (viscous,))
+    yield _form("viscous_error", p.name, "power of the speed", _per(p, x, "s"), (viscous, power),
                 {f"{at}.viscous_speed": x.speed})  # fmt: skip
     square = Free(f"{at}.viscous_square", 0.0, 1.0, (0.5,))
-    yield _form("viscous_error", p.name, "linear and with the square of the speed", f"{p.unit} per speed".strip(),
+    yield _form("viscous_error", p.name, "linear and with the square of the speed", _per(p, x, "s"),
                 (viscous, square), {f"{at}.viscous_speed": x.speed}, source="Morison 1950")  # fmt: skip
-    yield _form("cable_stiffness", p.name, "linear", f"{p.unit} per travel".strip(), (stiff, rest))
-    yield _form("cable_stiffness", p.name, "hardening", f"{p.unit} per travel".strip(), (stiff, rest, hard))
+    yield _form("cable_stiffness", p.name, "linear", _per(p, x), (stiff, rest))
+    yield _form("cable_stiffness", p.name, "hardening", _per(p, x), (stiff, rest, hard))
     yield _form("force_offset", p.name, "constant", p.unit, (constant,))
 
 
@@ -165,7 +186,7 @@ def _coupling(p: Port, values: Mapping[str, float], s: Scales) -> Iterator[Effec
     widths = tuple(share * x.travel for share in (0.003, 0.01, 0.03))
     play = Free(f"{at}.play", 0.0, 0.2 * x.travel, widths)
     stop = {f"{at}.coupling": 2e3 * per_hz2, f"{at}.coupling_damping": 200.0 * inertia}
-    unit = f"{p.unit} per travel".strip()
+    unit = _per(p, x)
     for side, fixed in sides.items():
         yield _form("joint_flexibility", p.name, f"spring{side}", unit, (stiff, loss), fixed, source="two inertias")
         yield _form("backlash", p.name, f"play before a stiff spring{side}", "", (play,), fixed | stop,
@@ -189,4 +210,4 @@ def _changed(p: ModelParameter) -> Free:
     starts = tuple(v for v in (0.05 * low, 0.3 * low, 0.05 * high, 0.3 * high) if v != 0.0)
     if p.range is None:
         starts = (-0.15 * p.value, 0.15 * p.value)
-    return Free(f"{CHANGE}.{p.name}", low, high, starts)
+    return Free(f"{CHANGE}.{p.name}", low, high, p.starts or starts)

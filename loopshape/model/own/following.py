@@ -8,10 +8,11 @@ delays look for what was before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.noise import noise_rms
@@ -31,6 +32,8 @@ _STEP = 1e-4  # of a state's range, for slopes
 _ROUNDS = 4
 _SHARES = (1.0, 0.2)  # of a step of the initial states
 CONVERGED = 6  # rounds for initial states of what is judged, not fitted
+_STABLE, _FINEST_HZ = 1.2, 2e4  # rate of a mode times the step, half of what the integration bears; no finer steps
+_SETTLED = 3.0  # time constants, after which a state that follows the inputs has forgotten its start
 _MOST = 1e5  # floors: a simulation that is further off has run away
 
 
@@ -40,7 +43,8 @@ class Followed:
 
     `u` (n, nu) inputs, `y` (n, ny) outputs in the model's units; windows begin at rows `first` (windows,), last
     `length` ticks, of which `lead` are not compared; `start` (windows, nx) are initial states, `ranges` (nx,) how far
-    states move, `floor` (ny,) what noise leaves of a compared value.
+    states move, `floor` (ny,) what noise leaves of a compared value; `constants` are the model's parameters that have a
+    value of this recording's own.
     """
 
     name: str
@@ -54,6 +58,7 @@ class Followed:
     start: Array
     ranges: Array
     floor: Array
+    constants: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def measured(self) -> Array:
@@ -64,6 +69,15 @@ class Followed:
         """Means over blocks (windows, blocks, ny) of values (windows, length, ny)."""
         kept = values[:, self.lead :]
         return np.asarray(kept.reshape(kept.shape[0], -1, self.block, kept.shape[2]).mean(axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """Signals from outside the model: `u` (n, nu) added to what the actuators give, `y` (windows, blocks, ny) to what
+    the sensors read."""
+
+    u: Array | None = None
+    y: Array | None = None
 
 
 def followed(c: Composed, recording: Recording, longest_s: float | None) -> Followed:
@@ -80,17 +94,21 @@ def followed(c: Composed, recording: Recording, longest_s: float | None) -> Foll
     u, y = _inputs(c, recording, rows, keep), _outputs(c, recording, rows)
     noise = np.array([noise_rms(y[:, k]) for k in range(y.shape[1])])
     y = np.ascontiguousarray(y[::keep])
-    block = max(1, round(model.window_s / tick_s / BLOCKS))
-    lead = max(2, round(LEAD * model.window_s / tick_s))
-    window = max(4, round(model.window_s / tick_s / block)) * block
-    first = np.arange(0, len(y) - lead - window + 1, window)
+    block = max(1, round(c.window_s / tick_s / BLOCKS))
+    lead = max(2, round(LEAD * c.window_s / tick_s))
+    window = max(4, round(c.window_s / tick_s / block)) * block
+    settled = round(max((_SETTLED / rate for rate in c.lags.values()), default=0.0) / tick_s)
+    first = np.arange(settled, len(y) - lead - window + 1, window)
     if not first.size:
         raise BadSignalError(
             f"recording {recording.info.file} is shorter than a window of the model",
-            f"{rows / recording.rate_hz:.3g} s", f"give window_s below {model.window_s:g}",
+            f"{rows / recording.rate_hz:.3g} s", f"give window_s below {c.window_s:g}",
         )  # fmt: skip
     start, ranges = _guessed(c, y, first, lead, tick_s)
-    f = Followed(recording.info.name, tick_s, u, y, first, lead + window, lead, block, start, ranges, noise)
+    own = dict(recording.info.parameters)
+    for k, rate in c.lags.items():
+        start[:, k] = _lagging(c, u, k, rate, tick_s)[first]
+    f = Followed(recording.info.name, tick_s, u, y, first, lead + window, lead, block, start, ranges, noise, own)
     f = replace(f, floor=_floor(f, noise))
     for _ in range(_ROUNDS * bool(c.hidden)):
         change = _step(c, f, {})[:, c.hidden]
@@ -98,17 +116,28 @@ def followed(c: Composed, recording: Recording, longest_s: float | None) -> Foll
     return f
 
 
+def _lagging(c: Composed, u: Array, k: int, rate: float, tick_s: float) -> Array:
+    """A state (n,) that follows the inputs (n, nu) alone, settled at the first row."""
+    still, values = np.zeros(len(c.model.states)), c.values({})
+    ends = np.array([float(c.motion(0.0, still, row, values)[k]) / rate for row in u])
+    pole = np.exp(-rate * tick_s)
+    later, _ = lfilter([0.0, 1.0 - pole], [1.0, -pole], ends, zi=ends[:1])
+    return np.asarray(later)
+
+
 def _inputs(c: Composed, recording: Recording, rows: int, keep: int) -> Array:
     """Inputs (n, nu) of the model: means over the ticks that are put together, since each is held."""
     out = np.zeros((rows // keep, len(c.model.inputs)))
     for k, i in enumerate(c.model.inputs):
         if i.column is not None:
-            out[:, k] = i.factor * recording.column(i.column)[:rows].reshape(-1, keep).mean(axis=1)
+            values = i.factor * recording.column(i.column)[:rows]
+            values = values if i.limits is None else np.clip(values, *i.limits)
+            out[:, k] = values.reshape(-1, keep).mean(axis=1)
     return out
 
 
 def _outputs(c: Composed, recording: Recording, rows: int) -> Array:
-    return np.stack([o.factor * recording.column(o.column)[:rows] for o in c.model.outputs], axis=1)
+    return np.stack([o.factor * recording.column(o.column)[:rows] + o.offset for o in c.model.outputs], axis=1)
 
 
 def _floor(f: Followed, noise: Array) -> Array:
@@ -142,23 +171,29 @@ def _guessed(c: Composed, y: Array, first: np.ndarray, lead: int, tick_s: float)
     return start, ranges
 
 
-def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array) -> Array:
+def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array, push: Push | None = None) -> Array:
     """Outputs (k, blocks, ny) from extended initial states x0 (k, extended), k a multiple of the windows."""
     u = np.column_stack([actuated(f.u[:, j], c.actuator(j, m), f.tick_s) for j in range(f.u.shape[1])])
+    if push is not None and push.u is not None:
+        u = u + push.u
     nx = len(c.model.states)
     out = np.empty((len(x0), f.length, nx))
     first = np.tile(f.first, len(x0) // len(f.first))
-    steps = max(1, int(np.ceil(f.tick_s * SLOWEST_HZ)))
-    c.run(x0, first, np.ascontiguousarray(u), c.values(m), c.forces(m), c.places, nx, f.tick_s, steps, out)
+    steps = max(1, int(np.ceil(f.tick_s * min(max(SLOWEST_HZ, c.fastest / _STABLE), _FINEST_HZ))))
+    c.run(x0, first, np.ascontiguousarray(u), c.values(m, f.constants), c.forces(m), c.places, nx, f.tick_s, steps, out)
     states = [out[:, :, c.model.states.index(o.state)] for o in c.model.outputs]
-    read = [sensed(values, c.sensor(k, m), f.tick_s) for k, values in enumerate(states)]
-    return f.blocks(np.stack(read, axis=2))
+    read = f.blocks(np.stack([sensed(x, c.sensor(k, m), f.tick_s) for k, x in enumerate(states)], axis=2))
+    return read if push is None or push.y is None else read + np.tile(push.y, (len(x0) // len(f.first), 1, 1))
 
 
 def repeated(c: Composed, f: Followed, m: Mapping[str, float], share: float) -> Followed:
-    """The windows in a row as the model gives them, without noise, inputs and initial states `share` times as large."""
+    """The windows in a row as the model gives them, without noise, inputs and initial states `share` times as large.
+
+    What schedules stays as it is.
+    """
     rows, first = f.first[:, None] + np.arange(f.length), np.arange(f.first.size) * f.length
-    u = np.ascontiguousarray(share * f.u[rows].reshape(-1, f.u.shape[1]))
+    size = np.array([1.0 if i.schedules else share for i in c.model.inputs])
+    u = np.ascontiguousarray(size * f.u[rows].reshape(-1, f.u.shape[1]))
     own = replace(f, u=u, first=first, start=share * f.start, ranges=share * f.ranges)
     whole = replace(own, block=1, lead=0)
     y = simulated(c, whole, m, extended(c, whole, own.start))
@@ -221,7 +256,42 @@ def explained(c: Composed, f: Followed, m: Mapping[str, float], rounds: int = 1)
     round serves a fit; what is judged takes CONVERGED, since a window in which the nominal model has run away may need
     them all.
     """
-    x0: Array | None = None
+    found = started(c, f, m, rounds)
+    return _simulated(f, _projected(found.slopes, found.lacking))
+
+
+@dataclass(frozen=True, eq=False)
+class Started:
+    """A recording under some moves: lacking (windows, values) and slopes (windows, values, states) at the initial
+    states x0 that fit best, of which those at `free` may change."""
+
+    lacking: Array
+    slopes: Array
+    x0: Array
+    free: np.ndarray
+
+
+def nearby(c: Composed, f: Followed, near: Started, m: Mapping[str, float]) -> Array:
+    """Simulated outputs as of `explained`, initial states answering by the slopes of other moves: two simulations.
+
+    The second goes on from where the first says that windows start (variable projection with slopes kept: Kaufman
+    1975); a window that it does not serve keeps the first.
+    """
+    lacking = off(f, simulated(c, f, m, near.x0))
+    x0 = near.x0.copy()
+    x0[:, near.free] += _solved(near.slopes, lacking) * c.extended_ranges(f.ranges)[near.free]
+    tried = [_projected(near.slopes, found) for found in (lacking, off(f, simulated(c, f, m, x0)))]
+    sizes = [np.sum(values**2, axis=1) for values in tried]
+    return _simulated(f, np.where((sizes[1] < sizes[0])[:, None], tried[1], tried[0]))
+
+
+def _simulated(f: Followed, lacking: Array) -> Array:
+    return f.measured - lacking.reshape(f.measured.shape) * f.floor
+
+
+def started(c: Composed, f: Followed, m: Mapping[str, float], rounds: int) -> Started:
+    """Where a recording starts under some moves."""
+    x0 = extended(c, f, f.start)
     for _ in range(rounds):
         lacking, slopes, x0, free = shot(c, f, m, x0)
         change = np.zeros_like(x0)
@@ -231,5 +301,24 @@ def explained(c: Composed, f: Followed, m: Mapping[str, float], rounds: int = 1)
         tried = np.stack([lacking, *tried])
         best, each = np.argmin(np.sum(tried**2, axis=2), axis=0), np.arange(len(x0))
         lacking, x0 = tried[best, each], moved[best, each]
-    lacking = lacking - np.einsum("wvi,wi->wv", slopes, _solved(slopes, lacking))
-    return f.measured - lacking.reshape(f.measured.shape) * f.floor
+    return Started(lacking, slopes, x0, free)
+
+
+def _projected(slopes: Array, lacking: Array) -> Array:
+    """What of (windows, values) initial states do not explain, by straight lines."""
+    return np.asarray(lacking - np.einsum("wvi,wi->wv", slopes, _solved(slopes, lacking)))
+
+
+def pushed(c: Composed, f: Followed, m: Mapping[str, float], pushes: Sequence[Push]) -> Array:
+    """What each push does to the outputs over the floor, (windows, values, pushes), initial states answering.
+
+    By straight lines from the initial states that fit best without: a push is so small that it stays one.
+    """
+    at = started(c, f, m, CONVERGED)
+    still = simulated(c, f, m, at.x0)
+    out = []
+    for push in pushes:
+        moved = (simulated(c, f, m, at.x0, push) - still) / f.floor
+        moved = np.clip(np.nan_to_num(moved, nan=0.0), -_MOST, _MOST)
+        out.append(_projected(at.slopes, moved.reshape(len(at.x0), -1)))
+    return np.stack(out, axis=2)

@@ -25,11 +25,13 @@ FIELDS = (
     "viscous", "coulomb", "coulomb_speed", "bristle", "stribeck", "stribeck_speed", "stiffness", "hardening", "rest",
     "offset", "coupling", "coupling_damping", "play", "inertia",
     "viscous_speed", "viscous_power", "asymmetry", "coupling_hardening", "motor_damping", "viscous_square",
+    "load", "driven_back",
 )  # fmt: skip
 (
     VISCOUS, COULOMB, COULOMB_SPEED, BRISTLES, STRIBECK, STRIBECK_SPEED, STIFFNESS, HARDENING, REST,
     OFFSET, COUPLING, COUPLING_DAMPING, PLAY, INERTIA,
     VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING, VISCOUS_SQUARE,
+    LOAD, DRIVEN_BACK,
 ) = range(len(FIELDS))  # fmt: skip
 #: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
 DRIVEN, POSITION, SPEED = 0, 1, 2
@@ -38,7 +40,7 @@ _njit = numba.njit(nogil=True, error_model="numpy")
 
 
 @_njit
-def _level(f: Array, j: int, v: float) -> float:
+def level(f: Array, j: int, v: float) -> float:
     """Dry friction while sliding at a speed v: higher at break-away, another in each direction."""
     level = f[j, COULOMB]
     if f[j, ASYMMETRY] != 0.0:
@@ -49,13 +51,21 @@ def _level(f: Array, j: int, v: float) -> float:
 
 
 @_njit
-def _friction(f: Array, j: int, v: float, z: float) -> float:
-    """Force of dry friction against a speed v, of bristles by their deflection z."""
-    if f[j, COULOMB] == 0.0:
+def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
+    """Force of dry friction against a speed v, of bristles by their deflection z.
+
+    Without bristles it takes a share of the force u that the joint transmits too, a larger one where that is against v
+    (Duclusaud 2024, arXiv 2410.08650, has motor and load torques apart: in slow motion this share is some twice the K_l
+    of its M3). Misleading where u is a command that does not pass a gear.
+    """
+    if f[j, COULOMB] == 0.0 and f[j, LOAD] == 0.0 and f[j, DRIVEN_BACK] == 0.0:
         return 0.0
     if f[j, BRISTLES] > 0.0:
         return f[j, COULOMB] * z / f[j, BRISTLES]
-    return _level(f, j, v) * np.tanh(v / f[j, COULOMB_SPEED])
+    most = level(f, j, v)
+    if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0:
+        most += (f[j, LOAD] + f[j, DRIVEN_BACK] * (u * v < 0.0)) * abs(u)
+    return most * np.tanh(v / f[j, COULOMB_SPEED])
 
 
 @_njit
@@ -64,13 +74,13 @@ def _bend(f: Array, places: Array, nx: int, x: Array, stage: Array, h: float) ->
     for j in range(places.shape[0]):
         if f[j, BRISTLES] > 0.0 and f[j, COULOMB] > 0.0:
             k, v = nx + PER_PORT * j + BRISTLE, 0.5 * (x[places[j, SPEED]] + stage[places[j, SPEED]])
-            most = f[j, BRISTLES] * _level(f, j, v) / f[j, COULOMB]
+            most = f[j, BRISTLES] * level(f, j, v) / f[j, COULOMB]
             slid = np.exp(-abs(v) * h / most)
             stage[k] = slid * x[k] + (1.0 - slid) * most * np.sign(v)
 
 
 @_njit
-def _resisting(f: Array, j: int, q: float, v: float) -> float:
+def resisting(f: Array, j: int, q: float, v: float) -> float:
     """Springs, further damping and a constant, against the motion."""
     d, viscous = q - f[j, REST], f[j, VISCOUS]
     if f[j, VISCOUS_POWER] != 0.0:
@@ -81,7 +91,7 @@ def _resisting(f: Array, j: int, q: float, v: float) -> float:
 
 
 @_njit
-def _coupled(f: Array, j: int, twist: float, slip: float) -> float:
+def coupled(f: Array, j: int, twist: float, slip: float) -> float:
     """Force through a coupling with play."""
     half = 0.5 * f[j, PLAY]
     if abs(twist) <= half:
@@ -98,7 +108,7 @@ def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[n
     for j in range(places.shape[0]):
         q, v, k, a = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN]
         if f[j, INERTIA] > 0.0:
-            through = _coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
+            through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
             dx[k + MOTOR] = x[k + MOTOR_SPEED]
             own = drive[a] - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
             dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
@@ -107,7 +117,7 @@ def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[n
             dx[k + MOTOR] = 0.0
             dx[k + MOTOR_SPEED] = 0.0
         dx[k + BRISTLE] = 0.0
-        drive[a] -= _friction(f, j, v, x[k + BRISTLE]) + _resisting(f, j, q, v)
+        drive[a] -= friction(f, j, v, x[k + BRISTLE], drive[a]) + resisting(f, j, q, v)
     moved = motion(t, x, drive, p)
     for i in range(nx):
         dx[i] = moved[i]

@@ -1,44 +1,46 @@
 """A MuJoCo model as a machine: its equations of motion written out, its bodies, joints and gravity as parameters.
 
 MuJoCo compiles the model anew for every set of parameters; what its numbers say is put into equations of motion
-(`tree`) that numba compiles, ten times as fast as a step of MuJoCo. The two are compared at random states when the
-model is read, so that contacts, tendons and whatever else is no tree of hinges and slides is refused.
+(`tree`) that numba compiles, ten times as fast as a step of MuJoCo. What is no tree of hinges and slides with
+actuators at joints is refused by its name, and the two are compared at random states when the model is read.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import namedtuple
-from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.machine import Input, Mechanism, Model, ModelParameter, Output, Port
+from loopshape.data.machine import Mechanism, Model, ModelParameter, Output
+from loopshape.model.own.actuators import SPEED, Actuators, word
 from loopshape.model.own.numbers import (
     ARMATURE,
     DAMPING,
+    DRY,
+    GAIN,
     HINGE,
     LENGTH,
     MASS,
     PAYLOAD,
     PLACE,
-    SLIDE,
     TILT,
     Numbers,
     first,
 )  # fmt: skip
-from loopshape.model.own.tracing import Scalar, Tape, snapped
-from loopshape.model.own.tree import Joint, Link, source
+from loopshape.model.own.tracing import Tape, filled
+from loopshape.model.own.tree import chained, source
 
-SPEED = "_speed"
 STATES, SEED, NEAR = 5, 3, 1e-7  # states at which MuJoCo is asked as well, and how far off the equations may be
 
 
 def machine(mechanism: Mechanism) -> Model:
-    """The machine of a MuJoCo model; refuses what is no tree of hinges and slides driven by motors."""
+    """The machine of a MuJoCo model; refuses what is no tree of hinges and slides with actuators at its joints."""
     return _Built(Numbers(mechanism)).model()
 
 
@@ -56,35 +58,61 @@ class _Built:
     def nominal(self) -> Any:
         return self.numbers.nominal
 
+    @cached_property
+    def actuators(self) -> Actuators:
+        return Actuators(self.numbers)
+
     def model(self) -> Model:
-        self._tree_of_joints()
+        self.actuators.check()
+        self._is_tree()
         self._names()
         parameters = self._parameters()
         fields, motion = self._equations(parameters)
         derived = _Derived(self.numbers, tuple(p.name for p in parameters), fields)
-        inputs, ports = self._inputs(), self._ports()
+        joints = self.numbers.joints
         out = Model(
-            self.of.name, motion, (*self.numbers.joints, *(j + SPEED for j in self.numbers.joints)), parameters, inputs,
-            self._outputs(), ports, self.of.window_s, self.of.without, derived,
+            self.of.name, motion, (*joints, *(j + SPEED for j in joints), *self.actuators.states.values()), parameters,
+            self.actuators.inputs(), self._outputs(), self.actuators.ports(), self.of.window_s, self.of.without,
+            derived, matters=self.of.matters,
         )  # fmt: skip
         self._agrees(out)
         return out
 
-    def _tree_of_joints(self) -> None:
-        types = {int(t) for t in self.nominal.jnt_type}
-        if not types <= {HINGE, SLIDE} or not types:
-            raise WrongUseError(
-                f"the joints of {self.of.name} are hinges and slides", "a free joint, a ball joint, or none at all",
-                "describe the machine by a right-hand side in Python",
-            )  # fmt: skip
+    def _is_tree(self) -> None:
+        """Refuse by name what a tree of hinges and slides does not have."""
+        m, what = self.nominal, f"{self.of.name} is a tree of hinges and slides"
+        if not m.njnt:
+            raise WrongUseError(what, "no joint at all", "give the body that moves a joint")
+        for k, kind in ((k, _JOINTS.get(int(t))) for k, t in enumerate(m.jnt_type)):
+            if kind:
+                raise WrongUseError(
+                    what, f"{kind} joint {m.joint(k).name}",
+                    "replace it by hinges and slides, or describe the machine by a right-hand side in Python",
+                )  # fmt: skip
+        out = "leave it out of the model file, or describe the machine by a right-hand side in Python"
+        if m.ntendon:
+            raise WrongUseError(what, f"tendon {m.tendon(0).name or 0}", out)
+        for k in range(m.neq):
+            raise WrongUseError(what, f"equality {m.equality(k).name or k} ({word('Eq', m.eq_type[k])})", out)
+        for b in np.flatnonzero(m.body_gravcomp):
+            raise WrongUseError(what, f"gravcomp of body {m.body(int(b)).name}", "set it to 0, log the whole effort")
+        for number in ("density", "viscosity"):
+            if getattr(m.opt, number) > 0.0:
+                raise WrongUseError(what, f"a fluid of {number} {getattr(m.opt, number):g}", "set it to 0 in <option>")
 
     def _names(self) -> None:
         """Refuse tolerances and columns of what the model does not have."""
-        m = self.nominal
         known = {
             MASS: self.numbers.bodies, DAMPING: self.numbers.joints, ARMATURE: self.numbers.joints,
-            "motor_constant": [m.actuator(k).name for k in range(m.nu)],
+            DRY: [j for j, level in zip(self.numbers.joints, self.nominal.dof_frictionloss, strict=True) if level],
+            "motor_constant": [a.name for a in self.actuators.all],
         }  # fmt: skip
+        for name in self.of.motors:
+            if name not in self.numbers.joints or name in [a.name for a in self.numbers.spec.actuators]:
+                raise WrongUseError(
+                    "a motor by numbers stands at a joint, under its name, in place of an actuator", f"{name!r}",
+                    f"joints are {', '.join(self.numbers.joints)}; take an actuator of this name out of the model file",
+                )  # fmt: skip
         for kind, shares in self.of.spread.items():
             for name in shares:
                 if name not in known[kind]:
@@ -114,10 +142,15 @@ class _Built:
         for joint in self.numbers.joints:
             found, unit = self.nominal.joint(joint), self.numbers.unit(joint)
             for kind, value in ((DAMPING, first(found.damping)), (ARMATURE, first(found.armature))):
-                words = f"{unit[1]} s/{unit[0]}" if kind == DAMPING else "inertia"
+                words = f"{unit[1]} s/{unit[0]}" if kind == DAMPING else {"rad": "kg m2", "m": "kg"}[unit[0]]
                 out.append(ModelParameter(f"{kind}_{joint}", value, words, self._spread(kind, joint), "none"))
+            if (level := first(found.frictionloss)) > 0.0:
+                ends, effect = (-level, 4.0 * level), f"coulomb_friction@{joint}"
+                dry = self._spread(DRY, joint)
+                out.append(ModelParameter(f"{DRY}_{joint}", level, unit[1], dry, effect, ends))
+        out += self.actuators.parameters()
         tilt = ModelParameter(TILT, 0.0, "rad", effect="base_tilt@base", range=(-0.35, 0.35))
-        return (*out, tilt) if np.any(self.nominal.opt.gravity) else tuple(out)
+        return (*out, tilt) if np.any(self.numbers.gravity) else tuple(out)
 
     def _spread(self, kind: str, name: str) -> float:
         return self.of.spread.get(kind, {}).get(name, 0.0)
@@ -135,98 +168,99 @@ class _Built:
         fields = tuple((name, int(k)) for name, which in varies.items() for k in np.flatnonzero(which))
         tape = Tape()
         known = {field: tape.name(f"p.{_field(field)}") for field in fields}
-        shaped = {name: _filled(name, value, known) for name, value in nominal.items()}
-        links = _links(self.nominal, shaped)
-        text = source(links, shaped["gravity"], self._efforts(), tape)
+        shaped = {name: filled(name, value, known) for name, value in nominal.items()}
+        links = chained(self.nominal, shaped, self.numbers.creep)
+        text = source(links, shaped["gravity"], *self.actuators.written(shaped, tape), tape)
         space: dict[str, Any] = {"math": math}
         exec(compile(text, f"<equations of {self.of.name}>", "exec"), space)  # the project's own text, made of numbers
         return fields, space["motion"]
 
-    def _driving(self) -> list[tuple[str, str, float]]:
-        """Actuator, joint, effort per command; refuses what is no motor at a joint."""
-        out = []
-        m = self.nominal
-        for k in range(m.nu):
-            name = m.actuator(k).name
-            plain = m.actuator_trntype[k] == 0 and m.actuator_gaintype[k] == 0 and m.actuator_biastype[k] == 0
-            if not plain or m.actuator_dyntype[k] != 0:
-                raise WrongUseError(
-                    f"actuator {name} of {self.of.name} is a motor at a joint", "another kind of actuator",
-                    "log its effort, and replace it by <motor joint=...>",
-                )  # fmt: skip
-            joint = m.joint(int(m.actuator_trnid[k, 0])).name
-            out.append((name, joint, float(m.actuator_gainprm[k, 0] * m.actuator_gear[k, 0])))
-        return out
-
-    def _inputs(self) -> tuple[Input, ...]:
-        """One an actuator, and one a joint without: there effects alone act."""
-        driving = self._driving()
-        columns = self.of.actuators
-        own = [
-            Input(a, columns.get(a, (None, 1.0))[0], gain * columns.get(a, (None, 1.0))[1],
-                  self._spread("motor_constant", a), self.numbers.unit(j)[1])
-            for a, j, gain in driving
-        ]  # fmt: skip
-        idle = [j for j in self.numbers.joints if j not in [joint for _, joint, _ in driving]]
-        return (*own, *(Input(j, unit=self.numbers.unit(j)[1]) for j in idle))
-
-    def _efforts(self) -> list[list[int]]:
-        """Inputs that act on each joint."""
-        names = [i.name for i in self._inputs()]
-        acting: dict[str, list[int]] = {j: [names.index(j)] if j in names else [] for j in self.numbers.joints}
-        for actuator, joint, _ in self._driving():
-            acting[joint].append(names.index(actuator))
-        return [acting[j] for j in self.numbers.joints]
-
-    def _ports(self) -> tuple[Port, ...]:
-        """One a joint: a coupling between motor and link where a motor with a rotor drives it."""
-        names, out = [i.name for i in self._inputs()], []
-        driven = {j for _, j, _ in self._driving()}
-        for joint, acting in zip(self.numbers.joints, self._efforts(), strict=True):
-            rotor = first(self.nominal.joint(joint).armature) > 0.0 and joint in driven
-            inertia = f"{ARMATURE}_{joint}" if rotor else None
-            damping = f"{DAMPING}_{joint}" if rotor else None
-            unit = self.numbers.unit(joint)[1]
-            out.append(Port(joint, names[acting[0]], joint, joint + SPEED, inertia, unit, damping))
-        return tuple(out)
-
     def _outputs(self) -> tuple[Output, ...]:
-        """Sensors that have a column; refuses those that read no position or speed of a joint."""
+        """Sensors, or joints, that have a column; refuses those that read no position or speed of a joint."""
         out = []
-        for name, (column, factor) in self.of.sensors.items():
-            if name not in [s.name for s in self.of.spec.sensors]:
+        for name, (column, factor, *offset) in self.of.sensors.items():
+            joint = name.removesuffix(SPEED)
+            if name in [s.name for s in self.of.spec.sensors]:
+                joint, ending = self._sensed(name)
+            elif joint in self.numbers.joints:
+                ending = name.removeprefix(joint)
+            else:
                 raise WrongUseError(f"sensor {name} stands in {self.of.name}", "no such sensor", "correct its name")
-            sensor = self.of.spec.sensor(name)
-            ending = {"mjSENS_JOINTPOS": "", "mjSENS_JOINTVEL": SPEED}.get(sensor.type.name)
-            if ending is None:
-                raise WrongUseError(
-                    f"sensor {name} reads the position or the speed of a joint", sensor.type.name,
-                    "leave it out, or describe the machine by a right-hand side in Python",
-                )  # fmt: skip
-            unit = self.numbers.unit(sensor.objname)[0] + ("/s" if ending else "")
-            out.append(Output(name, sensor.objname + ending, column, factor, unit))
+            unit = self.numbers.unit(joint)[0] + ("/s" if ending else "")
+            out.append(Output(name, joint + ending, column, factor, unit, *offset))
         return tuple(out)
+
+    def _sensed(self, name: str) -> tuple[str, str]:
+        """Joint of a sensor of the model, and what stands behind it in the name of the state."""
+        sensor = self.of.spec.sensor(name)
+        ending = {"mjSENS_JOINTPOS": "", "mjSENS_JOINTVEL": SPEED}.get(sensor.type.name)
+        if ending is None:
+            raise WrongUseError(
+                f"sensor {name} reads the position or the speed of a joint", sensor.type.name,
+                "leave it out, or describe the machine by a right-hand side in Python",
+            )  # fmt: skip
+        return sensor.objname, ending
 
     def _agrees(self, model: Model) -> None:
-        """Refuse a model whose accelerations in MuJoCo are others: it has more than joints and bodies."""
+        """Refuse a model whose accelerations in MuJoCo are others, and name what touches at the states tried.
+
+        Ends of joints and dry friction are constraints there, which are left out: the one is not modelled, the other is
+        smooth (`tree`). Motors by numbers are not MuJoCo's.
+        """
         import mujoco
 
-        m, rng = self.nominal, np.random.default_rng(SEED)
-        data, p = mujoco.MjData(m), model.derived(tuple(model.values().values())) if model.derived else None
-        gains = {i.name: g for i in model.inputs for a, _, g in self._driving() if a == i.name}
+        m, rng = copy.copy(self.nominal), np.random.default_rng(SEED)
+        m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_LIMIT
+        data, held = mujoco.MjData(m), model.values()
+        held |= {name: 0.0 for name in held if name.startswith(DRY)} | {f"{GAIN}_{a}": 0.0 for a in self.of.motors}
+        p = model.derived(tuple(held.values())) if model.derived else None
         for _ in range(STATES):
-            data.qpos[:], data.qvel[:] = rng.normal(0.0, 0.3, m.nq), rng.normal(0.0, 1.0, m.nv)
-            data.ctrl[:] = rng.uniform(-0.1, 0.1, m.nu)
+            u, states = self._tried(data, m, rng)
             mujoco.mj_forward(m, data)
-            u = [gains[i.name] * data.ctrl[k] if i.name in gains else 0.0 for k, i in enumerate(model.inputs)]
-            mine = model.motion(0.0, [*data.qpos, *data.qvel], u, p)[m.nq :]
-            if np.max(np.abs(mine - data.qacc)) > NEAR * (1.0 + np.max(np.abs(data.qacc))):
+            self._touches_nothing(data)
+            mine = np.array(model.motion(0.0, [*data.qpos, *data.qvel, *states], u, p)[m.nq :])
+            theirs = np.concatenate([data.qacc, data.act_dot])
+            mine = mine[: theirs.size]
+            if np.max(np.abs(mine - theirs)) > NEAR * (1.0 + np.max(np.abs(theirs))):
                 raise WrongUseError(
                     f"{self.of.name} is a tree of hinges and slides",
-                    "accelerations in MuJoCo that joints, bodies and motors do not explain (contacts, tendons, "
-                    "equalities, dry friction)",
-                    "switch contacts off (contype and conaffinity 0), and leave the rest out",
+                    "accelerations in MuJoCo that joints, bodies and actuators do not explain",
+                    "leave out what is none of them (plugins, flexes, springs that are not linear)",
                 )  # fmt: skip
+
+    def _tried(self, data: Any, m: Any, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Fill in a random state and command, beyond clamps at times; the inputs and states of actuators to it."""
+        away = np.where(m.jnt_type == HINGE, 0.3, 0.05) * rng.normal(size=m.nq)
+        held = np.clip(m.qpos0 + away, *m.jnt_range.T)
+        data.qpos[:] = np.where(m.jnt_limited, held, m.qpos0 + away)
+        data.qvel[:] = rng.normal(0.0, 1.0, m.nv)
+        wide = np.array(m.actuator_ctrlrange[:, 1])
+        data.ctrl[:] = np.where(m.actuator_ctrllimited, wide, 0.1) * rng.uniform(-1.5, 1.5, m.nu)
+        stated = [a for a in self.actuators.servos if a.name in self.actuators.states]
+        states = rng.normal(0.0, 0.3, len(stated))
+        for k, a in enumerate(stated):
+            states[k] = states[k] if a.bounds is None else rng.uniform(*a.bounds)
+        data.act[:] = states[: m.na]
+        gains = self.numbers.efforts(m)["gain"][:, 0]
+        inputs, command = [], dict(zip([a.name for a in self.actuators.all], data.ctrl, strict=False))
+        for a in self.actuators.all:
+            value = command.get(a.name, 0.0) * (gains[a.row] if a.is_direct else 1.0)
+            inputs.append(value if a.limits is None else np.clip(value, *a.limits))
+        idle = len(self.actuators.inputs()) - len(inputs)
+        return np.array(inputs + [0.0] * idle), states
+
+    def _touches_nothing(self, data: Any) -> None:
+        for contact in data.contact:
+            if contact.exclude == 0:
+                one, other = (self._geom(int(k)) for k in contact.geom)
+                raise WrongUseError(
+                    f"nothing of {self.of.name} touches", f"geoms {one} and {other} near the initial position",
+                    'switch contacts off (<option><flag contact="disable"/></option>)',
+                )  # fmt: skip
+
+    def _geom(self, k: int) -> str:
+        found = self.nominal.geom(k)
+        return found.name or f"{k} of body {self.nominal.body(int(found.bodyid[0])).name}"
 
 
 class _Derived:
@@ -249,6 +283,7 @@ class _Derived:
 
 
 _REMEMBERED = 256
+_JOINTS = {0: "free", 1: "ball"}  # mjJNT_FREE, mjJNT_BALL
 
 
 def _named(fields: tuple[tuple[str, int], ...]) -> Any:
@@ -257,47 +292,3 @@ def _named(fields: tuple[tuple[str, int], ...]) -> Any:
 
 def _field(field: tuple[str, int]) -> str:
     return f"{field[0]}_{field[1]}"
-
-
-def _filled(name: str, value: Any, known: Mapping[tuple[str, int], Scalar]) -> Any:
-    """An array as nested lists, numbers that vary as names."""
-    flat: list[Scalar] = list(np.ravel(snapped(value)))
-    for k in range(len(flat)):
-        flat[k] = known.get((name, k), float(flat[k]))
-    shape = np.shape(value)
-    if not shape:
-        return flat[0]
-    return flat if len(shape) == 1 else [flat[k * shape[1] : (k + 1) * shape[1]] for k in range(shape[0])]
-
-
-def _links(m: Any, n: Mapping[str, Any]) -> list[Link]:
-    """Bodies as links: one a joint, each origin at its joint's anchor; the last joint of a body carries its mass."""
-    links: list[Link] = []
-    last, anchor_of = {0: -1}, {0: [0.0, 0.0, 0.0]}
-    nothing, straight = [[0.0] * 3] * 3, [[float(i == k) for k in range(3)] for i in range(3)]
-    for b in range(1, m.nbody):
-        parent, count = int(m.body_parentid[b]), int(m.body_jntnum[b])
-        above, shift, rotation = last[parent], anchor_of[parent], n[f"r{b}"]
-        origin = [o - s for o, s in zip(n[f"o{b}"], shift, strict=True)]
-        anchor = [0.0, 0.0, 0.0]
-        for j in range(int(m.body_jntadr[b]), int(m.body_jntadr[b]) + count):
-            new = n["anchor"][j] if m.jnt_type[j] == HINGE else [0.0, 0.0, 0.0]
-            step = [a - s for a, s in zip(new, anchor, strict=True)]
-            origin = [o + sum((r * s for r, s in zip(row, step, strict=True)), 0.0)
-                      for o, row in zip(origin, rotation, strict=True)]  # fmt: skip
-            links.append(Link(above, origin, rotation, _joint(m, n, j), 0.0, [0.0] * 3, nothing))
-            above, anchor, origin, rotation = len(links) - 1, new, [0.0] * 3, straight
-        centre = [c - a for c, a in zip(n[f"c{b}"], anchor, strict=True)]
-        body = (n[f"m{b}"], centre, n[f"i{b}"])
-        if count:
-            top = links[-1]
-            links[-1] = Link(top.parent, top.origin, top.rotation, top.joint, *body)
-        else:
-            links.append(Link(above, origin, rotation, None, *body))
-        last[b], anchor_of[b] = len(links) - 1, anchor
-    return links
-
-
-def _joint(m: Any, n: Mapping[str, Any], j: int) -> Joint:
-    numbers = [n[name][j] for name in ("damping", "stiffness", "rest", "armature", "zero")]
-    return Joint(bool(m.jnt_type[j] == HINGE), n["axis"][j], *numbers)

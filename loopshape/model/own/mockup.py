@@ -32,7 +32,7 @@ def machine_of(unit: Unit) -> Model:
     return Model(
         name=unit.name, motion=instances.motion(len(states)), states=states, parameters=unit.parameters,
         inputs=unit.inputs, outputs=unit.outputs, ports=unit.ports, window_s=unit.window_s, without=unit.without,
-        derived=instances.at,
+        derived=instances.at, matters=unit.matters,
     )  # fmt: skip
 
 

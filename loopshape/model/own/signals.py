@@ -19,6 +19,29 @@ SENSOR = {
     "delay_ms": (0.0, "ms"), "lag_ms": (0.0, "ms"), "lag_order": (1.0, "1"), "gain": (0.0, "1"), "offset": (0.0, ""),
 }  # fmt: skip
 
+#: the same for one sample `value` after another, `dt` s apart, in the order in which they act: code that stands alone
+SAMPLE = {
+    "dead": "value = np.sign(value) * max(abs(value) - DEAD, 0.0)",
+    "jump": "value = 0.0 if abs(value) < JUMP else value",
+    "gain": "value = (1.0 + GAIN) * value",
+    "lag_ms": """
+        for k in range(int(LAG_ORDER)):
+            held = state.get(k, value)
+            held += dt / (dt + 1e-3 * LAG_MS / LAG_ORDER) * (value - held)
+            state[k] = value = held
+        """,
+    "delay_ms": """
+        past = [(s, v) for s, v in state.get("past", []) if s < t] + [(t, value)]
+        while len(past) > 2 and past[1][0] <= t - 1e-3 * DELAY_MS:
+            past.pop(0)
+        state["past"] = past
+        value = float(np.interp(t - 1e-3 * DELAY_MS, *zip(*past)))
+        """,
+    "limit": "value = float(np.clip(value, -LIMIT, LIMIT))",
+    "knee": "value = value / (1.0 + min(abs(value) / LIMIT, 1e3) ** (1.0 / KNEE)) ** KNEE",
+    "offset": "value = value + OFFSET",
+}
+
 
 def delayed(values: Array, ticks: float) -> Array:
     """Values (..., n) a number of ticks later, linearly between ticks; before the first the first stands."""

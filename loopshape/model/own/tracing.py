@@ -5,7 +5,7 @@ Numbers stay numbers, so what is 0 or 1 disappears; what is computed twice is wr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -141,3 +141,14 @@ def snapped(values: object) -> Any:
     array = np.asarray(values, dtype=float)
     whole = np.round(array)
     return np.where(np.abs(array - whole) < 1e-14, whole, array).tolist()
+
+
+def filled(name: str, value: Any, known: Mapping[tuple[str, int], Scalar]) -> Any:
+    """An array as nested lists, numbers that vary as names."""
+    flat: list[Scalar] = list(np.ravel(snapped(value)))
+    for k in range(len(flat)):
+        flat[k] = known.get((name, k), float(flat[k]))
+    shape = np.shape(value)
+    if not shape:
+        return flat[0]
+    return flat if len(shape) == 1 else [flat[k * shape[1] : (k + 1) * shape[1]] for k in range(shape[0])]

@@ -6,13 +6,15 @@ a planar arm of two joints has some fifty operations.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from loopshape.model.own.tracing import (
     Row,
     Scalar,
     Tape,
+    Term,
     add,
     cross,
     dot,
@@ -23,10 +25,16 @@ from loopshape.model.own.tracing import (
     turned,
 )  # fmt: skip
 
+_HINGE = 3  # mjJNT_HINGE
+_STILL = 1e-12  # speed, so that no friction divides by nothing
+
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge or a slide along a unit axis (3,): its passive forces and the rotor's inertia."""
+    """A hinge or a slide along a unit axis (3,): its passive forces and the rotor's inertia.
+
+    Dry friction is `dry` * tanh(speed / (`creep` * `dry`)).
+    """
 
     is_hinge: bool
     axis: Row
@@ -35,6 +43,8 @@ class Joint:
     rest: Scalar
     armature: Scalar
     zero: Scalar
+    dry: Scalar = 0.0
+    creep: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -54,8 +64,44 @@ class Link:
     inertia: list[Row]
 
 
-def source(links: Sequence[Link], gravity: Sequence[Scalar], efforts: Sequence[Sequence[int]], tape: Tape) -> str:
-    """Source of `motion(t, x, u, p)`: positions, then speeds; `efforts` are the inputs that act on each joint."""
+def chained(m: Any, n: Mapping[str, Any], creep: list[float]) -> list[Link]:
+    """Bodies of a compiled model as links: one a joint, its origin at the anchor; a body's last joint has its mass."""
+    links: list[Link] = []
+    last, anchor_of = {0: -1}, {0: [0.0, 0.0, 0.0]}
+    nothing, straight = [[0.0] * 3] * 3, [[float(i == k) for k in range(3)] for i in range(3)]
+    for b in range(1, m.nbody):
+        parent, count = int(m.body_parentid[b]), int(m.body_jntnum[b])
+        above, shift, rotation = last[parent], anchor_of[parent], n[f"r{b}"]
+        origin = [o - s for o, s in zip(n[f"o{b}"], shift, strict=True)]
+        anchor = [0.0, 0.0, 0.0]
+        for j in range(int(m.body_jntadr[b]), int(m.body_jntadr[b]) + count):
+            new = n["anchor"][j] if m.jnt_type[j] == _HINGE else [0.0, 0.0, 0.0]
+            step = [a - s for a, s in zip(new, anchor, strict=True)]
+            origin = [o + sum((r * s for r, s in zip(row, step, strict=True)), 0.0)
+                      for o, row in zip(origin, rotation, strict=True)]  # fmt: skip
+            links.append(Link(above, origin, rotation, _joint(m, n, j, creep[j]), 0.0, [0.0] * 3, nothing))
+            above, anchor, origin, rotation = len(links) - 1, new, [0.0] * 3, straight
+        centre = [c - a for c, a in zip(n[f"c{b}"], anchor, strict=True)]
+        body = (n[f"m{b}"], centre, n[f"i{b}"])
+        if count:
+            top = links[-1]
+            links[-1] = Link(top.parent, top.origin, top.rotation, top.joint, *body)
+        else:
+            links.append(Link(above, origin, rotation, None, *body))
+        last[b], anchor_of[b] = len(links) - 1, anchor
+    return links
+
+
+def _joint(m: Any, n: Mapping[str, Any], j: int, creep: float) -> Joint:
+    numbers = [n[name][j] for name in ("damping", "stiffness", "rest", "armature", "zero", "frictionloss")] + [creep]
+    return Joint(bool(m.jnt_type[j] == _HINGE), n["axis"][j], *numbers)
+
+
+def source(links: Sequence[Link], gravity: Sequence[Scalar], efforts: Row, rates: Row, tape: Tape) -> str:
+    """Source of `motion(t, x, u, p)`: positions, speeds, then states of actuators.
+
+    `efforts` act on each joint; `rates` are the derivatives of the actuators' states.
+    """
     joints = [k.joint for k in links if k.joint is not None]
     n = len(joints)
     q = [tape.name(f"x[{k}]") - j.zero for k, j in enumerate(joints)]
@@ -69,12 +115,19 @@ def source(links: Sequence[Link], gravity: Sequence[Scalar], efforts: Sequence[S
     matrix = [[columns[k][i] + (joints[i].armature if i == k else 0.0) for k in range(n)] for i in range(n)]
     acting = []
     for k, j in enumerate(joints):
-        drive = dot([tape.name(f"u[{i}]") for i in efforts[k]], [1.0] * len(efforts[k]))
         spring = j.stiffness * (tape.name(f"x[{k}]") - j.rest)
-        acting.append(drive - j.damping * v[k] - spring - bias[k])
+        acting.append(efforts[k] - j.damping * v[k] - spring - bias[k] - _dry(j, v[k], tape))
     found = solved(matrix, acting)
-    returned = ", ".join(getattr(value, "text", repr(value)) for value in (*v, *found))
+    returned = ", ".join(getattr(value, "text", repr(value)) for value in (*v, *found, *rates))
     return "\n    ".join(["def motion(t, x, u, p):", *tape.lines, f"return ({returned},)\n"])
+
+
+def _dry(joint: Joint, speed: Scalar, tape: Tape) -> Scalar:
+    """Dry friction against the speed, smooth about 0."""
+    if not isinstance(joint.dry, Term) and joint.dry == 0.0:
+        return 0.0
+    slow = speed / (joint.creep * joint.dry + _STILL)
+    return joint.dry * tape.value(f"math.tanh({slow.text})")
 
 
 def _turns(links: Sequence[Link], q: Row, tape: Tape) -> list[list[Row]]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.data.channel import Channel
@@ -154,8 +154,7 @@ class ServoAxis:
         Same experiments and seeds, same recordings; `states` adds the true ones. A kernel takes so little time that
         `threads` changes nothing.
         """
-        if solver not in self.solvers:
-            raise WrongUseError("a solver is not known", f"{solver!r}", f"use {' or '.join(self.solvers)}")
+        refuse_unknown("a solver is not known", solver, self.solvers)
         return [self._run(e, dict(changes or {}), states) for e in experiments]
 
     def _run(self, e: Experiment, changes: dict[str, float], states: bool) -> Recording:
@@ -207,6 +206,9 @@ class ServoAxis:
         acting = following.acting_n(prepared)
         lacking = self.residuals(prepared, moves)["force"]
         return float(np.linalg.norm(lacking) / np.linalg.norm(acting))
+
+    def shapes(self, prepared: Sequence[following.Followed]) -> None:
+        """None: its submodels follow what was measured, and say themselves where a disturbance would act."""
 
     def paths(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:
         """Measured minus modelled relative to its noise floor: `position -> force` as `residuals`.

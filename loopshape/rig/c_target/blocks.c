@@ -103,6 +103,8 @@ uint8_t ask_block(struct reader *in, struct writer *out, const char **why)
     const uint8_t refused = take_block(in, &b);
     if (refused)
         return refuse(refused, why, refused == NO_ROOM ? "more of blocks than the target holds" : "BLOCK");
+    if (!sections_allowed(coefficients(&b), b.sections))
+        return refuse(NO_RANGE, why, OUTSIDE_CIRCLE);
     c->block[index] = b;
     c->blocks++;
     c->used += size_of(&b);

@@ -88,6 +88,13 @@ const char *board_trouble(int recording);
  */
 int board_place(const double *outputs, uint8_t loops, const double *references, int now);
 
+/*
+ * A number that was never given before, cannot be foreseen, and is not 0: what a host repeats to arm, so that recorded bytes
+ * arm nothing. From a generator of random numbers; without one, from what differs at each start (a counter kept in flash or
+ * EEPROM, raised at power-up) mixed with a fast timer's count. 0 says that there is none, and nothing can be armed then.
+ */
+uint64_t board_fresh(void);
+
 /* Emulated machines: the state of the noise generator from the next sample on. A real machine does nothing. */
 void board_noise(uint64_t state);
 

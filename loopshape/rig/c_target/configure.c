@@ -3,6 +3,8 @@
 
 #include <math.h>
 
+#define POLE_ROUNDING 1e-12 /* an integrator's pole lies on the circle within rounding */
+
 int all_finite(const double *values, size_t count)
 {
     for (size_t k = 0; k < count; k++)
@@ -33,6 +35,19 @@ static uint32_t period_of(double hz)
         return 1;
     const double ticks = board->rate_hz / (hz == 0.0 ? board->pwm_hz : hz), whole = floor(ticks + 0.5);
     return fabs(ticks - whole) < 1e-9 * whole && whole >= 1.0 && whole < 1e6 ? (uint32_t)whole : 0;
+}
+
+int poles_allowed(double a1, double a2)
+{
+    return fabs(a2) <= 1.0 + POLE_ROUNDING && fabs(a1) <= 1.0 + a2 + POLE_ROUNDING;
+}
+
+int sections_allowed(const double *table, uint8_t count)
+{
+    for (uint8_t k = 0; k < count; k++)
+        if (!poles_allowed(table[5u * k + 3], table[5u * k + 4]))
+            return 0;
+    return 1;
 }
 
 struct head {
@@ -144,6 +159,8 @@ uint8_t ask_sections(struct reader *in, struct writer *out, const char **why)
     if (!numbers_finite(*in, 5u * count))
         return refuse(NO_RANGE, why, "a coefficient is no number");
     take_table(in, (double *)c->sections[loop] + 5u * first, 5u * count);
+    if (!sections_allowed((const double *)c->sections[loop] + 5u * first, count))
+        return refuse(NO_RANGE, why, OUTSIDE_CIRCLE);
     c->sections_loop = loop;
     c->count[loop] = (uint8_t)(first + count);
     configuration_taken(payload, size);
@@ -192,7 +209,11 @@ uint8_t ask_ready(struct reader *in, struct writer *out, const char **why)
         return refuse(NO_CONFIGURED, why, "a sensor or command has no limit");
     if (!blocks_known())
         return refuse(NO_CONFIGURED, why, "a block reads one that is not there, or not known before it");
+    target.fresh = board_fresh();
+    if (target.fresh == 0)
+        return refuse(NO_CONFIGURED, why, "the board has no fresh number");
     c->ready = 1;
     put_u32(out, c->digest);
+    put_bits(out, target.fresh, 8);
     return 0;
 }

@@ -126,6 +126,8 @@ uint8_t ask_nodes(struct reader *in, struct writer *out, const char **why)
             six[k] = take_f64(in);
         if (!row_fits(s, row, six))
             return refuse(NO_RANGE, why, "a coefficient is no number, or a0 is 0 or changes its sign");
+        if (!poles_allowed(six[4] / six[3], six[5] / six[3]))
+            return refuse(NO_RANGE, why, OUTSIDE_CIRCLE);
     }
     s->taken += count;
     configuration_taken(payload, size);

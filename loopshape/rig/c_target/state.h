@@ -28,7 +28,7 @@ typedef float number;
 #define NOBODY 255u                        /* no limit's index */
 
 enum { IDLE, ARMED, RUNNING, FAULT };
-enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT, NO_PLACE };
+enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT, NO_PLACE, NO_FRESH };
 enum { COMPLETE, STOPPED, LIMIT, RATE_LIMIT, WATCHDOG, UNDERRUN, EMERGENCY_STOP, MACHINE };
 enum { CONTROLLER_INPUT, PLANT_INPUT, CONTROL };
 
@@ -121,8 +121,12 @@ struct target {
     struct range again[AGAIN_MOST];
     uint8_t again_count;
     uint16_t frames_sent;
-    uint32_t quiet_ticks, heard_ms, now_ms, samples_ms; /* since and when a request came; when samples went */
-    uint8_t heard;                                      /* a request came since target_poll was told the time */
+    uint32_t quiet_ticks, fed_ms; /* since and when the watchdog was fed */
+    uint32_t heard_ms, now_ms, samples_ms; /* when a request came; when samples went */
+    uint64_t fresh;       /* the number that ARM repeats, 0: none is given */
+    uint16_t fed_tag;     /* of the request that fed the watchdog last */
+    uint8_t armed_here;   /* this connection armed it last */
+    uint8_t fed, heard;   /* the watchdog was fed, a request came, since target_poll was told the time */
     uint8_t answer_waits;
     size_t answer_count, request_count; /* request_count 0: none is remembered */
     uint8_t request[FRAME_BODY];        /* what was answered last, its CRC left out */
@@ -145,6 +149,9 @@ uint8_t ask_sections(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_limit(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_ready(struct reader *in, struct writer *out, const char **why);
 int numbers_finite(struct reader in, size_t count);
+int poles_allowed(double a1, double a2); /* of a section */
+int sections_allowed(const double *table, uint8_t count);
+#define OUTSIDE_CIRCLE "a pole lies outside the unit circle"
 int controller_begins(uint8_t loop); /* whether this loop's controller comes next */
 void configuration_taken(const uint8_t *payload, size_t size);
 

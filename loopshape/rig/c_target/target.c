@@ -2,9 +2,12 @@
 #include "state.h"
 
 #define PROTOCOL 1
+#define ARM 0x06
 #define VENT 0x0C
 #define TAKES_SCHEDULES 4 /* of IDENTIFY's flags */
 #define TAKES_BLOCKS 8
+#define GUARDED 16 /* READY gives ARM's number, poles outside the unit circle are refused */
+#define TAGS_AHEAD 256u /* of a request that feeds the watchdog, beyond the one before it */
 #define IDLE_MS 1000u /* a host that is silent for so long may be replaced */
 
 struct target target;
@@ -37,7 +40,7 @@ static uint8_t ask_identify(struct reader *in, struct writer *out, const char **
     put_u32(out, TARGET_TICKS);
     put_f64(out, b->rate_hz);
     put_f64(out, b->pwm_hz);
-    put_u8(out, (uint8_t)(b->flags | (TARGET_POOL > 0 ? TAKES_SCHEDULES | TAKES_BLOCKS : 0)));
+    put_u8(out, (uint8_t)(b->flags | GUARDED | (TARGET_POOL > 0 ? TAKES_SCHEDULES | TAKES_BLOCKS : 0)));
     put_text(out, b->name);
     put_text(out, b->version);
     for (uint8_t k = 0; k < b->sensors + b->commands; k++)
@@ -52,16 +55,22 @@ static uint8_t ask_identify(struct reader *in, struct writer *out, const char **
 static uint8_t ask_arm(struct reader *in, struct writer *out, const char **why)
 {
     const uint32_t digest = take_u32(in);
+    const int older = in->left == 0;
+    const uint64_t number = take_bits(in, 8);
 
     (void)out;
     if (!read_whole(in))
-        return refuse(NO_MALFORMED, why, "ARM has another length");
+        return refuse(NO_MALFORMED, why, older ? "without READY's number: update the host" : "ARM has another length");
     if (!target.c.ready)
         return refuse(NO_CONFIGURED, why, "READY comes first");
     if (digest != target.c.digest)
         return refuse(NO_DIGEST, why, "another configuration than the one that is here");
+    if (target.fresh == 0 || number != target.fresh)
+        return refuse(NO_FRESH, why, "another number than READY gave last");
     if (sensor_outside() != NOBODY)
         return refuse(NO_RANGE, why, "a sensor is outside its limits");
+    target.fresh = 0;
+    target.armed_here = 1;
     run_forget();
     target.ended[1].waiting = 0;
     target.fault = 0;
@@ -176,7 +185,21 @@ static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer
         return refuse(NO_SUPPORT, why, "no such request");
     if (!(REQUESTS[type - 1].states & IN(target.state)))
         return refuse(NO_STATE, why, "not in this state");
+    if (REQUESTS[type - 1].states == IN(ARMED) && !target.armed_here)
+        return refuse(NO_PLACE, why, "another connection armed it");
     return REQUESTS[type - 1].ask(in, out, why);
+}
+
+/* A request was done: the watchdog is fed by those of the host that armed, each of them once, in the order of their tags. */
+static void feed(uint8_t type, uint16_t tag)
+{
+    const uint16_t ahead = type == ARM ? 1 : (uint16_t)(tag - target.fed_tag);
+
+    if (!target.armed_here || ahead == 0 || ahead > TAGS_AHEAD)
+        return;
+    target.fed_tag = tag;
+    target.quiet_ticks = 0;
+    target.fed = 1;
 }
 
 static void answer(const uint8_t *body, size_t count)
@@ -191,6 +214,8 @@ static void answer(const uint8_t *body, size_t count)
         out = body_of(target.answer, 0x82, tag);
         put_u16(&out, code);
         put_text(&out, why);
+    } else {
+        feed(body[0], tag);
     }
     target.answer_count = out.count;
     memcpy(target.request, body, count);
@@ -208,7 +233,6 @@ static void handle(const uint8_t *body, size_t count)
 {
     if (body[0] >= 0x80)
         return; /* an answer, perhaps our own by an echo: nothing is answered to it, and it is no sign of a host */
-    target.quiet_ticks = 0;
     target.heard = 1;
     if (!known(body, count))
         answer(body, count);
@@ -237,6 +261,8 @@ void target_new_line(void)
     target.decoder.spoilt = 0;
     target.request_count = 0;
     target.answer_waits = 0;
+    target.armed_here = 0;
+    target.fresh = 0;
     target.heard = 1;
 }
 
@@ -280,8 +306,11 @@ static void watch_host_by_clock(void)
     if (target.heard)
         target.heard_ms = target.now_ms;
     target.heard = 0;
-    if (loops_watched() && target.now_ms - target.heard_ms >= target.c.watchdog_ms)
-        loops_unheard(target.now_ms - target.heard_ms);
+    if (target.fed)
+        target.fed_ms = target.now_ms;
+    target.fed = 0;
+    if (loops_watched() && target.now_ms - target.fed_ms >= target.c.watchdog_ms)
+        loops_unheard(target.now_ms - target.fed_ms);
 }
 
 int target_poll(uint32_t now_ms)

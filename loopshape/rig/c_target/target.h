@@ -41,7 +41,7 @@ struct frame_decoder;
 #ifndef TARGET_BYTES
 #define TARGET_BYTES 256 /* bytes served between two looks at the timer */
 #endif
-#define TARGET_VERSION "1.2"
+#define TARGET_VERSION "1.3"
 
 /* At power-up: idle, the machine safe, nothing configured. */
 void target_init(void);

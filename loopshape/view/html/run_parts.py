@@ -8,6 +8,7 @@ import numpy as np
 
 from loopshape.core.units import db
 from loopshape.data.frf import FRF
+from loopshape.data.method import by_loop
 from loopshape.data.run_report import Envelope, Missing, RecordingSheet
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, details, figure, table, together
@@ -36,8 +37,8 @@ def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
         names = ["recordings", "outputs", "inputs", "lines", "from [Hz]", "to [Hz]"]
         parts.append(table("Plants of several channels", names, [_matrix(one) for one in matrices]))
     every = [*frfs, *matrices]
-    methods = [tag("li", method) for method in dict.fromkeys(one.method for one in every)]
-    parts += [tag("p", "Estimated by:"), tag("ul", *methods)] if methods else []
+    methods = [tag("li", line) for line in by_loop(every)]
+    parts += [tag("p", "Methods of the estimates:"), tag("ul", *methods)] if methods else []
     notes = [(one.recording, note) for one in every for note in one.notes]
     parts += [tag("p", "Notes and warnings of the estimates:"), tag("ul", *together(notes))] if notes else []
     return joined(parts)

@@ -12,15 +12,17 @@ from loopshape.view.page.payload import Shaped, payload
 SCRIPT, STYLE = "shape.js", "shape.css"
 
 
-def shape_page(loops: Sequence[Shaped], title: str, version: str, *, served: bool = False) -> str:
-    """The whole page as HTML; the same loops give the same text. `served` by a server, it may ask it and no other."""
+def shape_page(loops: Sequence[Shaped], title: str, version: str, *, saved: str | None = None) -> str:
+    """The whole page as HTML; the same loops give the same text. Of a server, it may ask it and no other,
+    and says which content of the server's file, `saved`, it may replace.
+    """
     script = resource(SCRIPT)
     body = [
         tag("div", tag("p", "This page needs JavaScript."), id="page"),
-        json_block("data", payload(loops, title, version) | {"served": served}),
+        json_block("data", payload(loops, title, version) | {"served": saved is not None, "saved": saved or ""}),
         tag("script", Markup(script), id="script"),
     ]
-    allowed = ("worker-src blob:", *["connect-src 'self'"] * served)
+    allowed = ("worker-src blob:", *["connect-src 'self'"] * (saved is not None))
     top = head(f"{title} · loopshape shape", resource(STYLE), script, *allowed)
     html = tag("html", top, tag("body", *body), lang="en")
     return f"<!DOCTYPE html>\n{html}\n"

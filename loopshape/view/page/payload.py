@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.json_ready import json_ready
-from loopshape.core.units import ComplexArray
+from loopshape.core.kernels import margins as kernel
+from loopshape.core.units import Array, ComplexArray
 from loopshape.data import smoothed as dense
 from loopshape.data.block import BLOCK_KINDS, Block
 from loopshape.data.controller import Controller
 from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.frf import FRF
 from loopshape.data.limits_over import MASKED, AtPoints
-from loopshape.data.loop import Loop
+from loopshape.data.loop import Loop, known_above, reach_above
 from loopshape.data.model import Fit
 from loopshape.data.objective import Objective
 from loopshape.data.requirements import LIMITS, Requirements
@@ -30,9 +31,20 @@ from loopshape.identify import smoothing
 from loopshape.identify.pole_terms import PLACES
 from loopshape.identify.resonances import Phase, Resonance, resonances
 from loopshape.identify.smoothing import Recipe, recipe_of
-from loopshape.loop import between, detuning, holes, margins, obstacles, sampling, shifted, stability, step_response
+from loopshape.loop import (
+    between,
+    detuning,
+    holes,
+    low_end,
+    margins,
+    obstacles,
+    sampling,
+    shifted,
+    stability,
+    step_response,
+)
 from loopshape.loop.crowded import Left, Stretch
-from loopshape.loop.low_end import Model, led_hz, low_hz, low_models
+from loopshape.loop.low_end import low_hz, low_models
 from loopshape.loop.low_frequency import LowModel
 from loopshape.loop.prediction import fit_of
 from loopshape.loop.verdict import loops_of, outside_warnings
@@ -94,7 +106,15 @@ def _constants() -> dict[str, Any]:
     """Numbers of the formulas, from the modules that hold them."""
     return {
         "reach": margins.REACH,
-        "down": margins.DOWN.tolist(),
+        "down": low_end.DOWN.tolist(),
+        "led": low_end.LED,
+        "far_below": low_end.SMALL,
+        "agree": low_end.AGREE,
+        "large": low_end.LARGE,
+        "at_zero": kernel.AT_ZERO,
+        "same": stability.SAME,
+        "least_damping": holes.LEAST_DAMPING,
+        "poor_damping": holes.POOR_DAMPING,
         "reach_95": obstacles.REACH_95,
         "wrong": obstacles.WRONG,
         "strays": obstacles.STRAYS,
@@ -277,34 +297,44 @@ def _terms(recipe: Recipe) -> list[dict[str, Any]]:
 
 def _low_end(loop: Loop) -> dict[str, Any]:
     """What fits or small models say of the plant below its first line."""
-    models: Sequence[Model] = low_models(loop)
-    below_hz = loop.below_hz if loop.below_hz.size else low_hz(loop)
-    led = led_hz(loop) if loop.model is not None else np.zeros(0)
-    down = models if loop.integrators == 0 else ()
+    models, below_hz = low_models(loop), low_hz(loop)
+    poles = np.zeros(0, dtype=complex) if loop.model is None else stability.unstable_or_undamped(loop.model)
     return {
-        "modelled": loop.model is not None,
+        "fitted_f": packed(loop.below_hz),
+        "fitted": packed(loop.P_below),
+        "fitted_poles": [_pair(p) for p in poles],
         "below_f": packed(below_hz),
         "below": [packed(model.response(below_hz)) for model in models],
-        "led_f": packed(led),
-        "led": packed(np.zeros(0) if loop.model is None else loop.model.response(led)),
-        "down": [_down(loop, model) for model in down],
+        "down": [_down(float(loop.frequency_hz[0]) * low_end.DOWN, model) for model in models],
+        "simple": any(low_end.is_simple(model) for model in models),
+        "order": [*low_end.low_order(loop.raw or loop.plant), low_end.room_of(loop.raw or loop.plant)],
+        "gaps": [_gap(gap) for gap in holes.gaps_of(loop)],
     }
 
 
-def _down(loop: Loop, model: Model) -> dict[str, Any]:
-    f = float(loop.frequency_hz[0]) * margins.DOWN
-    led = float(led_hz(loop)[0]) * margins.DOWN
-    small = isinstance(model, LowModel) and loop.scatter is not None
+def _gap(gap: holes.Gap) -> dict[str, Any]:
+    return {
+        "hz": [gap.low_hz, gap.high_hz],
+        "P": [_pair(gap.at_low), _pair(gap.at_high)],
+        "residue": gap.residue if np.isfinite(gap.residue) else 1e300,
+        "missing": gap.missing,
+    }
+
+
+def _down(f: Array, model: LowModel) -> dict[str, Any]:
     return {
         "P": packed(model.response(f)),
-        "P_led": packed(model.response(led)),
-        "moves": packed(model.moves(f)) if isinstance(model, LowModel) and small else None,
-        "lines": model.lines if isinstance(model, LowModel) else 0,
+        "slopes": packed(model.slopes(f)),
+        "influence": packed(model.influence),
+        "lines": model.lines,
     }
 
 
-def _beyond(frf: FRF | None) -> dict[str, str] | None:
-    return None if frf is None else {"f": packed(frf.frequency_hz), "P": packed(frf.siso)}
+def _beyond(frf: FRF | None) -> dict[str, Any] | None:
+    if frf is None:
+        return None
+    known = (known_above(frf) & (reach_above(frf) < np.abs(frf.siso))).tolist()
+    return {"f": packed(frf.frequency_hz), "P": packed(frf.siso), "reach": packed(reach_above(frf)), "known": known}
 
 
 def _resonance(one: Resonance) -> dict[str, Any]:

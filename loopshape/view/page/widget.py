@@ -54,7 +54,7 @@ class ShapeWidget(anywidget.AnyWidget):  # type: ignore[misc,unused-ignore]
         self._one = one
         super().__init__(
             script=resource(SCRIPT), style=resource(STYLE),
-            payload=payload([one], title, version) | {"served": False},
+            payload=payload([one], title, version) | {"served": False, "saved": ""},
             controller=one.controller, requirements=one.requirements,
         )  # fmt: skip
 

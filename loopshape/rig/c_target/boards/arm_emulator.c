@@ -119,6 +119,20 @@ int board_place(const double *outputs, uint8_t loops, const double *references, 
     return loops == 2 && memcmp(outputs, known, sizeof known) == 0 && rest_at(references[0], references[1], now);
 }
 
+/* The system's randomness, 0 where it gives none. */
+uint64_t board_fresh(void)
+{
+    uint64_t number = 0;
+    FILE *source = fopen("/dev/urandom", "rb");
+
+    if (source) {
+        if (fread(&number, sizeof number, 1, source) != 1)
+            number = 0;
+        fclose(source);
+    }
+    return number;
+}
+
 void board_noise(uint64_t state)
 {
     arm.noise = state;

@@ -3,7 +3,7 @@
  * and shows what a port has to write. No clock: the same lines give the same answers.
  *
  *     scripted [real|fast] PWM_HZ DEAD_ZONE     lines in: s NUMBERS (sensors), b HEX (bytes), t N (ticks), p MS (poll),
- *                                               x SENTENCE (the machine's trouble; - is none), . (answers with .)
+ *                                               x SENTENCE (the machine's trouble; - is none), n (another host came), . (answers with .)
  *                                               lines out: f HEX (a frame), g NUMBERS (pulses), safe, enable, noise N
  *     scripted decode                           bytes in; lines out: type, tag, length and CRC of each frame; bad N
  */
@@ -71,6 +71,13 @@ int board_place(const double *outputs, uint8_t loops, const double *references, 
     return 0;
 }
 
+/* Not to be foreseen is what a script has to do without. */
+uint64_t board_fresh(void)
+{
+    static uint64_t given;
+    return ++given * UINT64_C(0x9e3779b97f4a7c15);
+}
+
 void board_noise(uint64_t state)
 {
     printf("noise %llu\n", (unsigned long long)state);
@@ -113,6 +120,8 @@ static void follow(char *line)
             ;
     else if (line[0] == 'x')
         strncpy(trouble, strcmp(text, "-") ? text : "", sizeof trouble - 1);
+    else if (line[0] == 'n')
+        target_new_line();
     else
         puts(".");
 }

@@ -56,7 +56,7 @@ function pid(p: Record<string, number>): Section {
 }
 
 /** Poles of a block at s = 0, below zero of zeros there. */
-function integratorsOf(block: Block): number {
+export function integratorsOf(block: Block): number {
   const [num, den] = section(block).map((p) => Math.max(p.findIndex((c) => c !== 0), 0));
   return den - num;
 }
@@ -216,6 +216,16 @@ function roundedRefusal(block: Block, [b0, b1, b2, a1, a2]: number[]): string | 
 
 /** Poles at s = 0, less zeros there. */
 export const integrators = (c: Controller): number => c.blocks.reduce((sum, block) => sum + integratorsOf(block), 0);
+
+/** Zeros of the controller as it runs, [re, im] in z. */
+export function zerosOf(c: Controller): [number, number][] {
+  return biquads(c).flatMap(([b0, b1, b2]): [number, number][] => {
+    if (b0 === 0) return b1 === 0 ? [] : [[-b2 / b1, 0]];
+    const turn = b1 * b1 - 4 * b0 * b2;
+    const [middle, half] = [-b1 / (2 * b0), Math.sqrt(Math.abs(turn)) / (2 * b0)];
+    return turn < 0 ? [[middle, half], [middle, -half]] : [[middle + half, 0], [middle - half, 0]];
+  });
+}
 
 /** Centres and half widths in Hz of the controller's oscillatory poles as it runs. */
 export function poles(c: Controller): [number, number][] {

@@ -97,80 +97,79 @@ export interface Judged {
   draws: Draws | null;
 }
 
-/** Frequencies, L and C on lines from the crossover on; null where it is out of sight (`judged_lines`). */
-export function judgedLines(loop: Loop): { f: Real; L: Complex; C: Complex; led: number } | null {
-  const { point, controller, f, L, C } = loop;
-  const own = { f, L, C, led: 0 };
-  if (Math.hypot(L.re[0], L.im[0]) >= 1) return own;
-  if (!point.below.length) return null;
-  const below = control.response(controller, point.below_f);
-  const most = Math.max(...point.below.map((P) => magnitudes(times(below, P)).reduce((a, b) => Math.max(a, b), 0)));
-  if (loop.integrators <= 0 && most < 1) return own;
-  if (!point.modelled) return null;
-  const ledC = control.response(controller, point.led_f);
-  const ledL = times(ledC, point.led);
-  if (Math.hypot(ledL.re[0], ledL.im[0]) < 1) return null;
-  return { f: concat(point.led_f, f), L: joined(ledL, L), C: joined(ledC, C), led: point.led_f.length };
+/** Whether the lines show where |L| first falls through 1, or tell that it does not do so below them (`in_sight`). */
+export function inSight(loop: Loop): boolean {
+  const { point, f, L } = loop;
+  if (Math.hypot(L.re[0], L.im[0]) >= 1) return true;
+  const below = belowLines(loop).map(magnitudes);
+  const { led, far_below } = loop.plant.source.constants;
+  const largest = below.length ? Math.max(...below.map((size) => Math.max(...size))) : Infinity;
+  const falls = loop.integrators < 0 && largest < far_below;
+  if (!falls && !point.simple) return false;
+  if (loop.integrators <= 0 && largest < 1) return true;
+  const from = f[0] / led;
+  return below.every((size) => size.some((x, k) => point.below_f[k] >= from && x >= 1));
 }
 
-/** The lines that a loop's margins are read from, once for each model that tells how it starts at 0 Hz. */
-export function readings(loop: Loop): Judged[] {
-  const j = judged(loop);
-  if (loop.integrators || loop.point.integrators === null) return [j.lines];
-  const found = loop.point.down.map((down) => fromZero(loop, j.lines, j.led, down));
-  return found.length ? found : [j.lines];
-}
-
-function judged(loop: Loop): { lines: Judged; led: number } {
-  const found = judgedLines(loop) ?? { f: loop.f, L: loop.L, C: loop.C, led: 0 };
-  const { led } = found;
-  const { dense, denseC, denseL, point } = loop;
-  const reference = times(denseC, dense.reference);
-  const { draws } = loop;
-  if (!led) return { lines: { f: dense.f, L: denseL, C: denseC, reference, draws }, led };
-  const first = head(found.L, led);
-  const share = quotient(loop.plant.dense.reference, point.P, 0);
-  const own = loop.plant.dense.draws;
-  return {
-    led,
-    lines: {
-      f: concat(found.f.subarray(0, led), dense.f),
-      L: joined(first, denseL),
-      C: joined(head(found.C, led), denseC),
-      reference: joined(turned(first, share), reference),
-      draws: draws && own && beforeDraws(first, firstShares(own, point), draws),
-    },
-  };
-}
-
-const head = (z: Complex, n: number): Complex => ({ re: z.re.subarray(0, n), im: z.im.subarray(0, n) });
-
-function quotient(a: Complex, b: Complex, k: number): [number, number] {
-  const size = b.re[k] ** 2 + b.im[k] ** 2;
-  return [(a.re[k] * b.re[k] + a.im[k] * b.im[k]) / size, (a.im[k] * b.re[k] - a.re[k] * b.im[k]) / size];
-}
-
-function turned(z: Complex, [re, im]: [number, number]): Complex {
-  return { re: z.re.map((x, k) => x * re - z.im[k] * im), im: z.re.map((x, k) => x * im + z.im[k] * re) };
-}
-
-/** Each draw's error of the first line as a share of it. */
-function firstShares(draws: Draws, point: Point): Complex {
-  const n = draws.re.length / draws.count;
-  const out = zeros(draws.count);
-  const first = { re: Float64Array.of(point.P.re[0]), im: Float64Array.of(point.P.im[0]) };
-  for (let d = 0; d < draws.count; d++) {
-    const error = { re: Float64Array.of(draws.re[d * n]), im: Float64Array.of(draws.im[d * n]) };
-    [out.re[d], out.im[d]] = quotient(error, first, 0);
+/** How far towards -1 lines above those used may reach that are known well; 0 where none does (`Loop.largest_above`). */
+export function largestAbove({ point, controller }: Loop): number {
+  if (!point.beyond) return 0;
+  const { f, P, reach, known } = point.beyond;
+  const C = control.response(controller, f);
+  const L = times(C, P);
+  let most = 0;
+  for (let k = 0; k < f.length; k++) {
+    if (!known[k] || f[k] >= 0.5 * controller.rate_hz) continue;
+    const radius = Math.hypot(C.re[k], C.im[k]) * reach[k];
+    const share = 1 - reach[k] / Math.hypot(P.re[k], P.im[k]);
+    most = Math.max(most, 1 - Math.hypot(1 + share * L.re[k], share * L.im[k]) + radius);
   }
-  return out;
+  return most;
 }
 
-function beforeDraws(first: Complex, shares: Complex, draws: Draws): Draws {
-  return before(draws, first.re.length, (d, k) => [
-    first.re[k] * shares.re[d] - first.im[k] * shares.im[d],
-    first.re[k] * shares.im[d] + first.im[k] * shares.re[d],
-  ]);
+/** L below the first line, by each small model of the lowest lines. */
+export function belowLines({ point, controller }: Loop): Complex[] {
+  const C = control.response(controller, point.below_f);
+  return point.below.map((P) => times(C, P));
+}
+
+/** -slope/20 dB a decade of L over the lowest lines, a factor of 1.6 in frequency and four at least. */
+export function slopeOf({ point, f, C }: Loop): number {
+  const size = magnitudes(times(C, point.raw));
+  const count = Math.min(Math.max(4, placeIn(f, 1.6 * f[0])), f.length);
+  if (count < 2) return 0;
+  const x = Array.from(f.subarray(0, count), Math.log);
+  const y = Array.from(size.subarray(0, count), Math.log);
+  const [mx, my] = [x, y].map((values) => values.reduce((a, b) => a + b, 0) / count);
+  const along = x.reduce((sum, value) => sum + (value - mx) ** 2, 0);
+  return -x.reduce((sum, value, k) => sum + (value - mx) * (y[k] - my), 0) / along;
+}
+
+/** Whether L starts so large that nothing below its first line comes near -1 (`is_large`). */
+export function isLarge(loop: Loop): boolean {
+  const { large, agree } = loop.plant.source.constants;
+  return Math.hypot(loop.L.re[0], loop.L.im[0]) >= large && loop.integrators >= 0 && slopeOf(loop) > -agree;
+}
+
+/** Whether the lowest lines tell how L goes on below them (`is_told`). */
+export function isTold(loop: Loop): boolean {
+  const { point, integrators } = loop;
+  const { agree } = loop.plant.source.constants;
+  const fitted = point.fitted_f.length > 0;
+  if (point.unstable_poles && !fitted) return point.simple;
+  if (fitted || point.below.length) return true;
+  const [phase, slope, room] = point.order;
+  if (isLarge(loop) && Math.abs(phase - slope) < 1) return true;
+  return integrators >= 0 && Math.abs(phase - slope) < room && slopeOf(loop) > -agree;
+}
+
+/** The lines that a loop's margins are read from, once for each model that tells what lies below them. */
+export function readings(loop: Loop): Judged[] {
+  const { dense, denseC, denseL, draws, point } = loop;
+  const j = { f: dense.f, L: denseL, C: denseC, reference: times(denseC, dense.reference), draws };
+  if (point.integrators === null || isLarge(loop) || !inSight(loop)) return [j];
+  const found = point.down.map((down) => fromBelow(loop, j, down));
+  return found.length ? found : [j];
 }
 
 function before(draws: Draws, led: number, at: (d: number, k: number) => [number, number]): Draws {
@@ -199,55 +198,49 @@ function scaled(draws: Draws, C: Complex, out: Draws): Draws {
   return out;
 }
 
-/** The lines with those before them down to 0 Hz, where L starts on the negative real axis (`_from_zero`). */
-function fromZero(loop: Loop, j: Judged, led: number, down: Down): Judged {
-  const shares = loop.plant.source.constants.down;
+/** The lines with those before them as a model tells them, down to 0 Hz where L is finite there (`_from_below`). */
+function fromBelow(loop: Loop, j: Judged, down: Down): Judged {
+  const finite = loop.integrators <= 0;
+  const skipped = finite ? 0 : 1;
+  const shares = loop.plant.source.constants.down.slice(skipped);
   const f = Float64Array.from(shares, (share) => j.f[0] * share);
   const C = control.response(loop.controller, f);
-  const L = times(C, led ? down.P_led : down.P);
-  if (L.re[0] >= 0) return j;
-  L.im[0] = -1e-9 * Math.hypot(L.re[0], L.im[0]) * (L.im[1] >= 0 ? 1 : -1);
+  const P = { re: down.P.re.subarray(skipped), im: down.P.im.subarray(skipped) };
+  const L = times(C, P);
+  if (finite) L.im[0] = L.re[0] < 0 ? -1e-9 * Math.hypot(L.re[0], L.im[0]) * (L.im[1] >= 0 ? 1 : -1) : 0;
   let draws: Draws | null = null;
   if (j.draws) {
-    const moved = down.moves ? modelMoves(loop, C, down.moves, down.lines) : firstMoves(j, L);
+    const moved = modelMoves(loop, C, down, skipped);
     draws = before(j.draws, f.length, (d, k) => {
       const at = d * f.length + k;
-      return [moved.re[at], k === 0 ? 0 : moved.im[at]];
+      return [moved.re[at], finite && k === 0 ? 0 : moved.im[at]];
     });
   }
   return { f: concat(f, j.f), L: joined(L, j.L), C: joined(C, j.C), reference: joined(L, j.reference), draws };
 }
 
-function firstMoves(j: Judged, L: Complex): Complex {
-  const draws = j.draws as Draws;
-  const n = j.f.length;
-  const out = zeros(draws.count * L.re.length);
-  for (let d = 0; d < draws.count; d++) {
-    const error = { re: draws.re.subarray(d * n, d * n + 1), im: draws.im.subarray(d * n, d * n + 1) };
-    const [re, im] = quotient(error, j.L, 0);
-    for (let k = 0; k < L.re.length; k++) {
-      out.re[d * L.re.length + k] = L.re[k] * re - L.im[k] * im;
-      out.im[d * L.re.length + k] = L.re[k] * im + L.im[k] * re;
-    }
-  }
-  return out;
-}
-
-/** What errors of the lowest lines do to C times a small model, by a matrix (8, 2 lines): real parts, then imaginary. */
-function modelMoves(loop: Loop, C: Complex, moves: Complex, lines: number): Complex {
+/** What errors of the lowest lines do to C times a small model, at its places from the one `skipped` on. */
+export function modelMoves(loop: Loop, C: Complex, { slopes, influence, lines }: Down, skipped: number): Complex {
   const own = loop.plant.dense.draws as Draws;
   const dense = loop.plant.dense.f;
   const n = dense.length;
   const at = Array.from({ length: lines }, (_, k) => placeIn(dense, loop.f[k]));
+  const count = influence.length / (2 * lines);
+  const change = new Float64Array(count);
   const out = zeros(own.count * C.re.length);
   for (let d = 0; d < own.count; d++) {
+    for (let p = 0; p < count; p++) {
+      change[p] = 0;
+      for (let i = 0; i < lines; i++) {
+        const row = p * 2 * lines + i;
+        change[p] += influence[row] * own.re[d * n + at[i]] + influence[row + lines] * own.im[d * n + at[i]];
+      }
+    }
     for (let k = 0; k < C.re.length; k++) {
       let [re, im] = [0, 0];
-      for (let i = 0; i < lines; i++) {
-        const [er, ei] = [own.re[d * n + at[i]], own.im[d * n + at[i]]];
-        const row = k * 2 * lines + i;
-        re += moves.re[row] * er + moves.re[row + lines] * ei;
-        im += moves.im[row] * er + moves.im[row + lines] * ei;
+      for (let p = 0; p < count; p++) {
+        re += slopes.re[(k + skipped) * count + p] * change[p];
+        im += slopes.im[(k + skipped) * count + p] * change[p];
       }
       const place = d * C.re.length + k;
       out.re[place] = C.re[k] * re - C.im[k] * im;

@@ -179,13 +179,14 @@ class Page implements Guest {
   private async serverSays(what: string): Promise<Record<string, unknown> | null> {
     const on = this.design.blocks.filter((block) => !block.off);
     const controllers = this.designs.map((design) => this.running(design));
-    const asked = { controller: this.controller, controllers, requirements: this.design.requirements, locked: on.length ? on.map((block) => block.locked) : [[]] };
+    const asked = { saved: this.payload.saved, controller: this.controller, controllers, requirements: this.design.requirements, locked: on.length ? on.map((block) => block.locked) : [[]] };
     this.say("Asking loopshape …");
     try {
       const headers = { "Content-Type": "application/json" };
       const response = await fetch(what, { method: "POST", headers, body: JSON.stringify(asked) });
       const answer = (await response.json()) as Record<string, unknown>;
       this.say(String(answer.error ?? answer.words));
+      if (typeof answer.saved === "string") this.payload.saved = answer.saved;
       return response.ok ? answer : null;
     } catch {
       this.say("The server does not answer: is loopshape shape --serve still running?");

@@ -5,7 +5,7 @@ import * as control from "./controller";
 import { sumsOf, type Draws } from "./dense";
 import type { Detuning } from "./detuning";
 import { MASKED, type Reader } from "./limits";
-import { readings, type Judged, type Loop } from "./loop";
+import { inSight, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
 
@@ -51,6 +51,8 @@ export interface Margins {
   intervals: Record<string, Interval>;
   bounds: Record<string, number>;
   at_hz: Record<string, number>;
+  /** Holes between the frequencies, in which a reading is a guess. */
+  missing_hz: Interval[];
   crossings_hz: number[];
   phase_crossings_hz: number[];
   stability: Stability | null;
@@ -77,12 +79,15 @@ export function margins(loop: Loop, reader: Reader): Margins {
       intervals[name] = [Math.min(low[name], high[name]), Math.max(low[name], high[name])];
     }
   }
+  const ends = bounds(loop, first, found, reader);
+  if (!inSight(loop)) notMeasured(values, ends, intervals, first.f[0]);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
   return {
     values,
     intervals,
-    bounds: bounds(loop, first, found, reader),
+    bounds: ends,
+    missing_hz: loop.point.gaps.filter((gap) => gap.missing).map((gap) => gap.hz),
     at_hz: places(at, first.f[0]),
     crossings_hz: unitCrossings(first.f, first.L),
     phase_crossings_hz: axisCrossings(first.f, first.L),
@@ -92,6 +97,18 @@ export function margins(loop: Loop, reader: Reader): Margins {
   };
 }
 
+/** Leave out what belongs to a crossover below the first line: nothing, and a bandwidth from 0 up to that line. */
+function notMeasured(
+  values: Record<string, number>, ends: Record<string, number>, intervals: Record<string, Interval>, first_hz: number,
+): void {
+  for (const name of ["phase_margin_deg", "delay_margin_s", "gain_reduction_margin_db"]) {
+    values[name] = NaN;
+    delete ends[name];
+    delete intervals[name];
+  }
+  if (values.bandwidth_hz === 0) ends.bandwidth_hz = first_hz;
+}
+
 const grids = new WeakMap<Judged, kernel.Grid>();
 
 function gridOf(loop: Loop, j: Judged, reader: Reader): kernel.Grid {
@@ -99,7 +116,7 @@ function gridOf(loop: Loop, j: Judged, reader: Reader): kernel.Grid {
   if (known) return known;
   const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
   const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
-  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, reader);
+  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, reader, largestAbove(loop));
   grids.set(j, made);
   return made;
 }
@@ -146,7 +163,7 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   for (let c = 0; c < kernel.COLUMNS; c++) {
     const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
     const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
-    if (usual && ofOnePiece(ordered)) {
+    if (usual && ofOnePiece(ordered) && deviation(ordered) <= (DISTANCES[c] ?? Infinity)) {
       out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
       const half = reach * deviation(ordered);
       [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
@@ -158,6 +175,15 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   }
   return out;
 }
+
+/** Distances to -1 and peaks over them scatter as logarithms only where they are known to better than half. */
+const DISTANCES: Record<number, number> = {
+  [kernel.LN_MODULUS]: 0.5,
+  [kernel.LN_DISK]: 0.5,
+  [kernel.COMPLEMENTARY_DB]: 4.34,
+  [kernel.CONTROL_DB]: 4.34,
+  [kernel.PROCESS_DB]: 4.34,
+};
 
 const mean = (values: Float64Array): number => values.reduce((a, b) => a + b, 0) / values.length;
 

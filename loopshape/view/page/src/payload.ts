@@ -25,6 +25,7 @@ export interface Constants {
   degree: number;
   step: number;
   small: number;
+  far_below: number;
   most: number;
   wide: number;
   sharpest: number;
@@ -47,6 +48,14 @@ export interface Constants {
   along: number[];
   draws: number;
   down: number[];
+  /** Of what lies below the first line, and of holes (Python: loop/low_end.py, loop/holes.py). */
+  led: number;
+  agree: number;
+  large: number;
+  at_zero: number;
+  same: number;
+  least_damping: number;
+  poor_damping: number;
   detuning: {
     searched: number;
     warned: number;
@@ -87,13 +96,16 @@ interface RawPoint {
   integrators: number | null;
   unstable_poles: number | null;
   open_loop_note: string;
-  modelled: boolean;
+  fitted_f: string;
+  fitted: string;
+  fitted_poles: [number, number][];
   below_f: string;
   below: string[];
-  led_f: string;
-  led: string;
-  down: { P: string; P_led: string; moves: string | null; lines: number }[];
-  beyond: { f: string; P: string } | null;
+  down: { P: string; slopes: string; influence: string; lines: number }[];
+  simple: boolean;
+  order: [number, number, number];
+  gaps: Gap[];
+  beyond: { f: string; P: string; reach: string; known: boolean[] } | null;
   crowds: (Omit<Crowd, "poles" | "residues" | "polynomials" | "hidden"> & Record<"poles" | "residues" | "polynomials" | "hidden", string>)[];
   scattered: number[];
   rough: string | null;
@@ -147,12 +159,20 @@ export interface Term {
   influence: Complex;
 }
 
-/** A small model's response below the first line, and what errors of the lowest lines do to it. */
+/** A small model's response below the first line, and what errors of the lowest lines do to its coefficients. */
 export interface Down {
   P: Complex;
-  P_led: Complex;
-  moves: Complex | null;
+  slopes: Complex;
+  influence: Real;
   lines: number;
+}
+
+/** Two frequencies between which lines are missing or too uncertain, the plant at both, and what may hide there. */
+export interface Gap {
+  hz: [number, number];
+  P: [[number, number], [number, number]];
+  residue: number;
+  missing: boolean;
 }
 
 export interface Hidden {
@@ -176,13 +196,16 @@ export interface Point {
   terms: Term[];
   integrators: number | null;
   unstable_poles: number | null;
-  modelled: boolean;
+  fitted_f: Real;
+  fitted: Complex;
+  fitted_poles: [number, number][];
   below_f: Real;
   below: Complex[];
-  led_f: Real;
-  led: Complex;
   down: Down[];
-  beyond: { f: Real; P: Complex } | null;
+  simple: boolean;
+  order: [number, number, number];
+  gaps: Gap[];
+  beyond: { f: Real; P: Complex; reach: Real; known: boolean[] } | null;
   crowds: Crowd[];
   /** Gaps about which lines scatter, and how far from its lines P may come in each gap, where that matters. */
   scattered: number[];
@@ -223,6 +246,8 @@ export interface Raw {
   random: { smoothing: State; between: State };
   loops: RawLoop[];
   served: boolean;
+  /** What tells the content of the server's file from any other, as it was when this page was loaded or saved it. */
+  saved: string;
 }
 
 export interface Payload extends Omit<Raw, "loops"> {
@@ -250,15 +275,15 @@ function pointOf(raw: RawPoint): Point {
     terms: raw.terms.map((x) => ({ ...x, influence: complex(x.influence) })),
     below_f: realOf(raw.below_f),
     below: raw.below.map(complex),
-    led_f: realOf(raw.led_f),
-    led: complex(raw.led),
+    fitted_f: realOf(raw.fitted_f),
+    fitted: complex(raw.fitted),
     down: raw.down.map((x) => ({
       P: complex(x.P),
-      P_led: complex(x.P_led),
-      moves: x.moves === null ? null : complex(x.moves),
+      slopes: complex(x.slopes),
+      influence: realOf(x.influence),
       lines: x.lines,
     })),
-    beyond: raw.beyond && { f: realOf(raw.beyond.f), P: complex(raw.beyond.P) },
+    beyond: raw.beyond && { f: realOf(raw.beyond.f), P: complex(raw.beyond.P), reach: realOf(raw.beyond.reach), known: raw.beyond.known },
     crowds: raw.crowds.map((x) => ({
       ...x,
       poles: singlesOf(x.poles),

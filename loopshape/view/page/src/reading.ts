@@ -33,8 +33,12 @@ const OVER_MASKS = [MASK_S, MASK_T, MASK_CS, MASK_PS, MASK_L, FLOOR_L];
 const LARGEST = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, ...OVER_MASKS];
 const RISING = [LN_BANDWIDTH_HZ, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ];
 
+/** A first frequency below this share of the second stands for 0 Hz; |L| from which on nothing below it matters. */
+const [AT_ZERO, LARGE] = [1e-4, 10];
+
 /** Frequencies of the lines with |C|² on them, and the largest |C|² above the last: of all, and where it counts as high.
- * Masks weigh squared magnitudes on the lines; above the last one `over` has what the largest of them comes to. */
+ * Masks weigh squared magnitudes on the lines; above the last one `over` has what the largest of them comes to; |L|
+ * stays below its last value there, or `least`. */
 export interface Grid {
   f: Real;
   c2: Real;
@@ -43,6 +47,7 @@ export interface Grid {
   mostHigh: Peak;
   masks: Real[] | null;
   over: Peak[];
+  least: number;
 }
 
 interface Peak {
@@ -51,7 +56,7 @@ interface Peak {
 }
 
 /** A grid; `aboveF` and `aboveC2` go on above the last line. */
-export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz, masks }: Reader): Grid {
+export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz, masks }: Reader, least: number): Grid {
   const most = { size: -1, hz: NaN };
   const mostHigh = { size: -1, hz: NaN };
   for (let i = 0; i < aboveF.length; i++) {
@@ -59,7 +64,7 @@ export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz,
       if (aboveC2[i] > peak.size) Object.assign(peak, { size: aboveC2[i], hz: aboveF[i] });
     }
   }
-  return { f, c2, fromHz, most, mostHigh, masks: weights(masks, f), over: largestOver(weights(masks, aboveF), aboveF, aboveC2) };
+  return { f, c2, fromHz, most, mostHigh, masks: weights(masks, f), over: largestOver(weights(masks, aboveF), aboveF, aboveC2), least };
 }
 
 /** Above the last line, the largest weight of each quantity, with what |C|² adds to it. */
@@ -96,7 +101,8 @@ function between(f0: number, f1: number, size0: number, size1: number, level: nu
 
 /** Margins of L, given by its parts; `bounded` counts what |L| may do above the last line. */
 export function read(grid: Grid, re: Real, im: Real, bounded: boolean, out: Reading): void {
-  ended(grid, scan(grid, re, im, out), bounded, out);
+  const last = scan(grid, re, im, out);
+  ended(grid, Math.hypot(re[0], im[0]), last, bounded, out);
 }
 
 /** What the lines alone tell, magnitudes squared; gives |L| on the last one. */
@@ -113,7 +119,6 @@ function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
   let atT = 0, atC = 0, atH = 0, atP = 0, atD = 0, chord = 0, chordShare = 0;
   let beforeS = 0, beforeT = 0, beforeSize = 0, lastX = 0, lastY = 0;
   let crossed = false, sensed = false;
-  const begins = n > 0 && Math.hypot(re[0], im[0]) >= 1;
   for (let k = 0; k < n; k++) {
     const x = re[k];
     const y = im[k];
@@ -161,11 +166,11 @@ function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
       }
       if (beforeSize >= 1 !== size >= 1) {
         unitCrossing(f[k - 1], f[k], lastX, lastY, x, y, out);
-        if (!crossed && begins) {
+        if (!crossed && beforeSize >= 1) {
           found[LN_BANDWIDTH_HZ] = between(f[k - 1], f[k], beforeSize, size, 1);
           at[LN_BANDWIDTH_HZ] = Math.exp(found[LN_BANDWIDTH_HZ]);
+          crossed = true;
         }
-        crossed = true;
       }
       if (lastY >= 0 !== y >= 0) axisCrossing(f[k - 1], f[k], lastX, lastY, x, y, out);
       if (!sensed && beforeS < 0.5 && 0.5 <= s2) {
@@ -220,8 +225,10 @@ function place(out: Reading, column: number, value: number, where: number): void
   out.at[column] = where;
 }
 
-function ended(grid: Grid, last: number, bounded: boolean, out: Reading): void {
+function ended(grid: Grid, first: number, lastLine: number, bounded: boolean, out: Reading): void {
+  const last = Math.max(lastLine, grid.least);
   if (bounded) {
+    below(grid, first, out);
     if (last >= 1) {
       out.found[PHASE_DEG] = 0;
       out.found[LN_DELAY_S] = -Infinity;
@@ -260,6 +267,20 @@ function axisCrossing(f0: number, f1: number, x0: number, y0: number, x1: number
   const where = f0 + share * (f1 - f0);
   if (size <= 0) note(out, GAIN_DB, -size, where, false);
   else note(out, REDUCTION_DB, size, where, false);
+}
+
+/** Below the first line |L| stays above `first`; where that is no more than 1 nothing is known. */
+function below({ f }: Grid, first: number, out: Reading): void {
+  if (f.length < 2 || f[0] <= AT_ZERO * f[1]) return;
+  note(out, REDUCTION_DB, 2 * DB * Math.log(Math.max(first, 1)), f[0], false);
+  if (first >= LARGE) return;
+  const room = Math.max(first - 1, 0);
+  note(out, LN_MODULUS, room ** 2, f[0], false);
+  note(out, LN_DISK, (room / (1 + first)) ** 2, f[0], false);
+  note(out, COMPLEMENTARY_DB, first ** 2 / Math.max(room, 1e-9) ** 2, f[0], true);
+  if (room > 0) return;
+  note(out, PHASE_DEG, 0, f[0], false);
+  note(out, LN_DELAY_S, -Infinity, f[0], false);
 }
 
 /** Above the last line |L| stays below `last`: how near -1 it may come there, and how large all may be. */
@@ -311,8 +332,9 @@ export function readDraws(grid: Grid, reference: Complex, draws: Draws): Reading
     }
     const last = scan(grid, re, im, one);
     other.found.set(one.found);
-    ended(grid, last, true, one);
-    ended(grid, last, false, other);
+    const first = Math.hypot(re[0], im[0]);
+    ended(grid, first, last, true, one);
+    ended(grid, first, last, false, other);
     out.bounded.set(one.found, d * COLUMNS);
     out.open.set(other.found, d * COLUMNS);
   }

@@ -3,12 +3,12 @@
 import { clip, concat, placeIn, times, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
 import { addPole, sumsOf, type Dense, type Draws } from "./dense";
-import { followed, judgedLines, type Loop, type Plant } from "./loop";
+import { followed, inSight, largestAbove, type Loop, type Plant } from "./loop";
 import { aboveHz } from "./margins";
 import type { Seen } from "./payload";
 import type { Reader } from "./limits";
 import * as kernel from "./reading";
-import { countUnstable } from "./stability";
+import { countUnstable, swingNear } from "./stability";
 
 /** Margins by column, unstable poles by the bare count, and the least distance of L from -1 over its deviation. */
 export interface Reading {
@@ -111,7 +111,7 @@ export class Moved {
       if (!(share >= clear)) clear = share;
     }
     const led = belowC && belowP && times(belowC, belowP);
-    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg);
+    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg, led ? 0 : swingNear(loop));
     const made = { values: out.found, poles, clear };
     this.readings.set(percent, made);
     return made;
@@ -171,7 +171,8 @@ export class Moved {
     const aboveF = concat(above, more).filter((x) => x > f[f.length - 1] && x <= 0.45 * rate_hz);
     const C = control.response(controller, f);
     const belowC = lines.belowP && control.response(controller, lines.belowF.map((x) => x * by));
-    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, kernel.squares(control.response(controller, aboveF)), reader);
+    const aboveC2 = kernel.squares(control.response(controller, aboveF));
+    const grid = kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, reader, largestAbove(loop));
     this.last = { by, met: { grid, C, belowC } };
     return this.last.met;
   }
@@ -193,8 +194,8 @@ function linesOf(loop: Loop, plant: Plant): Lines {
   const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
   return {
     ...withLed(loop, own),
-    belowF: point.modelled ? point.below_f : new Float64Array(0),
-    belowP: point.modelled ? point.below[0] : null,
+    belowF: point.fitted_f,
+    belowP: point.fitted_f.length ? point.fitted : null,
     aboveF: aboveHz(point.f[point.f.length - 1], controller.rate_hz),
   };
 }
@@ -221,9 +222,11 @@ type Known = Pick<Lines, "f" | "P" | "std" | "draws">;
 
 /** The lines with those before them where a model leads to the first one: as unsure as that. */
 function withLed(loop: Loop, own: Known): Known {
-  const led = judgedLines(loop)?.led ?? 0;
-  if (!led) return own;
-  const { led_f, led: ahead } = loop.point;
+  const [model] = loop.point.down;
+  if (!model || Math.hypot(loop.L.re[0], loop.L.im[0]) >= 1 || !inSight(loop)) return own;
+  const ahead = { re: model.P.re.subarray(1), im: model.P.im.subarray(1) };
+  const led_f = Float64Array.from(loop.plant.source.constants.down.slice(1), (share) => loop.f[0] * share);
+  const led = led_f.length;
   const n = own.f.length;
   const { count } = own.draws;
   const [pr, pi] = [own.P.re[0], own.P.im[0]];

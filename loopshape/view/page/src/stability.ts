@@ -1,11 +1,11 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
 // obstacles.py, doubt.py, holes.py). What cannot be proved here is undecided.
 
-import { clip, concat, deg, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "./arrays";
+import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "./arrays";
 import { pastResonances, short, type Obstacle, type Past } from "./between";
 import * as control from "./controller";
 import { sumsOf, type Draws } from "./dense";
-import { judgedLines, type Loop } from "./loop";
+import { belowLines, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
 import { angleOf, chords } from "./turns";
 
 export interface Stability {
@@ -19,13 +19,15 @@ const undecided = (reason: string, band_hz: [number, number] | null = null): Sta
 /** Whether the closed loop is stable, as far as these data carry the count. */
 export function closedLoopStability(loop: Loop): Stability {
   const { point, f, L } = loop;
+  const hidden = hiddenMode(loop);
+  if (hidden) return { outcome: "unstable", reason: hidden, band_hz: null };
   if (point.integrators === null) {
     return undecided("the number of integrators of the plant is not known: declare integrators in the requirements");
   }
   if (point.unstable_poles === null) {
     return undecided("the number of unstable poles of the plant is not known: declare unstable_poles in the requirements");
   }
-  if (judgedLines(loop) === null) {
+  if (!inSight(loop)) {
     const size = Math.hypot(L.re[0], L.im[0]);
     return undecided(
       `|L| is ${short(size, 2)} at the first line already, ${short(f[0])} Hz: the crossover lies lower, measure there`,
@@ -38,20 +40,91 @@ export function closedLoopStability(loop: Loop): Stability {
   return { outcome: "stable", reason: "the encirclements of -1 balance the unstable poles", band_hz: null };
 }
 
-function unstableCount(loop: Loop, unstable: number): number | Obstacle {
-  const { point, controller, integrators, denseL } = loop;
-  const fitDeg = loop.plant.source.constants.fit_deg;
-  const belowC = control.response(controller, point.below_f);
-  const led = point.modelled ? times(belowC, point.below[0]) : null;
-  const between = pastResonances(loop);
-  const found = obstacle(loop, between, startOf(loop, led, unstable));
-  if (found) return found;
-  let poles = countUnstable(denseL, integrators, unstable, led, fitDeg);
-  if (poles === null && !point.modelled) {
-    const counts = new Set(point.below.map((P) => countUnstable(denseL, integrators, unstable, times(belowC, P), fitDeg)));
-    poles = counts.size === 1 ? [...counts][0] : null;
+/** What of the closed loop L does not show, in words: a pole that a zero cancels on or right of the imaginary axis. */
+function hiddenMode({ point, controller, plant }: Loop): string {
+  const integrators = point.integrators ?? 0;
+  const own = controller.blocks.map(control.integratorsOf);
+  const zeroOfOwn = own.some((n) => n < 0);
+  if (own.some((n) => n > 0) && (integrators < 0 || zeroOfOwn)) {
+    const whose = integrators < 0 ? "plant" : "controller";
+    return (
+      `a zero of the ${whose} at 0 Hz cancels the controller's integrator: its output drifts without bound, and L` +
+      " does not show it; leave the integrator out"
+    );
   }
+  if (integrators > 0 && zeroOfOwn) {
+    return "a zero of the controller at 0 Hz cancels the plant's integrator: it drifts, and L does not show it";
+  }
+  const zeros = point.fitted_poles.length ? control.zerosOf(controller) : [];
+  for (const [re, im] of point.fitted_poles) {
+    const [x, y] = [re / controller.rate_hz, im / controller.rate_hz];
+    const near = plant.source.constants.same * Math.hypot(x, y);
+    if (zeros.some(([a, b]) => Math.hypot(a - Math.exp(x) * Math.cos(y), b - Math.exp(x) * Math.sin(y)) <= near)) {
+      const hz = Math.hypot(re, im) / TWO_PI;
+      return `a zero of the controller cancels the plant's pole at ${short(hz, 4)} Hz, which is not stable: L does not show it`;
+    }
+  }
+  return "";
+}
+
+function unstableCount(loop: Loop, unstable: number): number | Obstacle {
+  const { integrators, denseL } = loop;
+  const fitDeg = loop.plant.source.constants.fit_deg;
+  const below = waysBelow(loop);
+  const between = pastResonances(loop);
+  const found = doubtBelow(loop) ?? obstacle(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (isTold(loop) ? null : unknownBelow(loop));
+  if (found) return found;
+  const near = below.length ? 0 : swingNear(loop);
+  const ways: (Complex | null)[] = below.length ? below : [null];
+  const counts = new Set(ways.map((way) => countUnstable(denseL, integrators, unstable, way, fitDeg, near)));
+  const poles = counts.size === 1 ? [...counts][0] : null;
   return poles === null ? misfit(loop) : poles - 2 * between.turns;
+}
+
+/** L below the first line towards 0 Hz, by each model that tells it; none where what lies there does not matter. */
+function waysBelow(loop: Loop): Complex[] {
+  const { point, controller } = loop;
+  const fitted = point.fitted_f.length ? [times(control.response(controller, point.fitted_f), point.fitted)] : [];
+  return isLarge(loop) ? fitted : [...fitted, ...belowLines(loop)];
+}
+
+/** Angle in rad from the phase of L's integrators to that at its first line: the controller's, and poles' below it. */
+export function swingNear({ point, controller, f, plant }: Loop): number {
+  const C = control.response(controller, concat(point.below_f, f.subarray(0, 1)));
+  let turn = 0;
+  for (let k = 1; k < C.re.length; k++) turn += angleOf(C.re[k], C.im[k], C.re[k - 1], C.im[k - 1]);
+  const [phase, slope] = point.order;
+  const told = !point.unstable_poles && Math.abs(phase - slope) < plant.source.constants.agree;
+  const more = told ? Math.max(rint(slope - (point.integrators ?? 0)), 0) : 0;
+  return turn - 0.5 * Math.PI * more;
+}
+
+/** Where the error of a model of the lowest lines may carry L over -1 below them. */
+function doubtBelow(loop: Loop): Obstacle | null {
+  if (!loop.draws || isLarge(loop)) return null;
+  const { down: shares, reach_95 } = loop.plant.source.constants;
+  const f = Float64Array.from(shares.slice(1), (share) => loop.f[0] * share);
+  const C = control.response(loop.controller, f);
+  for (const down of loop.point.down) {
+    const L = times(C, { re: down.P.re.subarray(1), im: down.P.im.subarray(1) });
+    const moved = modelMoves(loop, C, down, 1);
+    const power = new Float64Array(f.length);
+    moved.re.forEach((x, i) => (power[i % f.length] += x * x + moved.im[i] ** 2));
+    const count = moved.re.length / f.length;
+    const far = power.map((x, k) => Math.hypot(1 + L.re[k], L.im[k]) / Math.max(Math.sqrt(x / count), 1e-300));
+    const k = far.reduce((best, value, i) => (value < far[best] ? i : best), 0);
+    if (far[k] < reach_95) {
+      const reason = `-1 lies within the uncertainty of L at ${short(f[k])} Hz, below the first frequency, ${short(loop.f[0])} Hz`;
+      return { reason: `${reason}: measure lower`, band_hz: [f[k], loop.f[0]] };
+    }
+  }
+  return null;
+}
+
+function unknownBelow({ f, L }: Loop): Obstacle {
+  const size = short(Math.hypot(L.re[0], L.im[0]), 2);
+  const reason = `the lowest lines do not tell how L, ${size} at ${short(f[0])} Hz, goes on below them: measure lower`;
+  return { reason, band_hz: [0.1 * f[0], f[0]] };
 }
 
 function misfit(loop: Loop): Obstacle {
@@ -59,7 +132,7 @@ function misfit(loop: Loop): Obstacle {
   const phase = Math.round(deg(Math.atan2(L.im[0], L.re[0])));
   const reason =
     `the phase of L at the first line (${short(f[0])} Hz, ${phase} deg) does not fit ${integrators} integrators (the` +
-    " controller's included): fit a model, measure lower, or declare integrators in the requirements";
+    " controller's included): measure lower, or correct the declaration";
   return { reason, band_hz: [0.1 * f[0], f[0]] };
 }
 
@@ -77,12 +150,12 @@ function startOf(loop: Loop, led: Complex | null, unstable: number): number[] | 
 
 /** Closed-loop poles in the right half plane by the bare count, null where the first value fits badly. */
 export function countUnstable(
-  L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number,
+  L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number, near = 0,
 ): number | null {
   const led = below !== null && below.re.length > 0;
   const re = led ? concat(below.re, L.re) : L.re;
   const im = led ? concat(below.im, L.im) : L.im;
-  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, led, fitDeg);
+  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, led, fitDeg, near);
   if (start === null) return null;
   let turn = start;
   for (let k = 1; k < re.length; k++) turn += angleOf(1 + re[k], im[k], 1 + re[k - 1], im[k - 1]);
@@ -92,17 +165,19 @@ export function countUnstable(
 }
 
 function turnToFirst(
-  re: number, im: number, integrators: number, negative: boolean, either: boolean, fitDeg: number,
+  re: number, im: number, integrators: number, negative: boolean, either: boolean, fitDeg: number, near: number,
 ): number | null {
   // first * j^integrators
   let [ar, ai] = [re, im];
   for (let k = 0; k < Math.abs(integrators); k++) [ar, ai] = integrators > 0 ? [-ai, ar] : [ai, -ar];
   const flipped = either ? ar < 0 : negative;
-  const swing = flipped ? Math.atan2(-ai, -ar) : Math.atan2(ai, ar);
-  if (Math.abs(deg(swing)) > fitDeg) return null;
+  let swing = flipped ? Math.atan2(-ai, -ar) : Math.atan2(ai, ar);
+  swing += TWO_PI * rint((near - swing) / TWO_PI);
+  if (Math.abs(deg(swing - near)) > fitDeg) return null;
   if (integrators < 0) return Math.atan2(im, 1 + re);
   if (integrators) return swing + angleOf(1 + re, im, re, im);
   if (flipped && !either && re > -1) return null;
+  if (near && Math.hypot(re, im) > 1) return swing + angleOf(1 + re, im, re, im);
   return Math.atan2(im, 1 + re) - (re < -1 ? Math.PI : 0) * Math.sign(im || 1);
 }
 
@@ -227,7 +302,38 @@ export function normalBelow(x: number): number {
   return density / (size + fraction);
 }
 
+/** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */
+function unseen({ point, controller, plant }: Loop): Obstacle | null {
+  const { gaps } = point;
+  if (!gaps.length) return null;
+  const C = control.response(controller, Float64Array.from(gaps.flatMap((gap) => gap.hz)));
+  const hides = gaps.map((gap, k) => {
+    const ends = gap.P.map(([re, im], i) => {
+      const [x, y] = [C.re[2 * k + i], C.im[2 * k + i]];
+      const [u, v] = [x * re - y * im, x * im + y * re];
+      return { size: Math.hypot(x, y), room: Math.hypot(1 + u, v), L: Math.hypot(u, v) };
+    });
+    const middle = Math.sqrt(gap.hz[0] * gap.hz[1]);
+    const room = Math.min(ends[0].room, ends[1].room);
+    if (Math.min(ends[0].L, ends[1].L) >= 1 / plant.source.constants.hole_far) return false;
+    const least = gap.missing ? plant.source.constants.least_damping : plant.source.constants.poor_damping;
+    return Math.max(ends[0].size, ends[1].size) * gap.residue > least * middle * room;
+  });
+  const first = hides.indexOf(true);
+  if (first < 0) return null;
+  let last = first;
+  while (hides[last + 1] && gaps[last + 1].hz[0] === gaps[last].hz[1]) last += 1;
+  const [low, high] = [gaps[first].hz[0], gaps[last].hz[1]];
+  const reason =
+    gaps[first].missing && last === first
+      ? `no frequency lies between ${short(low, 4)} and ${short(high, 4)} Hz, and a resonance there might encircle -1 without a trace: measure there`
+      : `the lines between ${short(low, 4)} and ${short(high, 4)} Hz are too uncertain to show whether L encircles -1 there: measure longer or excite more`;
+  return { reason, band_hz: [low, high] };
+}
+
 function hole(loop: Loop): Obstacle | null {
+  const found = unseen(loop);
+  if (found) return found;
   const { f, L, controller } = loop;
   const c = loop.plant.source.constants;
   if (f.length < c.hole_fewest) {

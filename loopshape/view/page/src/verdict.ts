@@ -41,7 +41,9 @@ export function pointOutcome(m: Margins, limit: Limit, wished: number): Outcome 
   const best = m.bounds[limit.name];
   if (best !== undefined) [low, high] = least ? [low, Math.max(high, best)] : [Math.min(low, best), high];
   if (least ? low >= wished : high <= wished) return "passed";
-  return (least ? high >= wished : low <= wished) ? "undecided" : "failed";
+  const at = m.at_hz[limit.name] ?? 0;
+  const perhaps = (least ? high >= wished : low <= wished) || m.missing_hz.some(([from, to]) => from < at && at < to);
+  return perhaps ? "undecided" : "failed";
 }
 
 function rowAt(limit: Limit, wished: number, point: number, m: Margins): Row {

@@ -1,0 +1,135 @@
+"""A machine that no model fits to its noise: a name is still a name, what has none is drawn, and shares add up.
+
+The winch of `tests/own_machine.py` rubs or cogs by formulas of the test's own.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from own_machine import MODEL, run_of
+
+import loopshape as ls
+from loopshape.core.errors import WrongUseError
+from loopshape.data.gap_report import BudgetPart, missing_csv
+from loopshape.diagnose import attribute
+from loopshape.diagnose.ceiling import nameless
+from loopshape.diagnose.evidence import Evidence
+from loopshape.model.own.plant import OwnMachine
+
+
+def missing(run):
+    """Ceilings of the winch under a run, healthy fit and all."""
+    names = [r.info.name for r in run.recordings if r.info.role == "estimation"]
+    plant, run, names = OwnMachine(MODEL).readied(run, names)
+    evidence = Evidence.of(plant, run, names, 10.0, 1)
+    healthy = attribute.healthy(evidence)
+    return nameless(evidence, healthy.hypothesis.moves(healthy.phi), healthy.residual)
+
+
+def test_a_force_over_position_that_no_list_has_is_drawn_as_it_is():
+    found = missing(run_of(2, cogging=0.05))
+    assert found.best.place == "bearing"
+    (curve,) = [c for c in found.curves("bearing", {}) if c.over == "position"]
+    inner = slice(15, -15)  # the outer knots have been seen in passing alone
+    x, value = curve.x[inner], curve.value[inner]
+    truth = -0.05 * np.sin(9.0 * x)
+    line = np.polyfit(x, value - truth, 1)  # what a spring or an offset would be is the tolerances' to tell
+    off = value - truth - np.polyval(line, x)
+    assert np.std(off) < 0.25 * np.std(truth)
+
+
+def test_friction_is_drawn_as_a_jump_at_standstill():
+    found = missing(run_of(2, coulomb=0.05))
+    (curve,) = [c for c in found.curves("bearing", {"port.bearing.coulomb": 0.05}) if c.over == "speed"]
+    fast = np.abs(curve.x) > 0.3 * curve.x.max()
+    jump = curve.value[fast & (curve.x < 0)].mean() - curve.value[fast & (curve.x > 0)].mean()
+    assert jump == pytest.approx(0.10, rel=0.3)
+    assert np.ptp(curve.named) == pytest.approx(0.10, rel=0.02)
+
+
+@pytest.mark.long
+def test_a_name_is_found_though_the_machine_leaves_many_floors_of_something_else():
+    report = ls.gap(run_of(3, coulomb=0.05, cogging=0.006), model=MODEL, table=False)
+    best = report.budget_step(BudgetPart.BEST_NAME)
+    assert report.verdict == "coulomb_friction@bearing"
+    assert best.gap > 3.0  # and more than noise is left: what cogs
+    assert best.share > 0.7
+    assert best.interval[0] < best.share < best.interval[1]
+    low, high = report.ranking[0].interval
+    assert low < 0.05 < high
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("form", "numbers"),
+    [
+        ("grows with the load", {"load": 0.15}),
+        pytest.param(
+            "grows with the load, more when driven back", {"load": 0.12, "driven_back": 0.18}, marks=pytest.mark.hour
+        ),
+        pytest.param(None, {}, marks=pytest.mark.hour),
+    ],
+)
+def test_friction_that_grows_with_the_load_is_named_in_this_form_with_its_share(form, numbers):
+    report = ls.gap(run_of(3, levels=(-0.5, 0.0, 0.5), coulomb=0.04, **numbers), model=MODEL, table=False)
+    moved = {c.parameter.removeprefix("port.bearing."): c.new for c in report.fix.parameters}
+    assert report.verdict == "coulomb_friction@bearing"
+    assert moved["coulomb"] == pytest.approx(0.04, rel=0.2)
+    assert {key: moved[key] for key in moved.keys() & {"load", "driven_back"}} == pytest.approx(numbers, rel=0.2)
+    assert report.fix.form == form or (form is None and "load" not in report.fix.form)
+
+
+@pytest.mark.long
+def test_an_answer_has_a_budget_a_place_and_a_curve_where_no_name_fits():
+    report = ls.gap(run_of(3, cogging=0.05), model=MODEL, table=False)
+    assert (report.verdict, report.where.block) == ("unknown", "bearing")
+    answer = report.to_dict()
+    assert [x["step"] for x in answer["budget"]] == ["before", "best_name", "best_set", "ceiling", "floor"]
+    before, best, _, ceiling, floor = (x["gap"] for x in answer["budget"])
+    assert answer["budget"][3]["effects"] == ("bearing",)
+    assert floor == 1.0 < ceiling < 0.1 * before < 0.5 * best
+    assert (answer["gap"]["of"], answer["gap"]["after"]) == (report.ranking[1].effect, pytest.approx(best))
+    first = answer["missing"][0]
+    assert (first["place"], first["unit"], first["file"]) == ("bearing", "N m", "missing_bearing.csv")
+    assert first["over"] == ["speed_rad_s", "position_rad"]
+    assert first["explains"] > 0.9
+    table = missing_csv(report.missing_by_place["bearing"]).splitlines()
+    assert table[0] == "over,x,value,low,high,named"
+    assert {row.split(",")[0] for row in table[1:]} == set(first["over"])
+
+
+@pytest.mark.long
+def test_a_healthy_machine_has_a_budget_too_and_shares_nothing():
+    report = ls.gap(run_of(3), model=MODEL, table=False)
+    assert report.verdict == "none"
+    assert len(report.budget) == 5
+    assert all(step.share is None for step in report.budget)
+
+
+@pytest.mark.long
+def test_a_window_that_nobody_states_is_chosen_and_told():
+    report = ls.gap(run_of(3, coulomb=0.05), model=replace(MODEL, window_s=None), table=False)
+    assert report.verdict == "coulomb_friction@bearing"
+    assert report.ranking[0].magnitude == pytest.approx(0.05, rel=0.1)
+    assert report.window_s in report.windows_s
+    assert report.to_dict()["windows_tried_s"] == list(report.windows_s)
+    assert len(report.windows_s) >= 3  # one is best only beside its neighbours
+    stated = ls.gap(run_of(3), model=MODEL, table=False)
+    assert (stated.window_s, stated.windows_s) == (0.8, ())
+
+
+def test_what_matters_is_a_share():
+    with pytest.raises(WrongUseError, match="share of the motion"):
+        ls.Model("m", lambda t, x, u, p: (x[0],), ("q",), (), (ls.Input("u", "u"),), (ls.Output("y", "q", "y"),),
+                 matters=2.0)  # fmt: skip
+
+
+@pytest.mark.long
+def test_what_recordings_can_tell_is_known_before_an_effect_is_looked_for():
+    seen = {x.effect: x for x in ls.identifiability(run_of(2), model=MODEL)}
+    assert "sensor_delay@encoder" in seen["actuator_delay@drum"].alike  # one of each: nothing parts them
+    assert "coulomb_friction@bearing" not in seen["actuator_delay@drum"].alike
+    least = seen["coulomb_friction@bearing"].least
+    assert missing(run_of(2, coulomb=10.0 * least)).best.place == "bearing"  # ten times what is seen, plainly
+    assert 1e-4 < least < 0.05
