@@ -148,7 +148,10 @@ def firmware(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Read a firmware's or a drive's loop as a controller. export-controller writes its parameters back."""
+    """Read a firmware's or a drive's loop as a controller.
+
+    export-controller writes its parameters back.
+    """
     from loopshape.io.controllers import write_controllers
     from loopshape.io.drives import controller_of_parameters
     from loopshape.io.firmware import left_out, read_parameters, with_notches
