@@ -108,6 +108,18 @@ def is_told(loop: Loop) -> bool:
     )
 
 
+def holds_below(loop: Loop, poles: int) -> bool:
+    """Whether a count of `poles` has the right outcome where `is_told` leaves open how L goes on below its lines.
+
+    A large L that falls as its declared integrators do has as many zeros as other poles below them, and an even number
+    of those are unstable, or its phase were turned over. Each leaves one unstable closed-loop pole less to the lines
+    than was counted (Nyquist 1932), which changes the outcome where none is left, and is impossible below none.
+    """
+    lines = loop.plant if loop.raw is None else loop.raw
+    as_declared = is_large(loop) and round(low_order(lines)[1]) == (loop.integrators or 0)
+    return as_declared and (poles == 0 or poles % 2 == 1 or poles > (loop.unstable_poles or 0))
+
+
 def is_simple(model: LowModel) -> bool:
     """Whether a model has few enough parameters to tell where unstable poles lie."""
     return model.num.size + model.den.size - 1 <= SIMPLE

@@ -26,6 +26,7 @@ from loopshape.loop.low_end import (
     DOWN,
     below_lines,
     crossover_below,
+    holds_below,
     in_sight,
     is_large,
     is_told,
@@ -156,34 +157,43 @@ def unstable_count(loop: Loop) -> int | Obstacle:
     """
     if loop.unstable_poles is None:
         return Obstacle(UNKNOWN_POLES)
-    path, below, integrators = path_of(loop), _ways_below(loop), poles_at_0(loop)
+    path, below = path_of(loop), _ways_below(loop)
     between = sampling(loop, path)
-    found = next(_obstacles(loop, path, between, below), None)
+    poles = _counted(loop, path, between, below)
+    found = next(_obstacles(loop, path, between, below, poles), None)
     if found is not None:
         return found
-    near = swing_near(loop)
-    ways = below or [np.zeros(0, dtype=complex)]
-    counts = {count_unstable(path.L, integrators, loop.unstable_poles, x, 0.0 if below else near) for x in ways}
+    return _misfit(loop, poles_at_0(loop)) if poles is None else poles
+
+
+def _counted(loop: Loop, path: Path, between: Sampling, below: list[ComplexArray]) -> int | None:
+    """The count along a path, None where its ways below the lines differ or do not fit the integrators."""
+    integrators, unstable = poles_at_0(loop), loop.unstable_poles or 0
+    ways, near = below or [np.zeros(0, dtype=complex)], 0.0 if below else swing_near(loop)
+    counts = {count_unstable(path.L, integrators, unstable, x, near) for x in ways}
     poles = counts.pop() if len(counts) == 1 else None
-    return _misfit(loop, integrators) if poles is None else poles - 2 * between.turns
+    return None if poles is None else poles - 2 * between.turns
 
 
 def obstacles_of(loop: Loop) -> tuple[Obstacle, ...]:
     """All that keeps the lines of a loop with known poles from telling, of which `unstable_count` gives the first."""
     if loop.integrators is None or loop.unstable_poles is None:
         return ()
-    path = path_of(loop)
-    return tuple(_obstacles(loop, path, sampling(loop, path), _ways_below(loop)))
+    path, below = path_of(loop), _ways_below(loop)
+    between = sampling(loop, path)
+    return tuple(_obstacles(loop, path, between, below, _counted(loop, path, between, below)))
 
 
-def _obstacles(loop: Loop, path: Path, between: Sampling, below: list[ComplexArray]) -> Iterator[Obstacle]:
+def _obstacles(
+    loop: Loop, path: Path, between: Sampling, below: list[ComplexArray], poles: int | None
+) -> Iterator[Obstacle]:
     first = _doubt_below(loop)
     if first is not None:
         yield first
     odd = (loop.unstable_poles or 0) % 2 == 1
     before = _before_first(path.L, poles_at_0(loop), odd, below[0] if below else np.zeros(0, dtype=complex))
     yield from obstacles(loop, path, between, 1.0 + before)
-    if not is_told(loop):
+    if not (is_told(loop) or (poles is not None and holds_below(loop, poles))):
         yield _unknown_below(loop)
 
 

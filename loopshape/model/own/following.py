@@ -160,7 +160,7 @@ def _guessed(c: Composed, y: Array, first: np.ndarray, lead: int, tick_s: float)
     rows = first[:, None] + np.arange(lead)
     for k, o in enumerate(model.outputs):
         place = model.states.index(o.state)
-        line = np.polynomial.polynomial.polyfit(np.arange(lead) * tick_s, y[rows, k].T, 2)
+        line = np.polynomial.polynomial.polyfit(np.arange(lead) * tick_s, y[rows, k].T, min(2, lead - 1))
         start[:, place], ranges[place] = line[0], max(float(np.ptp(y[:, k])), 1e-12)
         speed = c.speeds.get(place)
         if speed is not None:
