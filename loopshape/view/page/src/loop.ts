@@ -1,7 +1,7 @@
 // One operating point under one controller: the lines that margins are read from (Python: loop/between.py, low_end.py,
 // and the first half of loop/margins.py).
 
-import { concat, joined, magnitudes, placeIn, times, union, zeros, type Complex, type Real } from "./arrays";
+import { concat, joined, magnitudes, placeIn, rint, times, union, zeros, type Complex, type Real } from "./arrays";
 import * as control from "./controller";
 import type { Controller } from "./controller";
 import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "./dense";
@@ -161,6 +161,13 @@ export function isTold(loop: Loop): boolean {
   const [phase, slope, room] = point.order;
   if (isLarge(loop) && Math.abs(phase - slope) < 1) return true;
   return integrators >= 0 && Math.abs(phase - slope) < room && slopeOf(loop) > -agree;
+}
+
+/** Whether a count has the right outcome where the lowest lines leave open how L goes on below them (`holds_below`). */
+export function holdsBelow(loop: Loop, poles: number): boolean {
+  const { order, integrators, unstable_poles } = loop.point;
+  const asDeclared = isLarge(loop) && rint(order[1]) === (integrators ?? 0);
+  return asDeclared && (poles === 0 || Math.abs(poles % 2) === 1 || poles > (unstable_poles ?? 0));
 }
 
 /** The lines that a loop's margins are read from, once for each model that tells what lies below them. */

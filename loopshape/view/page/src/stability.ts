@@ -5,7 +5,7 @@ import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Compl
 import { pastResonances, short, type Obstacle, type Past } from "./between";
 import * as control from "./controller";
 import { sumsOf, type Draws } from "./dense";
-import { belowLines, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
+import { belowLines, holdsBelow, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
 import { angleOf, chords } from "./turns";
 
 export interface Stability {
@@ -68,17 +68,22 @@ function hiddenMode({ point, controller, plant }: Loop): string {
 }
 
 function unstableCount(loop: Loop, unstable: number): number | Obstacle {
-  const { integrators, denseL } = loop;
-  const fitDeg = loop.plant.source.constants.fit_deg;
   const below = waysBelow(loop);
   const between = pastResonances(loop);
-  const found = doubtBelow(loop) ?? obstacle(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (isTold(loop) ? null : unknownBelow(loop));
-  if (found) return found;
+  const poles = counted(loop, unstable, between, below);
+  const told = isTold(loop) || (poles !== null && holdsBelow(loop, poles));
+  const found = doubtBelow(loop) ?? obstacle(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (told ? null : unknownBelow(loop));
+  return found ?? poles ?? misfit(loop);
+}
+
+/** The count along the lines, null where its ways below them differ or do not fit the integrators. */
+function counted(loop: Loop, unstable: number, between: Past, below: Complex[]): number | null {
   const near = below.length ? 0 : swingNear(loop);
   const ways: (Complex | null)[] = below.length ? below : [null];
-  const counts = new Set(ways.map((way) => countUnstable(denseL, integrators, unstable, way, fitDeg, near)));
+  const fitDeg = loop.plant.source.constants.fit_deg;
+  const counts = new Set(ways.map((way) => countUnstable(loop.denseL, loop.integrators, unstable, way, fitDeg, near)));
   const poles = counts.size === 1 ? [...counts][0] : null;
-  return poles === null ? misfit(loop) : poles - 2 * between.turns;
+  return poles === null ? null : poles - 2 * between.turns;
 }
 
 /** L below the first line towards 0 Hz, by each model that tells it; none where what lies there does not matter. */
