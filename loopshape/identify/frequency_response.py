@@ -114,7 +114,8 @@ def _loop_frf(
     G, covariance = plant.response[rows], plant.covariance[rows]
     if settings.estimator in BY_INSTRUMENT:
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
-        notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0], np.sqrt(a.covariance[:, 1, 1].real))
+        std = np.sqrt(np.maximum(a.covariance[:, 1, 1].real, 0.0))  # of a z that is exact rounding errors below 0
+        notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0], std)
     trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
     notes += why
     notes += inverse_note(recording, loop, f[trusted], G[trusted, 0, 0])
