@@ -160,7 +160,8 @@ def _guessed(c: Composed, y: Array, first: np.ndarray, lead: int, tick_s: float)
     rows = first[:, None] + np.arange(lead)
     for k, o in enumerate(model.outputs):
         place = model.states.index(o.state)
-        line = np.polynomial.polynomial.polyfit(np.arange(lead) * tick_s, y[rows, k].T, min(2, lead - 1))
+        ticks = np.arange(lead) * tick_s  # of two ticks the smallest parabola: a first guess, `full` warns of no rank
+        line, _ = np.polynomial.polynomial.polyfit(ticks, y[rows, k].T, 2, full=True)
         start[:, place], ranges[place] = line[0], max(float(np.ptp(y[:, k])), 1e-12)
         speed = c.speeds.get(place)
         if speed is not None:
