@@ -183,8 +183,11 @@ class Shapes(Protocol):
     def named(self, place: str, over: str, x: Array, moves: Mapping[str, float]) -> Array | None:
         """What named effects at a place, parameters moved as given, give over one quantity x (n,); None for nothing."""
 
-    def columns(self, prepared: Any, moves: Mapping[str, float], place: str) -> Array:
-        """What each shape at a place does to the residuals of a recording (n, k), channel by channel."""
+    def merged(self, place: str) -> Sequence[Array]:
+        """Ways to give the sizes of all shapes at a place (k, few) by few, the coarsest first."""
+
+    def columns(self, prepared: Any, moves: Mapping[str, float]) -> Mapping[str, Array]:
+        """What each shape at each place does to the residuals of a recording (n, k), channel by channel."""
 
 
 class Prepared(Protocol):

@@ -67,11 +67,11 @@ class Nameless:
         """What each place's push leaves of recordings that no fit saw: squares (recordings, paths, windows)."""
         plant = self.plant
         off, floors = [plant.paths(one, moves) for one in prepared], [plant.floors(one).values() for one in prepared]
-        out = {}
+        pushed, out = [self.shapes.columns(one, self.moves) for one in prepared], {}
         for c in self.ceilings:
             rows = []
-            for one, values, floor in zip(prepared, off, floors, strict=True):
-                added, at, parts = self.shapes.columns(one, self.moves, c.place) @ c.sizes, 0, []
+            for columns, values, floor in zip(pushed, off, floors, strict=True):
+                added, at, parts = columns[c.place] @ c.sizes, 0, []
                 for x, noise in zip(values.values(), floor, strict=True):
                     parts.append(windows(x - added[at : at + x.size] / noise))
                     at += x.size
@@ -111,27 +111,32 @@ def nameless(evidence: Evidence, moves: Mapping[str, float], residual: Array) ->
     if shapes is None:
         return None
     weight = weights(evidence.mean_squares(residual))
-    found = [_ceiling(evidence, shapes, moves, residual, weight, place) for place in shapes.axes]
+    pushed = [shapes.columns(p, moves) for p in evidence.prepared]
+    columns = {place: np.concatenate([of[place] for of in pushed]) for place in shapes.axes}
+    found = [_ceiling(evidence, columns[p], shapes.merged(p), residual, weight, p) for p in shapes.axes]
     return Nameless(evidence.plant, shapes, tuple(sorted(found, key=lambda c: c.cost)), dict(moves))
 
 
 def _ceiling(
-    evidence: Evidence, shapes: Shapes, moves: Mapping[str, float], residual: Array, weight: Array, place: str
+    evidence: Evidence, columns: Array, merged: Sequence[Array], residual: Array, weight: Array, place: str
 ) -> Ceiling:
-    columns = np.concatenate([shapes.columns(p, moves, place) for p in evidence.prepared])
+    """The sizes that leave least of recordings left out, by each way to merge shapes and each ridge."""
     cells = evidence.cells
-    a = np.stack([_gram(columns[c.part], c.floor) for c in cells])
-    b = np.stack([columns[c.part].T @ residual[c.part] / (c.floor**2 * (c.stop - c.start)) for c in cells])
+    all_a = np.stack([_gram(columns[c.part], c.floor) for c in cells])
+    all_b = np.stack([columns[c.part].T @ residual[c.part] / (c.floor**2 * (c.stop - c.start)) for c in cells])
     own = np.array([np.mean((residual[c.part] / c.floor) ** 2) for c in cells])
     of = [np.array([c.recording == name for c in cells]) for name in evidence.recordings]
     best: Ceiling | None = None
-    for ridge in RIDGES:
-        without = [_solved(a, b, np.where(mine, 0.0, weight), ridge) for mine in of]
-        squares = np.array(own)
-        for mine, sizes in zip(of, without, strict=True):
-            squares[mine] += (np.einsum("cij,i,j->c", a[mine], sizes, sizes)) - 2.0 * b[mine] @ sizes
-        found = Ceiling(place, np.maximum(squares, 0.0), _solved(a, b, weight, ridge), np.array(without))
-        best = found if best is None or found.cost < best.cost else best
+    for by in merged:
+        a, b = by.T @ all_a @ by, all_b @ by
+        for ridge in RIDGES:
+            without = [_solved(a, b, np.where(mine, 0.0, weight), ridge) for mine in of]
+            squares = np.array(own)
+            for mine, sizes in zip(of, without, strict=True):
+                squares[mine] += (np.einsum("cij,i,j->c", a[mine], sizes, sizes)) - 2.0 * b[mine] @ sizes
+            sizes = by @ _solved(a, b, weight, ridge)
+            found = Ceiling(place, np.maximum(squares, 0.0), sizes, np.array(without) @ by.T)
+            best = found if best is None or found.cost < best.cost else best
     assert best is not None
     return best
 

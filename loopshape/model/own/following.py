@@ -313,13 +313,18 @@ def _projected(slopes: Array, lacking: Array) -> Array:
 def pushed(c: Composed, f: Followed, m: Mapping[str, float], pushes: Sequence[Push]) -> Array:
     """What each push does to the outputs over the floor, (windows, values, pushes), initial states answering.
 
-    By straight lines from the initial states that fit best without: a push is so small that it stays one.
+    By straight lines from the initial states that fit best without: a push is so small that it stays one. Only the
+    windows that a push is felt in are simulated.
     """
     at = started(c, f, m, CONVERGED)
     still = simulated(c, f, m, at.x0)
+    rows = f.first[:, None] + np.arange(f.length)
     out = []
     for push in pushes:
-        moved = (simulated(c, f, m, at.x0, push) - still) / f.floor
-        moved = np.clip(np.nan_to_num(moved, nan=0.0), -_MOST, _MOST)
+        moved = np.zeros_like(still) if push.y is None else push.y.copy()
+        felt = np.flatnonzero(push.u[rows].any(axis=(1, 2))) if push.u is not None else ()
+        if len(felt):
+            moved[felt] += simulated(c, replace(f, first=f.first[felt]), m, at.x0[felt], push) - still[felt]
+        moved = np.clip(np.nan_to_num(moved / f.floor, nan=0.0), -_MOST, _MOST)
         out.append(_projected(at.slopes, moved.reshape(len(at.x0), -1)))
     return np.stack(out, axis=2)

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.signal import savgol_filter
 
 from loopshape.core.units import Array
@@ -20,6 +21,7 @@ from loopshape.model.own.composed import Composed
 from loopshape.model.own.following import Followed, Push
 
 SPEEDS, POSITIONS, SIZES = 6, 12, 9  # knots a side of 0, over the travel, over the range of a signal
+FINER = 7  # knots over the travel for each of these, where a force changes within it (cogging)
 _LATE = (0.01, 0.03, 0.1)  # of a window
 _SMALL = 1e-3  # of the largest that is measured: pushes so small are straight lines
 
@@ -30,6 +32,12 @@ class Axis:
 
     over: str
     knots: Array
+
+    @property
+    def merged(self) -> Array:
+        """Sizes at all knots (k, few) by those at every `FINER`-th, over position; else each by its own."""
+        few = self.knots[:: FINER if self.over == "position" else 1]
+        return np.stack([np.interp(self.knots, few, row) for row in np.eye(few.size)], axis=1) if few.size else np.eye(1)
 
     def values(self, x: Array) -> Array:
         """Hat functions (n, k) of x (n,), level beyond the outer knots."""
@@ -98,16 +106,26 @@ class Shapes:
         force = np.mean(ways, axis=0)
         return force if np.ptp(force) > 0.0 else None
 
-    def columns(self, f: Followed, m: Mapping[str, float], place: str) -> Array:
+    def merged(self, place: str) -> tuple[Array, ...]:
+        """Sizes of all shapes at a place (k, few) by fewer, smooth over position, then by each its own."""
+        smooth = block_diag(*(axis.merged for axis in self.axes[place]))
+        return (smooth,) if smooth.shape[0] == smooth.shape[1] else (smooth, np.eye(len(smooth)))
+
+    def columns(self, f: Followed, m: Mapping[str, float]) -> dict[str, Array]:
         """What each shape at a place does to the outputs (n, k), output by output, in their units a unit of push."""
-        signals = _signals(self.composed, f, place)
-        rows = np.concatenate([_columns(axis, signals[axis.over]) for axis in self.axes[place]], axis=1)
-        scales = np.maximum(np.abs(rows).max(axis=0), 1e-300)
-        step = _SMALL * _size(self.composed, f, place)
-        pushes = [self._push(f, place, step * column / scale) for column, scale in zip(rows.T, scales, strict=True)]
+        pushes, factors, counts = [], [], []
+        for place, axes in self.axes.items():
+            signals = _signals(self.composed, f, place)
+            rows = np.concatenate([_columns(axis, signals[axis.over]) for axis in axes], axis=1)
+            scales = np.maximum(np.abs(rows).max(axis=0), 1e-300)
+            step = _SMALL * _size(self.composed, f, place)
+            pushes += [self._push(f, place, step * column / scale) for column, scale in zip(rows.T, scales, strict=True)]
+            factors.append(scales / step)
+            counts.append(len(scales))
         moved = following.pushed(self.composed, f, m, pushes)
-        moved = moved.reshape(len(f.first), -1, f.y.shape[1], rows.shape[1]) * f.floor[:, None] * scales / step
-        return np.concatenate([moved[:, :, k].reshape(-1, rows.shape[1]) for k in range(f.y.shape[1])])
+        moved = moved.reshape(len(f.first), -1, f.y.shape[1], len(pushes)) * f.floor[:, None] * np.concatenate(factors)
+        moved = np.concatenate([moved[:, :, k].reshape(-1, len(pushes)) for k in range(f.y.shape[1])])
+        return dict(zip(self.axes, np.split(moved, np.cumsum(counts)[:-1], axis=1), strict=True))
 
     def _push(self, f: Followed, place: str, values: Array) -> Push:
         """A push of values (n,) in time at a place."""
@@ -180,5 +198,6 @@ def _knots(over: str, x: Array) -> Array:
         return np.concatenate([-sizes[::-1], sizes])
     if over in ("position", "command", "reading"):
         low, high = np.quantile(x, [0.005, 0.995])
-        return np.linspace(low, max(high, low + 1e-9), POSITIONS if over == "position" else SIZES)
+        count = (POSITIONS - 1) * FINER + 1 if over == "position" else SIZES
+        return np.linspace(low, max(high, low + 1e-9), count)
     return np.zeros(0)
