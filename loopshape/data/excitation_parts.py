@@ -23,6 +23,8 @@ MONOTONE = 0.997
 SPREAD = 0.1
 #: mean |x| squared over mean square, cycle by cycle: 8 / pi^2 of a sine, 1 of a square wave, 2 / pi of Gaussian noise
 SINE = (0.77, 0.85)
+#: share of a signal's rms by which its periods may differ: of one that was measured, and of one that is known
+REPEATED, KNOWN_REPEATED = 0.1, 0.03
 
 
 def samples(duration_s: float, rate_hz: float) -> int:
@@ -156,3 +158,46 @@ def _parts(x: Signal, mean: float) -> Iterator[tuple[int, Array]]:
     """First row and values of stretches of x (n,) less its mean."""
     for start in range(0, x.size, AT_ONCE):
         yield start, np.asarray(x[start : start + AT_ONCE] - mean)
+
+
+def rows_of_a_period(x: Array, differ: float = REPEATED) -> tuple[int, int]:
+    """Rows after which a signal (n,) repeats itself, and from which row on; (0, 0) for one that does not.
+
+    Its periods may `differ` by a share of its rms.
+    """
+    found = _repeating(x, x.size // 3, differ)
+    return found if found[0] else _repeating(x, 0, differ)
+
+
+def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
+    """A period and where it begins, looked for from a row on: up to half of what follows it."""
+    n = x.size
+    late = x[start:] - x[start:].mean()
+    if late.size < 8 or not late.any():
+        return 0, 0
+    power = np.fft.irfft(np.abs(np.fft.rfft(late, 2 * late.size)) ** 2, 2 * late.size)[: late.size]
+    lags = np.arange(late.size // 2 + 1)
+    alike = power[: lags.size] / power[0] * late.size / (late.size - lags)
+    fallen = np.flatnonzero(alike < 0.5)
+    if not fallen.size:
+        return 0, 0
+    rest = alike[fallen[0] :]
+    first = int(np.argmax(rest >= rest.max() - 0.02))  # multiples of a period are as good
+    period = int(fallen[0] + first + np.argmax(rest[first : first + max(3, (fallen[0] + first) // 20)]))
+    apart = np.abs(x[period:] - x[:-period])
+    noise = 1.5 * float(np.median(apart[-period:]))  # a median: single rows may be wrong
+    if noise > differ * late.std():
+        return 0, 0
+    begins = _last_crowd(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
+    if begins + 2 * period > n or x[begins:].std() < 0.3 * late.std():  # what rests repeats too
+        return 0, 0
+    whole = x[begins : begins + (n - begins) // period * period].reshape(-1, period)
+    scatter = np.mean((whole - whole.mean(axis=0)) ** 2)  # it drifts with a period of no whole number of rows
+    return (0, 0) if scatter > differ**2 * whole.mean(axis=0).var() else (period, begins)
+
+
+def _last_crowd(marked: np.ndarray, width: int) -> int:
+    """The row behind the last stretch of `width` rows of which over a quarter are marked; 0 without one."""
+    count = np.concatenate([[0], np.cumsum(marked)])
+    crowds = np.flatnonzero(count[width:] - count[:-width] > width // 4)
+    return int(crowds[-1] + np.flatnonzero(marked[crowds[-1] : crowds[-1] + width])[-1]) + 1 if crowds.size else 0

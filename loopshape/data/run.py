@@ -13,12 +13,14 @@ from loopshape.core.gate import gated, pass_fields
 from loopshape.core.units import Array
 from loopshape.data.arrays import number, rate, real_array
 from loopshape.data.controller import Controller
-from loopshape.data.excitation_parts import is_sweep
+from loopshape.data.excitation_parts import KNOWN_REPEATED, REPEATED, is_sweep, rows_of_a_period
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
 
 #: columns of the signals of `Run.from_arrays`
 _COLUMNS = {"u": "u_1", "y": "y_1", "excitation": "n_1", "reference": "r_1"}
+#: rows of an excitation in which a period is looked for
+_LOOKED_AT = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +67,9 @@ class Run:
         `u - excitation`). Without, `u` was applied in open loop.
         With `reference` the recording is one of a move along this setpoint, from which no FRF is estimated and
         `ls.next_trial` learns; an excitation beside it is the feedforward, and entered at the plant's input.
-        `period_s` says that the excitation repeats; without it the excitation is taken for a sweep where its frequency
-        rises or falls steadily, else for noise. `controller` is what closed the loop, and tells unstable poles.
+        `period_s` says that the excitation repeats; without it a period is looked for, then a sweep is told by a
+        frequency that rises or falls steadily, and the rest is noise.
+        `controller` is what closed the loop, and tells unstable poles.
         A recording with role "validation" is held out. Columns are `u_1`, `y_1`, `n_1`, `r_1`, by which a machine of
         your own (`ls.gap(run, model=...)`) names them; recordings of several such runs make one run:
         `ls.Run(rate_hz, (), [...])`.
@@ -89,21 +92,25 @@ class Run:
         if len({values.shape for values in arrays.values()}) != 1 or arrays["u_1"].ndim != 1 or not arrays["u_1"].size:
             shapes = ", ".join(f"{name[:-2]} {values.shape}" for name, values in arrays.items())
             raise WrongUseError("the signals of a recording are (n,) and of one length", shapes, "cut them alike")
-        if period_s is not None:
-            period_s = number(period_s, "period_s of a run", positive=True, unit="s")
         r, n = ("r_1" if "r_1" in arrays else None), ("n_1" if "n_1" in arrays else None)
         setup = LoopSetup(loop, r, n, "u_1", "y_1", controller)
         place = ("reference" if n is None else "plant_input") if r else ("control" if n is None else injection)
+        moved, first = arrays[n or "u_1"], 0
+        if period_s is not None:
+            period_s = number(period_s, "period_s of a run", positive=True, unit="s")
+        elif not r:
+            rows, first = rows_of_a_period(moved[:_LOOKED_AT], KNOWN_REPEATED if n else REPEATED)
+            period_s = rows / rate(rate_hz, "rate_hz of a run") if rows else None
         info = RecordingInfo(
             file=f"{recording}.parquet",
-            kind="profile" if r else _kind(arrays[n or "u_1"], period_s),
+            kind="profile" if r else _kind(moved, period_s),
             injection=place,
             role=role,
             excites=None if r else loop,
             closed_loop=place != "control",
             operating_point=dict(operating_point or {}),
             period_s=period_s,
-            periodic_from_s=None if period_s is None else 0.0,
+            periodic_from_s=None if period_s is None else first / rate_hz,
         )
         return cls(rate_hz, (setup,), (Recording(info, rate_hz, arrays),))
 

@@ -27,15 +27,18 @@ NEAR, PAST, FUTURE = 32, 512, 64
 #: share of an input's power that its past does not foretell: below the first it is rounding, below the second the
 #: input is a sweep, a multisine or the like, which a nonlinear plant answers as if it were fed back
 ROUNDING, FORETOLD = 1e-14, 1e-2
-#: share of an output's residual that a sweep's future explains where it is feedback: 30 % and more in closed loops,
-#: 1.3 % at most without feedback, where noise of the input's sensor makes the sweep less predictable
-CLEAR = 0.05
+#: share of an output's residual that a sweep's future explains where it is feedback: without, up to 15 % in 600 records
+#: whose input's sensor has noise, which makes a sweep less predictable; where more than the share of the sweep's power
+#: that follows is left without it, that is no sensor's noise and less will do
+CLEAR, NOISY, CLEAR_IF_NOISY = 0.15, 0.01, 0.05
 #: difference between periods, of the input's rms, up to which it repeats; noise that is fed back moves it by more
 REPEATED = 1e-6
 #: mean square, of the input's, by which it must have changed before it can repeat
 MOVED = 0.1
 #: an input of no more values than this, in its first rows, is switched: it may repeat under feedback too
 FEW_VALUES, MOST_UNIQUE = 20, 20_000
+#: moves of an input below which it has few, and what is a jump, of the median step from row to row
+FEW_MOVES, JUMP = 100, 9.0
 #: ticks of a clock, and the share of a switched signal's power that two levels hold
 TICKS, TWO_LEVELS = 8, 0.98
 #: zero crossings and rows over which a sweep is taken out at least, and the share of its power below which nothing is
@@ -85,13 +88,16 @@ def feedback_check(
         return _nothing_new(false_alarms, u.size, name, True, True)
     x, z = (_scaled(s) for s in (u, y))
     swept = None if period else _without_sweep(x, z)
+    least = 0.0
     if swept is not None:
-        if float(np.mean(swept[0] ** 2)) < SWEPT:
+        power = float(np.mean(swept[0] ** 2))
+        least = CLEAR_IF_NOISY if power > NOISY else CLEAR
+        if power < SWEPT:
             return _nothing_new(false_alarms, u.size, name, False, True)
         x, z = (_scaled(s) for s in swept)
     rows = _Rows.of(x.size + min(answers_after, 0), period or 0)
     past = np.stack([*_lagged(z, rows, -1, -1), *_lagged(x, rows, -answers_after, -1)], axis=1)
-    future = np.stack(_lagged(x, rows, 1 - answers_after, 1), axis=1)
+    future = np.stack(_lagged(_without_jumps(x), rows, 1 - answers_after, 1), axis=1)
     target, past, ahead = (rows.without_period(a) for a in (rows.take(z)[:, None], past, future))
     basis = _orthonormal(past)
     e, left = target[:, 0] - basis @ (basis.T @ target[:, 0]), ahead - basis @ (basis.T @ ahead)
@@ -105,7 +111,7 @@ def feedback_check(
     probability = float(f_distribution.sf(ratio, added, spare))
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
-    found = probability < false_alarms and (swept is None or explained >= CLEAR)
+    found = probability < false_alarms and explained >= least
     words = _sentence(found, probability, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
     return FeedbackCheck(found, probability, explained, lags, false_alarms, True, e.size, words)
 
@@ -122,6 +128,19 @@ def repeats(u: Array, period: int | None = None) -> bool:
             return False
         period = _best_lag(x)
     return 0 < period <= x.size // 2 and bool(np.abs(x[period:] - x[:-period]).max() <= REPEATED)
+
+
+def _without_jumps(x: Array) -> Array:
+    """An input x (n,) that moves at few times, as steps do, each stretch without its mean; any other as it is.
+
+    Of so few moves none tells what the output did before it from chance.
+    """
+    steps = np.diff(x, prepend=x[0])
+    many = float(np.sum(steps**2)) ** 2 >= FEW_MOVES * float(np.sum(steps**4))  # participation: how many count
+    if many:
+        return x
+    stretch = np.cumsum(np.abs(steps) > JUMP * np.median(np.abs(steps)))
+    return np.asarray(x - (np.bincount(stretch, x) / np.maximum(np.bincount(stretch), 1))[stretch])
 
 
 def _clocked(u: Array) -> bool:

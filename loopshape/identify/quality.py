@@ -10,12 +10,12 @@ from loopshape.core.kernels.spectra import cross_spectra
 from loopshape.core.stretches import LongSignal, Signal, extent, stretches
 from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.channel import sum_terms
+from loopshape.data.excitation_parts import rows_of_a_period
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording
 from loopshape.identify.faults import Fault, saturated, spikes, stuck
 from loopshape.identify.feedback_check import FeedbackCheck, feedback_check, repeats
 from loopshape.identify.input_power import unfed_bands
-from loopshape.identify.roles import rows_of_a_period
 from loopshape.identify.signals import input_signal, plant_input
 from loopshape.identify.transforms import measured_period
 
@@ -103,7 +103,7 @@ def signal_feedback(
         if u.size - first < LEAST_ROWS:  # a few rows at the end that happen to repeat
             period = first = 0
         u, y = u[first:], y[first:]
-    if u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
+    if stated and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = 0
     if not later:
         found = feedback_check(u, y, period=period or None, false_alarms=false_alarms, name=name)

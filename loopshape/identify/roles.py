@@ -20,7 +20,6 @@ _PREDICTED = 1e-9  # share of a signal that its own past leaves: below it nothin
 _COPIED = 1e-5  # of a signal's rms, up to which a column is a copy of another
 _ONE_WAY = 0.2  # of what one column explains of another, up to which the other way counts as none
 _MEANS = (1, 4, 16)  # rows averaged
-_REPEATED = 0.1  # of a signal's rms, by which two of its periods may differ
 _LEAST = 0.005  # share of what its own past leaves open, from which on others' past may explain a signal
 
 
@@ -122,37 +121,6 @@ def at_once(x: Array, source: int, answer: int) -> float:
     if not min(np.mean(a**2), np.mean(b**2)) > _PREDICTED:
         return float("nan")
     return float(a @ b / np.sqrt((a @ a) * (b @ b)))
-
-
-def rows_of_a_period(x: Array) -> tuple[int, int]:
-    """Rows after which a signal (n,) repeats itself, and from which row on; (0, 0) for one that does not."""
-    n = x.size
-    late = x[n // 3 :] - x[n // 3 :].mean()
-    if late.size < 8 or not late.any():
-        return 0, 0
-    power = np.fft.irfft(np.abs(np.fft.rfft(late, 2 * late.size)) ** 2, 2 * late.size)[: late.size]
-    lags = np.arange(late.size // 2 + 1)
-    alike = power[: lags.size] / power[0] * late.size / (late.size - lags)
-    fallen = np.flatnonzero(alike < 0.5)
-    if not fallen.size:
-        return 0, 0
-    rest = alike[fallen[0] :]
-    first = int(np.argmax(rest >= rest.max() - 0.02))  # multiples of a period are as good
-    period = int(fallen[0] + first + np.argmax(rest[first : first + max(3, (fallen[0] + first) // 20)]))
-    apart = np.abs(x[period:] - x[:-period])
-    noise = 1.5 * float(np.median(apart[-period:]))  # a median: single rows may be wrong
-    if noise > _REPEATED * late.std():
-        return 0, 0
-    begins = _last_crowd(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
-    still = begins + 2 * period > n or x[begins:].std() < 0.3 * late.std()  # what rests repeats too
-    return (0, 0) if still else (period, begins)
-
-
-def _last_crowd(marked: np.ndarray, width: int) -> int:
-    """The row behind the last stretch of `width` rows of which over a quarter are marked; 0 without one."""
-    count = np.concatenate([[0], np.cumsum(marked)])
-    crowds = np.flatnonzero(count[width:] - count[:-width] > width // 4)
-    return int(crowds[-1] + np.flatnonzero(marked[crowds[-1] : crowds[-1] + width])[-1]) + 1 if crowds.size else 0
 
 
 def _scaled(x: Array, rows: int = _ROWS) -> Array:

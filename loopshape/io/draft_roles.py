@@ -14,7 +14,7 @@ import numpy as np
 
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import Array
-from loopshape.data.excitation_parts import is_sweep
+from loopshape.data.excitation_parts import is_sweep, rows_of_a_period
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
@@ -27,7 +27,6 @@ from loopshape.identify.roles import (
     copies,
     differences,
     drives,
-    rows_of_a_period,
 )
 from loopshape.identify.settings import Settings
 from loopshape.io.column_words import TELLING, Role, role_weights

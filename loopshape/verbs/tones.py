@@ -12,11 +12,10 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
 from loopshape.data.arrays import rate, real_array
 from loopshape.data.channel import Channel, sum_terms
-from loopshape.data.excitation_parts import is_sweep
+from loopshape.data.excitation_parts import is_sweep, rows_of_a_period
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.data.tones import Tones
-from loopshape.identify.roles import rows_of_a_period
 from loopshape.identify.signals import has_instrument, moved_signal
 from loopshape.identify.tones import CHANCE, Period, tones_of, without_periods
 from loopshape.identify.transforms import measured_period

@@ -37,7 +37,9 @@ class Axis:
     def merged(self) -> Array:
         """Sizes at all knots (k, few) by those at every `FINER`-th, over position; else each by its own."""
         few = self.knots[:: FINER if self.over == "position" else 1]
-        return np.stack([np.interp(self.knots, few, row) for row in np.eye(few.size)], axis=1) if few.size else np.eye(1)
+        if not few.size:
+            return np.eye(1)
+        return np.stack([np.interp(self.knots, few, row) for row in np.eye(few.size)], axis=1)
 
     def values(self, x: Array) -> Array:
         """Hat functions (n, k) of x (n,), level beyond the outer knots."""
@@ -119,7 +121,7 @@ class Shapes:
             rows = np.concatenate([_columns(axis, signals[axis.over]) for axis in axes], axis=1)
             scales = np.maximum(np.abs(rows).max(axis=0), 1e-300)
             step = _SMALL * _size(self.composed, f, place)
-            pushes += [self._push(f, place, step * column / scale) for column, scale in zip(rows.T, scales, strict=True)]
+            pushes += [self._push(f, place, step * column) for column in (rows / scales).T]
             factors.append(scales / step)
             counts.append(len(scales))
         moved = following.pushed(self.composed, f, m, pushes)
