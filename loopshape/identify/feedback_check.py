@@ -85,7 +85,7 @@ def feedback_check(
     if not 0.0 < false_alarms < 0.5:
         raise WrongUseError("a rate of false alarms lies between 0 and 0.5", f"{false_alarms!r}")
     if repeats(u, period) or _clocked(u):
-        return _nothing_new(false_alarms, u.size, name, True, True)
+        return nothing_new(false_alarms, u.size, name, True, True)
     x, z = (_scaled(s) for s in (u, y))
     swept = None if period else _without_sweep(x, z)
     least = 0.0
@@ -93,7 +93,7 @@ def feedback_check(
         power = float(np.mean(swept[0] ** 2))
         least = CLEAR_IF_NOISY if power > NOISY else CLEAR
         if power < SWEPT:
-            return _nothing_new(false_alarms, u.size, name, False, True)
+            return nothing_new(false_alarms, u.size, name, False, True)
         x, z = (_scaled(s) for s in swept)
     rows = _Rows.of(x.size + min(answers_after, 0), period or 0)
     past = np.stack([*_lagged(z, rows, -1, -1), *_lagged(x, rows, -answers_after, -1)], axis=1)
@@ -103,7 +103,7 @@ def feedback_check(
     e, left = target[:, 0] - basis @ (basis.T @ target[:, 0]), ahead - basis @ (basis.T @ ahead)
     new = (left**2).sum(axis=0) / np.maximum((future**2).sum(axis=0), 1.0)  # share that the past does not foretell
     if new.max() < ROUNDING or float(e @ e) < ROUNDING * e.size:
-        return _nothing_new(false_alarms, e.size, name, bool(period), bool(new.max() < ROUNDING))
+        return nothing_new(false_alarms, e.size, name, bool(period), bool(new.max() < ROUNDING))
     more = _orthonormal(left[:, new >= ROUNDING])
     explained = float(((more.T @ e) ** 2).sum() / (e @ e))
     added, spare = more.shape[1], e.size - rows.removed - basis.shape[1] - more.shape[1]
@@ -114,6 +114,11 @@ def feedback_check(
     found = probability < false_alarms and explained >= least
     words = _sentence(found, probability, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
     return FeedbackCheck(found, probability, explained, lags, false_alarms, True, e.size, words)
+
+
+def enough_periods(rows: int, period: int) -> bool:
+    """Whether a record of so many rows holds periods enough to test what differs between them."""
+    return (rows - min(PAST, rows // 10) - min(FUTURE, rows // 20) - 1) // period >= 2
 
 
 def repeats(u: Array, period: int | None = None) -> bool:
@@ -283,7 +288,7 @@ def _orthonormal(columns: Array) -> Array:
     return np.asarray(kept @ (vectors[:, strong] / np.sqrt(values[strong])))
 
 
-def _nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, foretold: bool) -> FeedbackCheck:
+def nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, foretold: bool) -> FeedbackCheck:
     """The answer where an input holds nothing that noise could have put there, or an output no noise."""
     who, told = name or "the input", periodic and foretold
     words = (

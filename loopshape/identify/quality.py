@@ -14,7 +14,7 @@ from loopshape.data.excitation_parts import rows_of_a_period
 from loopshape.data.experiment import LoopSetup
 from loopshape.data.recording import Recording
 from loopshape.identify.faults import Fault, saturated, spikes, stuck
-from loopshape.identify.feedback_check import FeedbackCheck, feedback_check, repeats
+from loopshape.identify.feedback_check import FeedbackCheck, enough_periods, feedback_check, nothing_new, repeats
 from loopshape.identify.input_power import unfed_bands
 from loopshape.identify.signals import input_signal, plant_input
 from loopshape.identify.transforms import measured_period
@@ -105,6 +105,8 @@ def signal_feedback(
         u, y = u[first:], y[first:]
     if stated and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = 0
+    elif period and not enough_periods(u.size, period) and not repeats(u, period):  # what differs is a sensor's noise
+        return nothing_new(false_alarms, u.size, name, periodic=False, foretold=True)
     if not later:
         found = feedback_check(u, y, period=period or None, false_alarms=false_alarms, name=name)
         if found.told:
