@@ -191,8 +191,7 @@ def diagnose(
     """The whole diagnosis of a run. What its recordings cannot tell stands in the report's notes.
 
     Raises BadSignalError where no recording can be followed at all. The answer misleads where a gap comes from
-    something outside the catalogue that looks like a member of it: see `ambiguity` and `unknown`. On a machine of one's
-    own a force that changes many times along the travel (cogging) is taken for dry friction.
+    something outside the catalogue that looks like a member of it: see `ambiguity` and `unknown`.
     """
     notes, usable = suitable(plant, run)
     estimation = [r for r in usable if r.info.role == "estimation"]
