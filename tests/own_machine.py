@@ -49,7 +49,7 @@ def reference(k, t):
 
 
 def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0,
-             cogging=0.0, role="estimation"):  # fmt: skip
+             cogging=0.0, cogs=9.0, role="estimation"):  # fmt: skip
     """One recording: the lever follows a reference, `held` rad off, under a PD law that sees the sensor.
 
     Friction takes a share `load` of the drum's torque, and `driven_back` more where the load drives.
@@ -63,7 +63,7 @@ def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INE
     def slope(_, x, u):
         taken = load + driven_back if u * x[1] < 0.0 else load
         dry = (coulomb + taken * abs(u)) * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
-        dry += cogging * np.sin(9.0 * x[0])
+        dry += cogging * np.sin(cogs * x[0])
         own = u - 1.04 * DAMPING * x[1] - 0.985 * SPRING * x[0] - 1.01 * WEIGHT * np.sin(x[0])
         return [x[1], (own - dry) / (1.01 * inertia)]
 

@@ -27,13 +27,14 @@ def missing(run):
     return nameless(evidence, healthy.hypothesis.moves(healthy.phi), healthy.residual)
 
 
-def test_a_force_over_position_that_no_list_has_is_drawn_as_it_is():
-    found = missing(run_of(2, cogging=0.05))
+@pytest.mark.parametrize("cogs", [9.0, 40.0])  # the second has more periods along the travel than twelve places tell
+def test_a_force_over_position_that_no_list_has_is_drawn_as_it_is(cogs):
+    found = missing(run_of(2, cogging=0.05, cogs=cogs))
     assert found.best.place == "bearing"
     (curve,) = [c for c in found.curves("bearing", {}) if c.over == "position"]
     inner = slice(15, -15)  # the outer knots have been seen in passing alone
     x, value = curve.x[inner], curve.value[inner]
-    truth = -0.05 * np.sin(9.0 * x)
+    truth = -0.05 * np.sin(cogs * x)
     line = np.polyfit(x, value - truth, 1)  # what a spring or an offset would be is the tolerances' to tell
     off = value - truth - np.polyval(line, x)
     assert np.std(off) < 0.25 * np.std(truth)
