@@ -170,7 +170,7 @@ def rows_of_a_period(x: Array, differ: float = REPEATED) -> tuple[int, int]:
 
 
 def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
-    """A period and where it begins, looked for from a row on: up to half of what follows it."""
+    """A period and where it begins, looked for from a row on: half of the rows at least repeat, not a few at the end."""
     n = x.size
     late = x[start:] - x[start:].mean()
     if late.size < 8 or not late.any():
@@ -189,7 +189,7 @@ def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
     if noise > differ * late.std():
         return 0, 0
     begins = _last_crowd(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
-    if begins + 2 * period > n or x[begins:].std() < 0.3 * late.std():  # what rests repeats too
+    if begins > n // 2 or begins + 2 * period > n or x[begins:].std() < 0.3 * late.std():  # what rests repeats too
         return 0, 0
     whole = x[begins : begins + (n - begins) // period * period].reshape(-1, period)
     scatter = np.mean((whole - whole.mean(axis=0)) ** 2)  # it drifts with a period of no whole number of rows
