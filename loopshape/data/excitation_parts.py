@@ -170,7 +170,7 @@ def rows_of_a_period(x: Array, differ: float = REPEATED) -> tuple[int, int]:
 
 
 def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
-    """A period and where it begins, looked for from a row on: half of the rows at least repeat, not a few at the end."""
+    """A period and where it begins, looked for from a row: at least half of the rows repeat, not a few at the end."""
     n = x.size
     late = x[start:] - x[start:].mean()
     if late.size < 8 or not late.any():
