@@ -112,13 +112,15 @@ function notMeasured(
 const grids = new WeakMap<Judged, kernel.Grid>();
 
 function gridOf(loop: Loop, j: Judged, reader: Reader): kernel.Grid {
-  const known = grids.get(j);
-  if (known) return known;
-  const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
-  const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
-  const made = kernel.gridOf(j.f, kernel.squares(j.C), aboveF, aboveC2, reader, largestAbove(loop));
+  const made = grids.get(j) ?? madeGrid(loop, j.f, j.C, reader);
   grids.set(j, made);
   return made;
+}
+
+function madeGrid(loop: Loop, f: Real, C: Complex, reader: Reader): kernel.Grid {
+  const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
+  const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
+  return kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, reader, largestAbove(loop));
 }
 
 const drawnReadings = new WeakMap<Judged, kernel.Readings>();
@@ -160,12 +162,13 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
   const out = { value: found.slice(), low: found.slice(), high: found.slice() };
   const { reach } = loop.plant.source.constants;
+  const chords = betweenLines(loop, j, reference.found, reader, bounded);
   for (let c = 0; c < kernel.COLUMNS; c++) {
     const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
     const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
     if (usual && ofOnePiece(ordered) && deviation(ordered) <= (DISTANCES[c] ?? Infinity)) {
       out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
-      const half = reach * deviation(ordered);
+      const half = Math.hypot(reach * deviation(ordered), chords[c]);
       [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
     } else {
       const last = ordered.length - 1;
@@ -175,6 +178,38 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   }
   return out;
 }
+
+/** How far columns may be off because lines are joined by chords: half of what changes with every other line. */
+function betweenLines(loop: Loop, j: Judged, found: Float64Array, reader: Reader, bounded: boolean): Float64Array {
+  const coarse = halvesOf(loop, j, reader).map(({ grid, k }) => {
+    const out = kernel.freshReading();
+    kernel.read(grid, taken(j.reference.re, k), taken(j.reference.im, k), bounded, out);
+    return out.found;
+  });
+  return found.map((value, c) => {
+    const changes = coarse.map((one) => Math.abs(one[c] - value)).filter(Number.isFinite);
+    return (0.5 * changes.reduce((a, b) => a + b, 0)) / coarse.length;
+  });
+}
+
+interface Half {
+  grid: kernel.Grid;
+  k: number[];
+}
+
+const halves = new WeakMap<Judged, Half[]>();
+
+/** Grids of the even and of the odd lines, each with the first and the last. */
+function halvesOf(loop: Loop, j: Judged, reader: Reader): Half[] {
+  const made = halves.get(j) ?? [0, 1].map((first) => {
+    const k = Array.from(j.f.keys()).filter((at) => at % 2 === first || at === 0 || at === j.f.length - 1);
+    return { k, grid: madeGrid(loop, taken(j.f, k), { re: taken(j.C.re, k), im: taken(j.C.im, k) }, reader) };
+  });
+  halves.set(j, made);
+  return made;
+}
+
+const taken = (values: Real, k: number[]): Real => Float64Array.from(k, (at) => values[at]);
 
 /** Distances to -1 and peaks over them scatter as logarithms only where they are known to better than half. */
 const DISTANCES: Record<number, number> = {
