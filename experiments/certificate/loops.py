@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -13,12 +13,17 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import TransferFunction
+from loopshape.data.requirements import Requirements
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.smoothing import smoothed
+from loopshape.loop.verdict import loops_of
 
 KINDS = (
     "no integrator", "one integrator", "two integrators", "three integrators", "delay", "unstable pole",
     "unstable pair", "sharp resonance",
 )  # fmt: skip
+#: ways to spoil the lines of a loop of any of these kinds
+SPOILED = ("hole", "poor band", "low end cut", "high end cut")
 #: one step inside and outside a limit of the gain, and far from it
 STEPS = (0.5, 0.9, 0.97, 1.03, 1.1, 2.0)
 RATE_HZ = 1e5
@@ -163,6 +168,32 @@ def measured(case: Case, rng: np.random.Generator, noise: float, floor: float = 
         case.lines_hz, (P + error)[:, None, None], variance[:, None, None] + 0j, np.ones(P.size, dtype=bool), ("z_v",),
         ("y_rad",), "drawn", rate_hz=RATE_HZ,
     )  # fmt: skip
+
+
+def spoiled(case: Case, rng: np.random.Generator, noise: float, how: str) -> FRF:
+    """Lines without a band of 0.1 to 1.5 octaves near a crossover or a mode, with 20 to 80 % errors in it, or cut."""
+    f, L = case.lines_hz, case.gain * np.abs(case.plant.response(case.lines_hz))
+    near = [*f[(L > 0.03) & (L < 30.0)], *np.abs(np.roots(case.plant.den).imag) / TWO_PI]
+    centre, octaves = float(rng.choice([x for x in near if x > 0.0] or [5.0])), between(rng, 0.1, 1.5)
+    inside = np.abs(np.log2(f / centre)) < 0.5 * octaves
+    relative = np.where(inside & (how == "poor band"), rng.uniform(0.2, 0.8), noise)
+    falls = np.maximum.accumulate(L[::-1])[::-1] <= L  # the loop comes no closer above: what is taken for granted there
+    ends = f[falls & (L < 0.7)]
+    low = between(rng, 0.1, 6.0) if how == "low end cut" else 0.0
+    high = float(rng.choice(ends)) if how == "high end cut" and ends.size else np.inf
+    keep = (f > low) & (f <= high) & ~(inside & (how == "hole"))
+    whole = measured(case, rng, 1.0)
+    error = (whole.siso - case.plant.response(f)) * relative
+    P, std = case.plant.response(f) + error, relative * np.abs(case.plant.response(f))
+    known = trusted_lines(f[keep], relative[keep], np.ones(int(keep.sum()), dtype=bool))
+    made = {"response": P[keep, None, None], "covariance": (std[keep] ** 2)[:, None, None] + 0j, "trusted": known}
+    return replace(whole, frequency_hz=f[keep], loop="axis", **made)
+
+
+def checked(case: Case, frf: FRF) -> Loop:
+    """The loop on the lines that `check` would use, its plant's integrators and unstable poles declared."""
+    told = Requirements("axis", integrators=case.plant.integrators(), unstable_poles=case.plant.unstable_poles())
+    return loops_of([frf], Controller("axis", (Block("gain", {"gain": case.gain}),), RATE_HZ), told)[0][0]
 
 
 def loop(case: Case, frf: FRF, *, model: bool = False) -> Loop:

@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's own files, however it is started
 
 from hidden import alarms, detection  # noqa: E402
-from loops import KINDS, STEPS, Case, case, loop, measured, peer  # noqa: E402
+from loops import KINDS, SPOILED, STEPS, Case, case, checked, loop, measured, peer, spoiled  # noqa: E402
 
 from loopshape.data.frf import FRF  # noqa: E402
 from loopshape.loop.sampling import visible_residue  # noqa: E402
@@ -56,8 +56,16 @@ class Trial:
 
 def trials(kind: str) -> Iterator[Trial]:
     """All loops of a kind at all levels of noise."""
-    rng = np.random.default_rng([5, (*KINDS, "noise floor").index(kind)])
+    rng = np.random.default_rng([5, (*KINDS, "noise floor", *SPOILED).index(kind)])
     for _ in range(LOOPS):
+        if kind in SPOILED:
+            drawn = case(rng, str(rng.choice(KINDS[:-1])))
+            for noise in NOISES:
+                frf = spoiled(drawn, rng, noise, kind)
+                yield Trial(
+                    drawn, noise, closed_loop_stability(checked(drawn, frf)), peer(drawn, frf), seen(drawn, frf)
+                )
+            continue
         drawn = case(rng, kind if kind in KINDS else "one integrator")
         for noise in NOISES if kind in KINDS else FLOORS:
             frf = measured(drawn, rng, noise) if kind in KINDS else measured(drawn, rng, 0.02, noise)
@@ -118,7 +126,7 @@ def main() -> None:
     """Write the tables; some ten minutes on one core (OMP_NUM_THREADS=1)."""
     every: list[Trial] = []
     rows = []
-    for kind in (*KINDS, "noise floor"):
+    for kind in (*KINDS, "noise floor", *SPOILED):
         made = list(trials(kind))
         rows += [
             summary(kind, noise, [t for t in made if t.noise == noise]) for noise in sorted({t.noise for t in made})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +15,18 @@ from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.loop import Loop
 from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Margins
+from loopshape.data.requirements import Margins, Requirements
+from loopshape.data.valid_band import trusted_lines
 from loopshape.identify.smoothing import smoothed
 from loopshape.loop.margins import margins
+from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent
 RATE = 1000.0
 RUNS = 400
 NOISE = (0.02, 0.05, 0.10)
+#: ways to spoil the lines, and how many readings a row needs at least
+SPOILED, MANY = ("hole", "poor band", "low end cut"), 40
 COLUMNS = ("loop", "noise", "errors", "quantity", "unit", "truth", "raw_bias", "bias", "half_width", "coverage", "runs")
 #: quantity -> unit, and whether its error is counted as a share of it
 QUANTITIES = {
@@ -161,11 +165,29 @@ def measure(case: Case, noise: float, errors: str, rng: np.random.Generator) -> 
     return frf(case, response, variance, overlap, freedom)
 
 
+def spoiled(case: Case, noise: float, how: str, rng: np.random.Generator) -> FRF:
+    """A measurement without a band of 0.1 to 0.7 octaves near 0 dB, with 50 % errors in it, or without what lies below.
+
+    The band's centre is drawn from the lines where |L| is 0.1 to 10.
+    """
+    P = case.plant.response(case.f)
+    L = np.abs(P * Controller("axis", case.blocks, RATE).response(case.f))
+    centre, octaves = rng.choice(case.f[(L > 0.1) & (L < 10.0)]), rng.uniform(0.1, 0.7)
+    inside = np.abs(np.log2(case.f / centre)) < 0.5 * octaves
+    relative = np.where(inside & (how == "poor band"), 0.5, noise)
+    low = case.f < rng.uniform(0.05, 0.6) * case.f[int(np.argmin(np.abs(np.log(L))))]
+    measured = frf(case, P * (1.0 + relative * white(rng, P.size)), (relative * np.abs(P)) ** 2)
+    measured = replace(measured, trusted=trusted_lines(case.f, relative, measured.trusted))
+    return measured.select(~{"hole": inside, "low end cut": low}.get(how, np.zeros(P.size, dtype=bool)))
+
+
 def coverage(name: str, noise: float, errors: str, runs: int) -> list[list]:
     """Rows of the table for one loop at one level."""
     case, rng = CASES[name], np.random.default_rng([7, *name.encode(), round(1000 * noise), *errors.encode()])
     truth = read(case, frf(case, case.plant.response(case.f), np.zeros(case.f.size)))[0]
     kept = [q for q in QUANTITIES if np.isfinite(getattr(truth, q)) and getattr(truth, q) != 0.0]
+    if errors in SPOILED:
+        return _spoiled_rows(case, name, noise, errors, {q: getattr(truth, q) for q in kept}, runs, rng)
     found = [read(case, measure(case, noise, errors, rng)) for _ in range(runs)]
     rows = []
     for q in kept:
@@ -182,12 +204,37 @@ def coverage(name: str, noise: float, errors: str, runs: int) -> list[list]:
     return rows
 
 
+def _spoiled_rows(
+    case: Case, name: str, noise: float, how: str, truth: dict[str, float], runs: int, rng: np.random.Generator
+) -> list[list]:
+    """Rows of loops that stay decided; of those, readings that are bounds are left out."""
+    told = Requirements("axis", integrators=case.integrators, unstable_poles=case.unstable)
+    controller, found = Controller("axis", case.blocks, RATE), []
+    for _ in range(runs):
+        (one,) = check([spoiled(case, noise, how, rng)], controller, told, detuned=False).margins.values()
+        found += [one] if one.stable == "stable" else []
+    rows = []
+    for q, true in truth.items():
+        unit, relative = QUANTITIES[q]
+        read = [(getattr(m, q), *m.intervals[q]) for m in found if q in m.intervals and q not in m.bounds]
+        if len(read) < MANY:
+            continue
+        value, low, high = np.array(read).T
+        share = 100.0 / true if relative else 1.0
+        numbers = true, np.nan, share * (np.median(value) - true), share * np.median(0.5 * (high - low))
+        inside = np.mean((low <= true) & (true <= high))
+        rows.append([name, noise, how, q, unit, *(f"{x:.4g}" for x in numbers), f"{inside:.3f}", len(read)])
+    return rows
+
+
 def main(runs: int = RUNS) -> None:
     """All loops at all levels, errors independent; two loops with other errors."""
     rows = [row for name in CASES for noise in NOISE for row in coverage(name, noise, "independent", runs)]
     for name in ("peak of 8.4 dB", "arm, third order, notch", "lag with delay, even lines"):
         for errors in ("Hann", "three periods"):
             rows += coverage(name, 0.05, errors, runs)
+        for how in SPOILED:
+            rows += coverage(name, 0.02, how, runs)
     with (HERE / "results.csv").open("w", newline="") as file:
         csv.writer(file).writerows([COLUMNS, *rows])
     share = np.array([float(row[9]) for row in rows])

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.kernels.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.loop import Loop
@@ -40,13 +41,18 @@ _OF_ONE_LOOP = (
 
 
 class _Peak(NamedTuple):
-    """Ln of a gauge's largest value over the lines and above them, where, and the scales that read it."""
+    """Ln of a gauge's largest value over the lines, where, the scales that read it, and what it may reach beside them.
+
+    `beside` is -inf where what lies above the last line, and below the first, cannot be larger than on the lines.
+    """
 
     value: float
     at: int
     lower: float
     phases: ComplexArray
     scales: Array
+    beside: float
+    beside_at: int
 
 
 def several_margins(loops: LoopMatrix) -> SeveralMargins:
@@ -55,13 +61,16 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     With M = (S - T)/2 the loops stand every change of theirs by (1 + d/2)/(1 - d/2), |d| < a complex, as long as
     a < 1/mu(M) at all frequencies; the modulus margin is 1/mu(S) likewise. With one controller a loop both are the
     same at the plant's inputs and outputs. Above the last line L is taken to stay as small as it is there (in the
-    scales that show it smallest): a may be no more than 2 (1 - l)/(1 + l).
+    scales that show it smallest): a may be no more than 2 (1 - l)/(1 + l). Below the first line L is taken to stay as
+    large as it is there, and this counts where a peak still rises towards that line. Where either decides a number,
+    that number is a bound, and `bounds` says how good it may be.
 
     With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
     and has a 95 % interval: both from draws of the error (as in `loopshape.loop.margins`). For more than three loops,
     and for inputs and outputs at once, the margin is what is guaranteed (an upper bound of mu), and
     `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
-    the lines show makes them.
+    the lines show makes them, and by a parabola through the largest line and its neighbours, whose rise, and as much
+    again, is in the bad half of the interval.
     """
     if len(loops.names) == 1:
         return _of_one(loops)
@@ -74,11 +83,18 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     wanted = [g for g in GAUGES if not (mixed and g in "ST")]
     peaks = {g: _peak(g, P, c) for g in wanted}
     values = {g: peaks[g].value for g in wanted}
-    reaches: Mapping[str, float] = {}
+    reaches: Mapping[str, tuple[float, float]] = {}
     if scatter is not None:
         shifts = {g: _shift(g, scatter, c, peaks[g]) for g in wanted}
+        rises = {g: _between_lines(g, f, scatter.reference, c, peaks[g]) for g in wanted}
         values = {g: values[g] - shifts[g][0] for g in wanted}
-        reaches = {g: REACH * shifts[g][1] for g in wanted}
+        reaches = {g: (REACH * shifts[g][1], rises[g] + np.hypot(REACH * shifts[g][1], rises[g])) for g in wanted}
+    bounds = {
+        n: _field(n, values[g] - reaches.get(g, (0.0, 0.0))[0])
+        for n, g in FIELDS.items()
+        if g in wanted and peaks[g].beside > values[g]
+    }
+    values |= {g: peaks[g].beside for n, g in FIELDS.items() if n in bounds}
     stability = closed_loops_stability(loops)
     disk = peaks["disk"]
     found: dict[str, Any] = {
@@ -86,7 +102,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     }
     intervals = {n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches}
     a = found["disk_margin"]
-    reached = min(a * float(np.exp(disk.value - disk.lower)), 2.0)
+    reached = a if "disk_margin" in bounds else min(a * float(np.exp(disk.value - disk.lower)), 2.0)
     if reached > a > 0.0:  # between what is guaranteed and what is known to be lost nothing is known
         low, high = intervals.get("disk_margin", (a, a))
         intervals["disk_margin"] = low, high * reached / a
@@ -96,11 +112,14 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         phase_margin_deg=float(2.0 * deg(np.arctan(0.5 * a))),
         crossings_hz=(),
         phase_crossings_hz=(),
-        at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
+        at_hz={
+            n: float(f[peaks[g].beside_at if n in bounds else peaks[g].at]) for n, g in FIELDS.items() if g in peaks
+        },
         stable=stability.outcome,
         stability_reason=stability.reason,
         stability_band_hz=stability.band_hz,
         intervals=intervals,
+        bounds=bounds,
         loops=loops.names,
         disk_margin_reached=reached,
         worst_changes=_changes(disk),
@@ -142,8 +161,8 @@ def _field(name: str, value: float) -> float:
     return float(min(np.exp(-value), 1.0 if name == "modulus_margin" else 2.0))
 
 
-def _ends(name: str, value: float, reach: float) -> tuple[float, float]:
-    ends = _field(name, value - reach), _field(name, value + reach)
+def _ends(name: str, value: float, reach: tuple[float, float]) -> tuple[float, float]:
+    ends = _field(name, value - reach[0]), _field(name, value + reach[1])
     return min(ends), max(ends)
 
 
@@ -191,18 +210,32 @@ def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
     else:
         size, lower, scales, phases = mu_bounds(M)
     k = int(np.argmax(size))
-    above = _above_last(name, P[-1:], c[-1:])
-    if above > size[k]:
-        return _Peak(float(np.log(above)), nf - 1, float(np.log(above)), phases[-1], scales)
-    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales)
+    beside, at = _above_last(name, P[-1:], c[-1:]), nf - 1
+    if nf > 1 and size[0] > size[1] and (below := _below_first(name, P[:1], c[:1])) > max(beside, size[0]):
+        beside, at = below, 0
+    beside = float(np.log(beside)) if beside > size[k] else -np.inf
+    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales, beside, at)
 
 
 def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:
     """What a gauge may reach above the last line, if L stays as small as it is there."""
-    L = broken_twice(P, c) if name == "input_output" else P * c[..., None, :]
-    last = float(np.linalg.norm(L[0], 2) if name in ("S", "T") else mu_bounds(L).upper[0])
+    last = _size(name, broken_twice(P, c) if name == "input_output" else P * c[..., None, :])
     room = max(1.0 - last, 1e-9)
     return {"modulus": 1.0 / room, "S": 1.0 / room, "T": last / room}.get(name, 0.5 * (1.0 + last) / room)
+
+
+def _below_first(name: str, P: ComplexArray, c: ComplexArray) -> float:
+    """What a gauge may reach below the first line, if L stays as large as it is there; 0 where it is large."""
+    L = broken_twice(P, c) if name == "input_output" else P * c[..., None, :]
+    first = 1.0 / max(_size(name, np.asarray(np.linalg.pinv(L), dtype=complex)), 1e-9)
+    if first >= LARGE:
+        return 0.0
+    room = max(first - 1.0, 1e-9)
+    return {"modulus": 1.0 / room, "S": 1.0 / room, "T": first / room}.get(name, 0.5 * (1.0 + first) / room)
+
+
+def _size(name: str, L: ComplexArray) -> float:
+    return float(np.linalg.norm(L[0], 2) if name in ("S", "T") else mu_bounds(L).upper[0])
 
 
 def _shift(name: str, scatter: Dense, c: ComplexArray, peak: _Peak) -> tuple[float, float]:
@@ -211,6 +244,16 @@ def _shift(name: str, scatter: Dense, c: ComplexArray, peak: _Peak) -> tuple[flo
     reference = _read(name, scatter.reference[None, near], c[near], peak.scales[near])[0]
     drawn = _read(name, scatter.reference[near] + scatter.deviations[:, near], c[near], peak.scales[near])
     return float(np.mean(drawn) - reference), float(np.std(drawn))
+
+
+def _between_lines(name: str, f: Array, P: ComplexArray, c: ComplexArray, peak: _Peak) -> float:
+    """How far ln of a gauge rises between lines: a parabola through its largest line and the two beside it."""
+    near = slice(peak.at - 1, peak.at + 2)
+    if not 0 < peak.at < f.size - 1:
+        return 0.0
+    y = np.log(_sizes(name, gauge_matrix(name, P[near], c[near]), peak.scales[near]))
+    bend, slope, _ = np.polyfit(f[near] - f[peak.at], y, 2)
+    return float(-0.25 * slope**2 / bend) if bend < 0.0 and y[1] >= max(y[0], y[2]) else 0.0
 
 
 def _near(name: str, P: ComplexArray, c: ComplexArray, peak: _Peak) -> np.ndarray:
