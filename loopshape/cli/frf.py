@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -40,6 +41,12 @@ def frf(
         bool, typer.Option("--realisations", help="Average over random-phase realisations.")
     ] = False,
     matrix: Annotated[bool, typer.Option("--matrix", help="Estimate the plant's matrix of all loops too.")] = False,
+    renew: Annotated[
+        Path | None,
+        typer.Option(
+            help="An earlier run of the same plant: its FRFs with this run's valid frequencies in their band."
+        ),
+    ] = None,
     csv: Annotated[bool, typer.Option("--csv", help="Write each FRF as a table too.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw a page for each FRF, and an overview of each loop.")] = True,
     as_json: AsJson = False,
@@ -58,7 +65,7 @@ def frf(
         "segment_samples": segment_samples,
     }
     estimate_and_report(
-        run, output, settings=settings, figures=figures, csv=csv, realisations=realisations, matrix=matrix
+        run, output, settings=settings, figures=figures, csv=csv, realisations=realisations, matrix=matrix, renew=renew
     )
 
 
@@ -71,6 +78,7 @@ def estimate_and_report(
     csv: bool = False,
     realisations: bool = False,
     matrix: bool = False,
+    renew: Path | None = None,
     extra: Mapping[str, Any] | None = None,
     made: Run | None = None,
 ) -> None:
@@ -96,6 +104,7 @@ def estimate_and_report(
     recordings = excited_recordings(run)
     alone = [r for r in recordings if r.info.alone]
     found = _estimate(run, alone, chosen, realisations, output, warnings)
+    found = found if renew is None else _renewed(renew, found)
     wanted = matrix or len(alone) < len(recordings)
     matrices = matrices_of(run, recordings, chosen, output) if wanted else []
     if not found and not matrices:
@@ -113,6 +122,24 @@ def estimate_and_report(
     report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
     if (extra or {}).get("ended_early"):
         raise typer.Exit(2)
+
+
+def _renewed(earlier: Path, found: Sequence[FRF]) -> list[FRF]:
+    """The earlier run's FRFs, each renewed by the one of its loop and operating point; refuses where none is."""
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.frfs import read_frfs
+
+    pairs = [(old, new) for old in read_frfs(earlier) for new in found if _same_point(old, new)]
+    made = [replace(old.renewed(new), recording=new.recording, recordings=new.recordings) for old, new in pairs]
+    if not made:
+        points = "; ".join(f"{one.loop} {point(one.operating_point, one.parameters)}" for one in found)
+        what = f"no FRF in {earlier} is of a loop and operating point measured here"
+        raise WrongUseError(what, points, "measure the point once more, or leave --renew out")
+    return made
+
+
+def _same_point(one: FRF, other: FRF) -> bool:
+    return (one.loop, one.operating_point) == (other.loop, other.operating_point)
 
 
 def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:

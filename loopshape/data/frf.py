@@ -285,3 +285,42 @@ class FRF:
         """Lowest and highest valid line, (nan, nan) without any."""
         f = self.frequency_hz[self.trusted]
         return (float(f[0]), float(f[-1])) if f.size else (float("nan"), float("nan"))
+
+    def renewed(self, newer: FRF) -> FRF:
+        """This FRF with the valid lines of a newer measurement of the same plant in place of its own in their band.
+
+        For a band that is measured once more, finer or longer, as an undecided verdict orders it. The less certain of
+        the two tells the degrees of freedom and how far lines depend on one another. Misleads where the plant changed
+        between the two: compare them first (`loopshape compare`). Refuses other channels, rates and operating points.
+
+        >>> import loopshape as ls
+        >>> old = ls.FRF.from_arrays([1.0, 2.0, 3.0, 4.0], [1.0 + 0j, 0.5, 0.3, 0.2], std=0.1)
+        >>> new = ls.FRF.from_arrays([2.0, 2.5, 3.0], [0.5 + 0j, 0.4, 0.3], std=0.01)
+        >>> old.renewed(new).frequency_hz.tolist()
+        [1.0, 2.0, 2.5, 3.0, 4.0]
+        """
+        for name in ("inputs", "outputs", "rate_hz", "operating_point", "hold", "held_by"):
+            if getattr(self, name) != getattr(newer, name):
+                raise WrongUseError(
+                    f"the two FRFs of loop {self.loop} differ in {name}: one does not renew the other",
+                    f"{getattr(self, name)!s:.80} and {getattr(newer, name)!s:.80}",
+                    "take FRFs of one plant at one operating point",
+                )
+        new = newer.trusted_lines()
+        f, (low, high) = self.frequency_hz, new.frequency_hz[[0, -1]]
+        old = self.select((f < low * (1.0 - 1e-6)) | (f > high * (1.0 + 1e-6)))  # the ends are lines of both
+        order = np.argsort(np.concatenate([old.frequency_hz, new.frequency_hz]))
+        pairs = {name: (getattr(old, name), getattr(new, name)) for name in (*_ARRAYS, "trusted")}
+        arrays: dict[str, Any] = {
+            n: None if a is None or b is None else np.concatenate([a, b])[order] for n, (a, b) in pairs.items()
+        }
+        return replace(
+            self,
+            **arrays,
+            method=f"{self.method}; renewed from {low:g} to {high:g} Hz: {newer.method}",
+            line_overlap=max(self.line_overlap, newer.line_overlap),
+            variance_freedom=min(self.variance_freedom, newer.variance_freedom),
+            variance_pooled=max(self.variance_pooled, newer.variance_pooled),
+            open_loop=self.open_loop and newer.open_loop,
+            notes=tuple(dict.fromkeys([*self.notes, *newer.notes])),
+        )

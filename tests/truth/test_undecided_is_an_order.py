@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_loops import LINES, PLANTS, RATE, by_roots, errors, limit_gain
 
+from loopshape.core.errors import WrongUseError
 from loopshape.data.controller import Block, Controller
 from loopshape.data.frf import FRF
 from loopshape.data.requirements import Requirements
@@ -54,6 +55,21 @@ def test_in_a_hole_the_hole():
     order = the_order(answered(frf_of(LINES[(LINES < 4.05) | (LINES > 8.95)], 0.01)))
     assert (order.low_hz, order.high_hz) == pytest.approx((4.0, 9.0))
     assert order.resolution_hz == pytest.approx(0.1)
+
+
+def test_the_ordered_band_renews_the_old_lines_and_decides():
+    old = frf_of(LINES[(LINES < 4.05) | (LINES > 8.95)], 0.01, seed=1)
+    order = the_order(answered(old))
+    newer = frf_of(np.arange(order.low_hz, order.high_hz + 1e-9, order.resolution_hz), 0.01, seed=2)
+    made = old.renewed(newer)
+    assert answered(made).outcome == ("passed" if by_roots(PLANT, 1.0) == 0 else "failed")
+    assert np.all(np.diff(made.frequency_hz) > 0.0)
+    assert made.frequency_hz.size == LINES.size
+    within = (made.frequency_hz > 3.99) & (made.frequency_hz < 9.01)
+    np.testing.assert_array_equal(made.siso[within], newer.siso)
+    other = replace(newer, operating_point={"x": 1.0})
+    with pytest.raises(WrongUseError, match="operating_point"):
+        old.renewed(other)
 
 
 def test_seconds_go_with_the_square_of_the_error():
