@@ -251,18 +251,20 @@ def diagnose(
 def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
     """With a budget by recordings that no fit saw, and judged again by them where prices are not calibrated."""
     plant = a.evidence.plant
-    followed = _leaders(a) if a.nameless is None else _followed(a)
-    moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.none, *(a.scored[n] for n in followed))]
-    levels = shrink.levels(plant, run, held_out, moves)
-    found = dict(zip(("none", *followed), (level.squares for level in levels), strict=True))
     prepared = [plant.prepare(r, run, None) for r in held_out]
-    ceilings = a.nameless.held_out(prepared, moves[0]) if a.nameless else {}
-    if a.nameless is not None:
-        squares, pushed = ({n: x.mean(axis=2).ravel() for n, x in of.items()} for of in (found, ceilings))
-        channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
-        held = decide.HeldOut(squares, pushed, channels)
-        energies = decide.energies(a.evidence, a.none, a.scored, a.nameless.best, held)
-        a = replace(a, energies=energies, probabilities=decide.probabilities(energies))
+    ceilings = a.nameless.held_out(prepared, a.none.fitted.hypothesis.moves(a.none.fitted.phi)) if a.nameless else {}
+    channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
+    found: dict[str, Array] = {}
+    wanted = ["none", *(_leaders(a) if a.nameless is None else _followed(a))]
+    while new := [n for n in wanted if n not in found]:
+        moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.scored[n] for n in new)]
+        found |= dict(zip(new, (level.squares for level in shrink.levels(plant, run, held_out, moves)), strict=True))
+        if a.nameless is not None:
+            squares, pushed = ({n: x.mean(axis=2).ravel() for n, x in of.items()} for of in (found, ceilings))
+            held = decide.HeldOut(squares, pushed, channels)
+            energies = decide.energies(a.evidence, a.none, a.scored, a.nameless.best, held)
+            a = replace(a, energies=energies, probabilities=decide.probabilities(energies))
+        wanted = _leaders(a)
     leading = _leaders(a)
     a = _with_budget(a, [found["none"], *(found[n] for n in leading)], ceilings)
     if plant.calibrated:

@@ -4,14 +4,16 @@ The winch of `tests/own_machine.py` rubs or cogs by formulas of the test's own.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from own_machine import MODEL, run_of
+from own_machine import MODEL, RATE_HZ, recorded, run_of
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.data.gap_report import BudgetPart, missing_csv
+from loopshape.data.run import Run
 from loopshape.diagnose import attribute
 from loopshape.diagnose.ceiling import nameless
 from loopshape.diagnose.evidence import Evidence
@@ -98,6 +100,23 @@ def test_an_answer_has_a_budget_a_place_and_a_curve_where_no_name_fits():
     table = missing_csv(report.missing_by_place["bearing"]).splitlines()
     assert table[0] == "over,x,value,low,high,named"
     assert {row.split(",")[0] for row in table[1:]} == set(first["over"])
+
+
+@cache
+def common(first=0, **effect):
+    """A run of a winch that cogs, as every winch of this make does and no model of it."""
+    own = [recorded(first + k, cogging=0.02, **effect) for k in range(3)]
+    return Run(RATE_HZ, (), (*own, recorded(first + 9, cogging=0.02, role="validation", **effect)))
+
+
+@pytest.mark.long
+def test_a_name_that_leads_after_the_held_out_recordings_alone_is_followed_there_too():
+    # found in a machine that cogs: the name that came to lead had not been followed, and the diagnosis ended in an error
+    report = ls.gap(common(), model=MODEL, table=False)
+    assert (report.verdict, report.where.block) == ("unknown", "bearing")
+    best = report.budget_step(BudgetPart.BEST_NAME)
+    assert best.effects == (report.ranking[1].effect,)
+    assert best.gap == pytest.approx(report.gap.after)
 
 
 @pytest.mark.long
