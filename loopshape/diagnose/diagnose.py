@@ -207,9 +207,11 @@ def diagnose(
     answer misleads where a gap comes from something outside the catalogue that looks like a member of it: see
     `ambiguity` and `unknown`.
     """
+    told: list[str] = []
     if baseline is not None:
-        baseline = comparable(plant, run, baseline)
+        told, baseline = comparable(plant, run, baseline)
     notes, usable = suitable(plant, run)
+    notes += told
     stated = plant.stated if isinstance(plant, Statable) else frozenset[str]()
     estimation = [r for r in usable if r.info.role == "estimation"]
     validation = [r for r in usable if r.info.role == "validation"]

@@ -17,6 +17,7 @@ from loopshape.data.run import Run
 
 SHORTEST_S = 3.0
 RUN = 10  # equal samples in a row
+LIVELIER = 1.5  # rms of a column about its mean over that on the baseline
 SATURATED = 0.02  # share of samples at a measured signal's ends
 
 
@@ -45,8 +46,8 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
     return notes, usable
 
 
-def comparable(plant: Followable, run: Run, baseline: Run) -> Run:
-    """The baseline's recordings that can be followed; refuses one that was not recorded as the run was."""
+def comparable(plant: Followable, run: Run, baseline: Run) -> tuple[list[str], Run]:
+    """Notes and the baseline's recordings that can be followed; refuses one that was not recorded as the run was."""
     if not isinstance(plant, Statable):
         raise WrongUseError(
             "a baseline states the floor of a machine of your own", f"the plant {plant.name}",
@@ -82,7 +83,25 @@ def comparable(plant: Followable, run: Run, baseline: Run) -> Run:
         raise WrongUseError(
             "a baseline is another run than the one to diagnose", f"{same[0]} in both", "name a run of the good machine"
         )
-    return replace(baseline, recordings=usable)
+    notes = [f"baseline, {note}" for note in notes] + _livelier(plant, run.recordings, usable)
+    return notes, replace(baseline, recordings=usable)
+
+
+def _livelier(plant: Followable, recordings: Sequence[Recording], baseline: Sequence[Recording]) -> list[str]:
+    """Which columns vary far more than on the baseline, whose floor may then be too low."""
+
+    def varying(column: str, of: Sequence[Recording]) -> float:
+        return float(np.sqrt(np.mean([np.var(r.column(column)) for r in of if column in r.columns])))
+
+    out = []
+    for c in plant.needs:
+        here, there = varying(c, recordings), varying(c, baseline)
+        if here > LIVELIER * there > 0.0:
+            out.append(
+                f"{c} varies {here / there:.2g} times as much as on the baseline: a good model may leave more than "
+                "the floor; record the good machine with as much motion"
+            )
+    return out
 
 
 def _same(plant: Followable, one: Recording, other: Recording) -> bool:

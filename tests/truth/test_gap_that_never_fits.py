@@ -17,6 +17,7 @@ from loopshape.data.run import Run
 from loopshape.diagnose import attribute
 from loopshape.diagnose.ceiling import nameless
 from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.suitable import comparable
 from loopshape.diagnose.windows import against
 from loopshape.model.own.plant import OwnMachine
 
@@ -230,6 +231,14 @@ def test_a_baseline_that_is_not_comparable_is_refused_in_a_sentence(baseline, mo
     run = replace(run_with(swung()), plant="servo-axis")
     with pytest.raises(LoopshapeError, match=words):
         ls.gap(run, model=model, baseline=baseline(), table=False)
+
+
+def test_a_baseline_that_moved_less_is_noted_and_one_that_moved_alike_is_not():
+    run, calm = run_with(swung()), other(lever_rad=swung().column("lever_rad") / 3.0)
+    notes, kept = comparable(OwnMachine(MODEL), run, calm)
+    assert kept.recordings == calm.recordings
+    assert [note.partition(" times as much as on the baseline")[0] for note in notes] == ["lever_rad varies 3"]
+    assert comparable(OwnMachine(MODEL), run, run_with(disturbed(0.01)))[0] == []
 
 
 @cache
