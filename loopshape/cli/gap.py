@@ -13,7 +13,7 @@ from loopshape.cli.output import AsJson, Details, Output, Quiet, RunFolder, poin
 
 if TYPE_CHECKING:
     from loopshape.data.effect import Fix
-    from loopshape.data.gap_report import BudgetStep, GapReport, Ranked
+    from loopshape.data.gap_report import BudgetStep, Floor, GapReport, Ranked
 
 #: hypotheses printed with --details, and without
 SHOWN, FIRST = 6, 3
@@ -35,6 +35,10 @@ def gap(
     model: Annotated[
         Path | None, typer.Option(help="A machine of your own (model.toml); the Python file that it names is run.")
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="With --model, a run of a machine known to be good: what the model leaves there is no gap."),
+    ] = None,
     identifiable: Annotated[
         bool,
         typer.Option(
@@ -52,6 +56,8 @@ def gap(
     """
     output = Output(as_json, quiet)
     check_files(save_answer, report, next_study)
+    if baseline is not None and (sim is not None or identifiable):
+        refuse_baseline("a second run" if sim is not None else "--identifiable")
     if sim is not None:
         from loopshape.cli.gap_two_runs import two_runs
 
@@ -61,7 +67,7 @@ def gap(
         show_identifiable(run, model, output)
         return
     files = {"save_answer": save_answer, "report": report, "next_study": next_study}
-    diagnose_run(run, output, **files, quick=quick, details=details, model=model)
+    diagnose_run(run, output, **files, quick=quick, details=details, model=model, baseline=baseline)
 
 
 def show_identifiable(folder: Path, model: Path | None, output: Output) -> None:
@@ -88,6 +94,7 @@ def diagnose_run(
     quick: bool = False,
     details: bool = False,
     model: Path | None = None,
+    baseline: Path | None = None,
 ) -> GapReport:
     """Diagnose a run folder, print what was found, and write what was asked for.
 
@@ -99,7 +106,7 @@ def diagnose_run(
     check_files(save_answer, report, next_study)
     run = read_run(folder)
     with output.progress("gap", 9) as step:
-        found = run_gap(run, model=model, table=not quick, name=folder.name, say=step)
+        found = run_gap(run, model=model, baseline=baseline, table=not quick, name=folder.name, say=step)
     _headline(found, output)
     if details:
         show(found, output)
@@ -154,6 +161,15 @@ def check_files(save_answer: Path | None, report: Path | None, study: Path | Non
             raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
 
 
+def refuse_baseline(beside: str) -> None:
+    """Refuse a baseline where no diagnosis is made."""
+    from loopshape.core.errors import WrongUseError
+
+    raise WrongUseError(
+        "a baseline is the floor of a diagnosis of one run", f"--baseline and {beside}", "leave one of them out"
+    )
+
+
 def _headline(found: GapReport, output: Output) -> None:
     """The diagnosis in one sentence, the leading hypotheses, the place, and what to record next: 80 columns."""
     output.paragraph(found.sentence)
@@ -167,8 +183,12 @@ def _headline(found: GapReport, output: Output) -> None:
         output.paragraph(f"left out of the fit, {agree} of {count} recordings or pieces are told best by it")
     if found.budget:
         steps = [x for k, x in enumerate(found.budget) if not k or x.effects != found.budget[k - 1].effects]
-        cells = [[_WITH[x.step].format(" + ".join(x.effects)), x.gap, *_shares(x)] for x in steps]
-        output.table("Where the gap goes", ["with", "left, noise floors", "explains", "95 % interval"], cells)
+        known = [_floor_words(floor) for floor in found.floors if floor.source in _SOURCES]
+        unit = "floor" if known else "noise floor"
+        cells = [[_WITH[x.step].format(" + ".join(x.effects) or unit), x.gap, *_shares(x)] for x in steps]
+        output.table("Where the gap goes", ["with", f"left, {unit}s", "explains", "95 % interval"], cells)
+        if known:
+            output.paragraph(f"floor: {'; '.join(known)}")
     place, (low, high) = found.where, found.where.band_hz
     if place.block != "none":
         output.paragraph(f"where: {place.block}, seen most in {place.channel} from {low:.3g} to {high:.3g} Hz")
@@ -186,8 +206,17 @@ _WITH = {
     "best_name": "{}",
     "best_set": "{}",
     "ceiling": "any push at {}",
-    "floor": "noise floor",
+    "floor": "{}",
 }
+
+
+#: where a floor comes from, if it is not estimated
+_SOURCES = {"leaves": "as stated (leaves)", "baseline": "what the model leaves of the baseline"}
+
+
+def _floor_words(floor: Floor) -> str:
+    unit = "" if floor.unit in ("", "1") else f" {floor.unit}"
+    return f"{floor.output} {floor.rms:.3g}{unit}, {_SOURCES[floor.source]}"
 
 
 def _shares(step: BudgetStep) -> list[str]:

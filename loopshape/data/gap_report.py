@@ -173,6 +173,24 @@ class BudgetStep:
     interval: tuple[float, float] | None = None
 
 
+class FloorSource(StrEnum):
+    """Where a floor comes from: noise and a share of the motion, what the user says, or a machine known to be good."""
+
+    ESTIMATED = "estimated"
+    STATED = "leaves"
+    BASELINE = "baseline"
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Rms of an output, in its unit and within a window, that is no gap: what a good model leaves."""
+
+    output: str
+    rms: float
+    unit: str
+    source: FloorSource
+
+
 @dataclass(frozen=True, eq=False)
 class Trace:
     """A stretch of a validation recording for the eye: time, measured, nominal, with the effect."""
@@ -216,6 +234,7 @@ class GapReport:
 
     `by_recording` is which single effect, or none, predicts each recording best that was left out of its fit.
     `window_s` is how long a machine of the user's own was followed, chosen among `windows_s` where that was left open.
+    `floors` are those of a machine of the user's own, by output.
     `ambiguity` are groups of names that the recordings cannot tell apart, best first, holding nine tenths together.
     """
 
@@ -240,6 +259,7 @@ class GapReport:
     by_recording: Mapping[str, str] = field(default_factory=dict)
     window_s: float | None = None
     windows_s: Sequence[float] = ()
+    floors: Sequence[Floor] = ()
     fix: Fix | None = None
 
     @property
@@ -315,6 +335,7 @@ class GapReport:
             "by_recording": dict(self.by_recording),
             "window_s": self.window_s,
             "windows_tried_s": list(self.windows_s),
+            "floors": [asdict(floor) for floor in self.floors],
             "where": asdict(self.where) | {"place": self.where.block},
             "gap": None if self.gap is None else self.gap.to_dict(),
             "submodels": [asdict(s) for s in self.submodels],

@@ -6,6 +6,7 @@ name (`p.mass`), to the nx derivatives. Effects are composed around it and never
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -85,7 +86,11 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """A state that a sensor reads, and the recorded column: output = `factor` * column + `offset`."""
+    """A state that a sensor reads, and the recorded column: output = `factor` * column + `offset`.
+
+    `leaves` is the rms, in the output's unit and within a window, that a good model of this machine leaves; None where
+    that is not known.
+    """
 
     name: str
     state: str
@@ -93,6 +98,15 @@ class Output:
     factor: float = 1.0
     unit: str = ""
     offset: float = 0.0
+    leaves: float | None = None
+
+    def __post_init__(self) -> None:
+        pass_fields(self)
+        if self.leaves is not None and not 0.0 < self.leaves < math.inf:
+            raise WrongUseError(
+                f"leaves of output {self.name} is the rms that a good model leaves, a finite number above 0",
+                f"{self.leaves:g}", "give it in the unit of the output, or leave it out",
+            )  # fmt: skip
 
 
 def is_angle(output: Output) -> bool:
@@ -167,6 +181,11 @@ class Model:
             raise WrongUseError("a model has states, inputs and outputs", f"{self.name}: one of them is empty")
         if self.window_s is not None and not self.window_s > 0.0:
             raise WrongUseError("window_s is a time above 0", f"{self.window_s:g}")
+        if self.window_s is None and (known := [o.name for o in self.outputs if o.leaves is not None]):
+            raise WrongUseError(
+                f"leaves of output {known[0]} is what a good model leaves within a window of known length",
+                "no window_s", "give window_s",
+            )  # fmt: skip
         if not 0.0 <= self.matters < 1.0:
             raise WrongUseError("matters is a share of the motion from 0 to 1", f"{self.matters:g}")
         self._names()
@@ -213,7 +232,7 @@ class Model:
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """A MuJoCo model and what belongs to it: an `MjSpec`, tolerances by kind and name, columns and factors by name, of
-    sensors offsets too.
+    sensors offsets, and what a good model leaves, too.
 
     Kinds of `spread`: mass (of a body), damping, armature and frictionloss (of a joint), motor_constant (of an
     actuator). A joint may stand in `actuators`, an effort then, and in `sensors`, its position, with `_speed` behind it
@@ -225,7 +244,7 @@ class Mechanism:
     spec: Any
     spread: Mapping[str, Mapping[str, float]]
     actuators: Mapping[str, tuple[str, float]]
-    sensors: Mapping[str, tuple[str, float] | tuple[str, float, float]]
+    sensors: Mapping[str, tuple[str, float] | tuple[str, float, float] | tuple[str, float, float, float | None]]
     window_s: float | None = None
     without: tuple[str, ...] = ()
     kinds: tuple[Kind, ...] = ()

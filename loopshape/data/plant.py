@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -150,6 +150,22 @@ class Followable(Plant, Protocol):
 
     def shapes(self, prepared: Sequence[Any]) -> Shapes | None:
         """Shapes of nameless pushes over what these recordings show; None where nobody knows any."""
+
+
+@runtime_checkable
+class Statable(Protocol):
+    """A followable plant of which a user may know what a good model leaves."""
+
+    #: unit of each channel of `residuals`
+    units: Mapping[str, str]
+    #: channels whose floor is what a good model leaves, as the user says or as a machine known to be good shows
+    stated: frozenset[str]
+
+    def left(self, prepared: Sequence[Any], moves: Mapping[str, float]) -> dict[str, float]:
+        """Rms within a window, by channel, that parameters moved as given leave of recordings of a good machine."""
+
+    def leaving(self, rms: Mapping[str, float]) -> Followable:
+        """This plant, of which a good model leaves so much; what is stated already stays."""
 
 
 class Axis(Protocol):

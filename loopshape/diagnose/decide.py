@@ -19,9 +19,10 @@ from loopshape.core.units import Array
 from loopshape.data.effect import EffectForm
 from loopshape.data.gap_report import SMALLEST_GAP
 from loopshape.data.plant import Followable
+from loopshape.diagnose import fitting
 from loopshape.diagnose.attribute import LeftOut, deviation_of_magnitude, left_out
 from loopshape.diagnose.ceiling import Ceiling
-from loopshape.diagnose.evidence import Evidence
+from loopshape.diagnose.evidence import Evidence, least
 from loopshape.diagnose.fitting import Fitted
 from loopshape.diagnose.hypothesis import Hypothesis
 
@@ -80,7 +81,8 @@ def candidate(
     cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
     cost += sum(TWO_EFFECTS - ONE_EFFECT for f in forms if f.extends)
     odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
-    return Candidate(fitted, left, deviations, left.cost - evidence.quiet, cost + odd)
+    excess = fitting.cost(np.maximum(left.squares, evidence.least)) - evidence.quiet
+    return Candidate(fitted, left, deviations, excess, cost + odd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +108,24 @@ def energies(
     is what it leaves, but no less than UNKNOWN_LEAVES of the gap (it has to explain clearly more than a name), and
     everything is told in units of what even the best explanation leaves: a real machine never comes down to its noise.
     Recordings that no fit saw count as those that were left out; a name that was not followed there leaves what none
-    does.
+    does. Of a channel whose floor is known, what the best explanation leaves beyond it is no discrepancy: a good model
+    leaves less.
     """
+    channels = [c.channel for c in evidence.cells] + list(held.channels if held else ())
+    floor = least(evidence.plant, channels)
 
     def every(left: Array, name: str) -> Array:
-        return left if held is None else np.concatenate([left, held.squares.get(name, held.squares["none"])])
+        whole = left if held is None else np.concatenate([left, held.squares.get(name, held.squares["none"])])
+        return np.maximum(whole, floor)
 
     squares = {name: every(c.left.squares, name) for name, c in scored.items()}
     idle = every(none.left.squares, "none")
-    quiet, scale, nameless = len(idle) * float(np.log(2.0)), np.ones(len(idle)), idle
+    quiet, scale, nameless = float(np.sum(np.log1p(np.maximum(floor, 1.0)))), np.ones(len(idle)), idle
     if ceiling is not None:
         nameless = ceiling.squares if held is None else np.concatenate([ceiling.squares, held.nameless[ceiling.place]])
         nameless = np.maximum(nameless, np.minimum(1.0, idle) + UNKNOWN_LEAVES**2 * np.maximum(idle - 1.0, 0.0))
-        channels = [c.channel for c in evidence.cells] + list(held.channels if held else ())
-        scale += discrepancy(channels, [*squares.values(), nameless])
+        nameless = np.maximum(nameless, floor)
+        scale += np.where(floor > 0.0, 0.0, discrepancy(channels, [*squares.values(), nameless]))
 
     def excess(values: Array) -> float:
         return float(np.sum(np.log1p(values / scale))) - quiet
@@ -194,12 +200,15 @@ def judged(
     ceiling: float | None = None,
     matters: float = 0.0,
     main: str | None = None,
+    *,
+    known: bool = False,
 ) -> dict[str, float]:
     """Probabilities once recordings that no fit saw were followed: `before` floors without an effect, `after` by name.
 
     All is told in units of the least that is left, by a name or by a nameless push (`ceiling`, None where none is
-    known), but no less than the noise. A name that takes less than LEAST_SHARE of the gap away explains nothing; where
-    no name and no push moves the outputs by `matters` floors, there is no gap that matters.
+    known), but no less than the noise; in floors where all of these are `known` to be what a good model leaves. A name
+    that takes less than LEAST_SHARE of the gap away explains nothing; where no name and no push moves the outputs by
+    `matters` floors, or none is left beyond SMALLEST_GAP known floors, there is no gap that matters.
 
     A form that does not quite fit may leave up to UNKNOWN_LEAVES of the gap. A second effect would take up what the
     first one's form leaves, so a pair has to leave what noise explains, or on a machine that never comes down to it
@@ -215,12 +224,12 @@ def judged(
     singles = [n for n in out if n not in pairs and n not in ("none", "unknown")]
     together = SMALLEST_GAP
     if ceiling is not None:
-        least = max(1.0, min([ceiling, *after.values()]))
+        least = 1.0 if known else max(1.0, min([ceiling, *after.values()]))
         gap = before - 1.0
         idle = {n for n, left in after.items() if before - left < LEAST_SHARE * gap}
         if (leader := next(iter(out))) in idle:
             out = _reduced(out, [n for n in out if n not in ("none", "unknown")])
-        if before < np.hypot(matters, 1.0):
+        if before < max(np.hypot(matters, 1.0), SMALLEST_GAP if known else 0.0):
             return _reduced(out, [n for n in out if n != "none"], to="none")
         alone = min((left for n, left in after.items() if n not in pairs), default=before)
         together = max(SMALLEST_GAP, alone - UNKNOWN_LEAVES * gap)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,13 +15,15 @@ from loopshape.data.gap_report import (
     BudgetPart,
     BudgetStep,
     Curve,
+    Floor,
+    FloorSource,
     GapReport,
     Ranked,
     Shrink,
     Trace,
     Where,
 )
-from loopshape.data.plant import Followable
+from loopshape.data.plant import Followable, Statable
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 from loopshape.diagnose import attribute, decide, locate, shrink, told_apart, windows
@@ -33,7 +35,7 @@ from loopshape.diagnose.next_experiment import propose
 from loopshape.diagnose.next_recording import repeat
 from loopshape.diagnose.replay import tables as _tables
 from loopshape.diagnose.software import software_check
-from loopshape.diagnose.suitable import suitable
+from loopshape.diagnose.suitable import comparable, suitable
 
 Say = Callable[[str], None]
 PERIODIC_S = 10.0  # of a recording that repeats itself so much tells all
@@ -88,10 +90,19 @@ class Attribution:
 
 
 def attribute_effect(
-    plant: Followable, run: Run, names: Sequence[str], *, threads: int | None, say: Say
+    plant: Followable,
+    run: Run,
+    names: Sequence[str],
+    *,
+    threads: int | None,
+    say: Say,
+    baseline: Run | None = None,
 ) -> Attribution:
-    """Fit every effect in every form to the recordings named, then pairs if one effect is not enough."""
-    plant, run, names = windows.chosen(plant, run, names, threads, say).readied(run, names)
+    """Fit every effect in every form to the recordings named, then pairs if one effect is not enough.
+
+    The floor of each output is what the healthy machine leaves of a `baseline`, where there is one.
+    """
+    plant, run, names = windows.chosen(plant, run, names, threads, say, baseline).readied(run, names)
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
     brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S)
     say("healthy machine")
@@ -184,22 +195,30 @@ def diagnose(
     run: Run,
     name: str,
     *,
+    baseline: Run | None = None,
     threads: int | None = None,
     table: bool = True,
     say: Say = lambda step: None,
 ) -> GapReport:
     """The whole diagnosis of a run. What its recordings cannot tell stands in the report's notes.
 
-    Raises BadSignalError where no recording can be followed at all. The answer misleads where a gap comes from
-    something outside the catalogue that looks like a member of it: see `ambiguity` and `unknown`.
+    `baseline` is a run of the same machine known to be good: what the model leaves there is the floor. Raises
+    BadSignalError where no recording can be followed at all, WrongUseError for a baseline that is not comparable. The
+    answer misleads where a gap comes from something outside the catalogue that looks like a member of it: see
+    `ambiguity` and `unknown`.
     """
+    told: list[str] = []
+    if baseline is not None:
+        told, baseline = comparable(plant, run, baseline)
     notes, usable = suitable(plant, run)
+    notes += told
+    stated = plant.stated if isinstance(plant, Statable) else frozenset[str]()
     estimation = [r for r in usable if r.info.role == "estimation"]
     validation = [r for r in usable if r.info.role == "validation"]
     say("software")
     software = software_check(replace(run, recordings=tuple(usable)))
     names = [r.info.name for r in estimation]
-    a = attribute_effect(plant, run, names, threads=threads, say=say)
+    a = attribute_effect(plant, run, names, threads=threads, say=say, baseline=baseline)
     plant = a.evidence.plant  # with the run's own nominal numbers
     say("held-out recordings")
     if validation:
@@ -241,6 +260,7 @@ def diagnose(
         by_recording=told_apart.by_recording(a.scale, a.scored),
         window_s=getattr(plant, "window_s", None),
         windows_s=getattr(plant, "windows_s", ()),
+        floors=_floors(a.evidence, stated),
         moves=many[1] if healed else many[0],
         fix=_fix(a, many[1]),
         notes=notes,
@@ -251,18 +271,20 @@ def diagnose(
 def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
     """With a budget by recordings that no fit saw, and judged again by them where prices are not calibrated."""
     plant = a.evidence.plant
-    followed = _leaders(a) if a.nameless is None else _followed(a)
-    moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.none, *(a.scored[n] for n in followed))]
-    levels = shrink.levels(plant, run, held_out, moves)
-    found = dict(zip(("none", *followed), (level.squares for level in levels), strict=True))
     prepared = [plant.prepare(r, run, None) for r in held_out]
-    ceilings = a.nameless.held_out(prepared, moves[0]) if a.nameless else {}
-    if a.nameless is not None:
-        squares, pushed = ({n: x.mean(axis=2).ravel() for n, x in of.items()} for of in (found, ceilings))
-        channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
-        held = decide.HeldOut(squares, pushed, channels)
-        energies = decide.energies(a.evidence, a.none, a.scored, a.nameless.best, held)
-        a = replace(a, energies=energies, probabilities=decide.probabilities(energies))
+    ceilings = a.nameless.held_out(prepared, a.none.fitted.hypothesis.moves(a.none.fitted.phi)) if a.nameless else {}
+    channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
+    found: dict[str, Array] = {}
+    wanted = ["none", *(_leaders(a) if a.nameless is None else _followed(a))]
+    while new := [n for n in wanted if n not in found]:
+        moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.scored[n] for n in new)]
+        found |= dict(zip(new, (level.squares for level in shrink.levels(plant, run, held_out, moves)), strict=True))
+        if a.nameless is not None:
+            squares, pushed = ({n: x.mean(axis=2).ravel() for n, x in of.items()} for of in (found, ceilings))
+            held = decide.HeldOut(squares, pushed, channels)
+            energies = decide.energies(a.evidence, a.none, a.scored, a.nameless.best, held)
+            a = replace(a, energies=energies, probabilities=decide.probabilities(energies))
+        wanted = _leaders(a)
     leading = _leaders(a)
     a = _with_budget(a, [found["none"], *(found[n] for n in leading)], ceilings)
     if plant.calibrated:
@@ -275,7 +297,8 @@ def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribut
         matters = float(np.sqrt(np.mean([a.nameless.shapes.least(p) ** 2 for p in prepared])))
         main = next((told_apart.main_effect(a.evidence, a.scored[n]) for n in leading if n in pairs), None)
         main = main if main in a.scored else None
-    found_out = decide.judged(a.probabilities, pairs, sizes["none"], after, ceiling, matters, main)
+    known = bool(a.evidence.least.all())
+    found_out = decide.judged(a.probabilities, pairs, sizes["none"], after, ceiling, matters, main, known=known)
     return replace(a, probabilities=found_out)
 
 
@@ -287,6 +310,18 @@ def _followed(a: Attribution) -> list[str]:
 
 
 FOLLOWED, _RARE = 6, 0.01
+
+
+def _floors(evidence: Evidence, stated: Collection[str]) -> tuple[Floor, ...]:
+    """The floor of each output of a machine of the user's own, rms over its recordings; `stated` are those of it."""
+    plant, out = evidence.plant, []
+    if not isinstance(plant, Statable):
+        return ()
+    for channel, unit in plant.units.items():
+        rms = float(np.sqrt(np.mean([c.floor**2 for c in evidence.cells if c.channel == channel])))
+        known = FloorSource.BASELINE if channel in plant.stated else FloorSource.ESTIMATED
+        out.append(Floor(channel, rms, unit, FloorSource.STATED if channel in stated else known))
+    return tuple(out)
 
 
 def _missing(a: Attribution, moves: Moves) -> tuple[Curve, ...]:
@@ -339,7 +374,8 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     """The diagnosis in one sentence."""
     first = ranking[0]
     if a.verdict == "none":
-        return f"{name}: no gap beyond noise and manufacturing tolerance (probability {first.probability:.0%})."
+        left = "what a good model leaves" if a.evidence.least.any() else "noise"
+        return f"{name}: no gap beyond {left} and manufacturing tolerance (probability {first.probability:.0%})."
     if a.verdict == "unknown":
         near = a.leading.name.replace("_", " ")
         steps = {step.step: step for step in a.budget}
@@ -360,8 +396,9 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     text = f"{name}: {what} (probability {first.probability:.0%}) in {place.block}"
     if gap is None or gap.shrink is None:
         return f"{text}; no held-out gap to shrink."
+    floor = "what a good model leaves" if a.evidence.least.all() else "the noise floor"
     return (
-        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times the noise floor"
+        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times {floor}"
         f" ({gap.shrink:.0%})."
     )
 

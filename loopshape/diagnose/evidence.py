@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.data.plant import Followable
+from loopshape.data.gap_report import SMALLEST_GAP
+from loopshape.data.plant import Followable, Statable
 from loopshape.data.run import Run
 
 Moves = Mapping[str, float]
@@ -72,6 +73,11 @@ class Evidence:
         return list(dict.fromkeys(c.recording for c in self.cells))
 
     @property
+    def least(self) -> Array:
+        """Mean squares (cells,) below which nothing is left to explain; 0 where the floor is noise, and not known."""
+        return least(self.plant, [c.channel for c in self.cells])
+
+    @property
     def quiet(self) -> float:
         """What sum log(1 + ms) over the cells is where only noise is left."""
         return len(self.cells) * float(np.log(2.0))
@@ -116,6 +122,16 @@ class Evidence:
 
 
 _REMEMBERED = 64
+
+
+def least(plant: Followable, channels: Sequence[str]) -> Array:
+    """Mean squares (cells,) below which nothing is left to explain, by the cells' channels.
+
+    What a good model leaves has a form that names would take up, and differs from recording to recording: up to
+    SMALLEST_GAP floors it is no evidence. 0 where the floor is noise, which no name takes up.
+    """
+    stated = plant.stated if isinstance(plant, Statable) else frozenset[str]()
+    return np.array([SMALLEST_GAP**2 if channel in stated else 0.0 for channel in channels])
 
 
 def _cells(prepared: Sequence[Any], plant: Followable, rows: Sequence[Mapping[str, Array]]) -> tuple[Cell, ...]:

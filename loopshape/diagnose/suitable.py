@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from loopshape.core.errors import BadSignalError
+from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.channel import sum_terms
-from loopshape.data.plant import Followable
+from loopshape.data.plant import Followable, Statable
 from loopshape.data.recording import Recording
 from loopshape.data.run import Run
 
 SHORTEST_S = 3.0
 RUN = 10  # equal samples in a row
+LIVELIER = 1.5  # rms of a column about its mean over that on the baseline
 SATURATED = 0.02  # share of samples at a measured signal's ends
 
 
@@ -42,6 +44,69 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
     if len(estimation) == 1:
         notes.append("one estimation recording: intervals by leaving recordings out do not exist; record more")
     return notes, usable
+
+
+def comparable(plant: Followable, run: Run, baseline: Run) -> tuple[list[str], Run]:
+    """Notes and the baseline's recordings that can be followed; refuses one that was not recorded as the run was."""
+    if not isinstance(plant, Statable):
+        raise WrongUseError(
+            "a baseline states the floor of a machine of your own", f"the plant {plant.name}",
+            "name your model (--model model.toml), or leave the baseline out",
+        )  # fmt: skip
+    if plant.stated >= plant.units.keys():
+        raise WrongUseError(
+            f"a baseline states what a good model leaves, and so does leaves of {', '.join(sorted(plant.stated))}",
+            "both", "leave one of them out",
+        )  # fmt: skip
+    lacking = [[c for c in plant.needs if c not in r.columns] for r in baseline.recordings]
+    if lacking and all(lacking):
+        raise WrongUseError(
+            f"a baseline has the columns of the run, in the same units: {', '.join(plant.needs)}",
+            f"no {', '.join(lacking[0])} in {baseline.recordings[0].info.file}", "record them on the good machine too",
+        )  # fmt: skip
+    rates = {r.rate_hz for r in run.recordings}
+    if other := [r for r in baseline.recordings if r.rate_hz not in rates]:
+        known = ", ".join(f"{rate:g}" for rate in sorted(rates))
+        raise WrongUseError(
+            "a baseline is recorded at the rate of the run",
+            f"{other[0].info.file} at {other[0].rate_hz:g} Hz, the run at {known} Hz",
+            "record it at that rate, or bring it to it: loopshape import with resample = true",
+        )  # fmt: skip
+    notes: list[str] = []
+    usable = tuple(r for r in baseline.recordings if _usable(plant, baseline, r, notes))
+    if not usable:
+        raise BadSignalError(
+            f"no recording of the baseline can be followed on {plant.name}", "; ".join(notes) or "no recording",
+            f"record at least {SHORTEST_S:g} s of the machine known to be good",
+        )  # fmt: skip
+    if same := [r.info.file for r in usable for other in run.recordings if _same(plant, r, other)]:
+        raise WrongUseError(
+            "a baseline is another run than the one to diagnose", f"{same[0]} in both", "name a run of the good machine"
+        )
+    notes = [f"baseline, {note}" for note in notes] + _livelier(plant, run.recordings, usable)
+    return notes, replace(baseline, recordings=usable)
+
+
+def _livelier(plant: Followable, recordings: Sequence[Recording], baseline: Sequence[Recording]) -> list[str]:
+    """Which columns vary far more than on the baseline, whose floor may then be too low."""
+
+    def varying(column: str, of: Sequence[Recording]) -> float:
+        return float(np.sqrt(np.mean([np.var(r.column(column)) for r in of if column in r.columns])))
+
+    out = []
+    for c in plant.needs:
+        here, there = varying(c, recordings), varying(c, baseline)
+        if here > LIVELIER * there > 0.0:
+            out.append(
+                f"{c} varies {here / there:.2g} times as much as on the baseline: a good model may leave more than "
+                "the floor; record the good machine with as much motion"
+            )
+    return out
+
+
+def _same(plant: Followable, one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same values."""
+    return all(c in other.columns and np.array_equal(one.column(c), other.column(c)) for c in plant.needs)
 
 
 @runtime_checkable

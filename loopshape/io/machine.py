@@ -118,8 +118,8 @@ def _column(w: Words, name: str) -> Input:
 
 
 def _sensor(w: Words, name: str, state: str) -> Output:
-    w.only("column", "factor", "offset")
-    return Output(name, state, w.text("column"), _factor(w), offset=w.number("offset", 0.0))
+    w.only("column", "factor", "offset", "leaves")
+    return Output(name, state, w.text("column"), _factor(w), offset=w.number("offset", 0.0), leaves=_leaves(w))
 
 
 def _mechanism(path: Path, words: Words) -> Mechanism:
@@ -135,8 +135,8 @@ def _mechanism(path: Path, words: Words) -> Mechanism:
             spread={kind: spread.numbers(kind) for kind in spread.table},
             actuators={n: (w.text("column"), _factor(w)) for n, w in _each(actuators, *_MOTOR)},
             sensors={
-                n: (w.text("column"), _factor(w), w.number("offset", 0.0))
-                for n, w in _each(words.inner("sensors"), "offset")
+                n: (w.text("column"), _factor(w), w.number("offset", 0.0), _leaves(w))
+                for n, w in _each(words.inner("sensors"), "offset", "leaves")
             },
             window_s=words.positive("window_s") if "window_s" in words.table else None,
             matters=words.positive("matters", MATTERS),
@@ -301,9 +301,14 @@ def _input(w: Words) -> Input:
 
 
 def _output(w: Words) -> Output:
-    w.only("name", "state", "column", "factor", "unit", "offset")
-    offset = w.number("offset", 0.0)
-    return Output(w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"), offset)
+    w.only("name", "state", "column", "factor", "unit", "offset", "leaves")
+    read = (w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"))
+    return Output(*read, w.number("offset", 0.0), _leaves(w))
+
+
+def _leaves(w: Words) -> float | None:
+    """Rms that a good model leaves of an output, None where that is not stated."""
+    return w.positive("leaves") if "leaves" in w.table else None
 
 
 def _port(w: Words) -> Port:

@@ -22,6 +22,7 @@ def gap(
     run: Run | str | Path,
     *,
     model: Model | str | Path | None = None,
+    baseline: Run | str | Path | None = None,
     table: bool = True,
     name: str | None = None,
     say: Callable[[str], None] = lambda step: None,
@@ -30,18 +31,24 @@ def gap(
 
     `model` is a machine of your own, or the path of its `model.toml`, whose Python file is run (or whose MuJoCo model
     or FMU is read). Without it the run names its plant's model (`plant` in run.toml: an arm, or the servo axis). "none"
-    and "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest. Raises
-    WrongUseError for a run without a plant, and for a model whose columns are mapped with a wrong sign, unit or zero.
-    A file of the model that changes meanwhile is told in the notes: the answer is of the model as it was read.
+    and "unknown" are answers. `table` false leaves out the table of closed loops, which takes the longest.
+
+    `baseline` is a run of the same machine known to be good, moved as in the run: what a model of your own leaves there
+    within a window is the floor of every output that states none (`leaves` of `Output`), and no effect is named for it.
+
+    Raises WrongUseError for a run without a plant, for a model whose columns are mapped with a wrong sign, unit or
+    zero, and for a baseline of other columns or another rate. A file of the model that changes meanwhile is told in the
+    notes: the answer is of the model as it was read.
     """
     from loopshape.diagnose.diagnose import diagnose
     from loopshape.io.seen import changed, read_once
 
     whole = run if isinstance(run, Run) else read(run)
+    good = baseline if isinstance(baseline, Run) or baseline is None else read(baseline)
     with read_once() as files:
         plant, with_files = _followable(whole, model)
     label = name or ("run" if isinstance(run, Run) else Path(run).name)
-    found = diagnose(plant, whole, label, table=table, say=say)
+    found = diagnose(plant, whole, label, baseline=good, table=table, say=say)
     if later := [Path(path).name for path in changed(files)]:
         note = f"{', '.join(later)} changed meanwhile: the answer is of the model as it was read at the start"
         found = replace(found, notes=[*found.notes, note])

@@ -15,6 +15,7 @@ KEYS = {
     "where": dict, "gap": dict, "submodels": list, "next_experiment": dict, "control": list, "parameters": dict,
     "software": list, "notes": list, "sentence": str, "budget": list, "missing": list, "fix": dict,
     "windows_tried_s": list, "by_recording": dict, "window_s": type(None),
+    "floors": list,
 }  # fmt: skip
 
 

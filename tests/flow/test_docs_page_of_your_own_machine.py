@@ -157,6 +157,7 @@ def test_the_mujoco_example_runs_and_names_the_friction(winch):
         ("winch.xml", 'joint="bearing"/></sensor>', 'joint="gone"/></sensor>', "winch.xml does not compile in MuJoCo"),
         ("winch.xml", "jointpos", "jointactuatorfrc", "sensor encoder reads the position or the speed of a joint"),
         ("model.toml", "encoder =", "coder =", "sensor coder stands in model"),
+        ("model.toml", 'column = "lever_rad"', 'column = "lever_rad", leaves = "0.4"', "leaves must be a finite"),
         ("model.toml", "mass =", "weight =", "unknown key; received 'weight'"),
         ("model.toml", '"winch.xml"', '"../winch.xml"', "the MuJoCo model"),
         ("model.toml", "lever = 0.03", "hoist = 0.03", "tolerances name what the model has; received mass of 'hoist'"),
@@ -176,6 +177,51 @@ def test_a_mujoco_model_that_does_not_fit_is_refused_in_a_sentence(winch, file, 
     (winch / file).write_text(text.replace(old, new))
     with pytest.raises(LoopshapeError, match=re.escape(words)):
         machine(read_model(winch / "model.toml"))
+
+
+def test_what_a_good_model_leaves_stands_beside_the_column_whatever_the_model_is(winch):
+    pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
+    (axis,) = re.findall(r"```toml\n(format[^`]*axis = [^`]*)```", PAGE)
+    axis = axis.replace("[numbers]", "window_s = 0.8\n[numbers]")
+    found = []
+    for words, column in ((WORDS, "lever_rad"), (XML_WORDS, "lever_rad"), (axis, "load_rad")):
+        stated = words.replace(f'column = "{column}"', f'column = "{column}", leaves = 0.004')
+        (winch / "model.toml").write_text(stated)
+        model = read_model(winch / "model.toml")
+        found.append([o.leaves for o in (model if isinstance(model, ls.Model) else machine(model)).outputs])
+    assert found == [[0.004], [0.004], [None, 0.004]]
+
+
+@pytest.mark.long
+def test_a_baseline_is_the_floor_of_the_command_and_the_answer_says_so(folder, capsys):
+    write_run(folder / "runs/winch", own_machine.run_of(2, cogging=0.02, inertia=0.028))
+    write_run(folder / "runs/good", own_machine.run_of(2, cogging=0.02))
+    assert loopshape(*COMMAND.split(), "--baseline", "runs/good", "--save-answer", "gap.json") == 0
+    found = json.loads((folder / "gap.json").read_text())
+    assert found["verdict"] == "payload@lever"
+    (floor,) = found["floors"]
+    assert (floor["output"], floor["unit"], floor["source"]) == ("encoder", "rad", "baseline")
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"floor: encoder {floor['rms']:.3g} rad, what the model leaves of the baseline" in said
+    assert "left, floors" in said
+
+
+@pytest.mark.parametrize(
+    ("beside", "words"),
+    [
+        (["runs/other"], "received --baseline and a second run"),
+        (["--identifiable"], "received --baseline and --identifiable"),
+    ],
+)
+def test_a_baseline_goes_with_a_diagnosis(folder, capsys, beside, words):
+    assert loopshape("gap", "runs/winch", *beside, "--baseline", "runs/good") == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_run_is_no_baseline_of_its_own(folder, capsys):
+    write_run(folder / "runs/winch", ls.Run(500.0, (), (own_machine.recorded(0),)))
+    assert loopshape(*COMMAND.split(), "--baseline", folder / "runs/winch") == 2
+    assert "a baseline is another run than the one to diagnose; received r0.parquet in both" in capsys.readouterr().err
 
 
 URDF = """<robot name="arm">
@@ -228,6 +274,10 @@ def test_a_urdf_is_a_machine_with_an_effort_at_every_joint(winch):
         ('state = "angle"', 'state = "angel"', "the state of output encoder is not known; received 'angel'"),
         ('input = "drum"', 'input = "drumm"', "the input of port bearing is not known; received 'drumm'"),
         ('name = "load", value = 0.0', 'name = "load", vale = 0.0', "unknown key"),
+        ('column = "lever_rad"', 'column = "lever_rad", leaves = -0.4', "leaves must be positive; received -0.4"),
+        ('column = "lever_rad"', 'column = "lever_rad", leaves = [0.4]', "leaves must be a finite number"),
+        ('column = "lever_rad"', 'column = "lever_rad", leave = 0.4', "unknown key; received 'leave'; did you mean"),
+        ("window_s = 0.8", "leaves = 0.4", "unknown key; received 'leaves'"),
         (", range = [0.0, 1.0]", "", "parameter load is 0, so nothing tells how far it may be off"),
         ("range = [0.0, 1.0]", "range = [1.0, 0.0]", "a range is two rising numbers"),
         ('column = "torque_nm"', 'column = "torque_nm", factor = 0', "a factor is not 0"),

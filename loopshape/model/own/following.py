@@ -109,7 +109,7 @@ def followed(c: Composed, recording: Recording, longest_s: float | None) -> Foll
     for k, rate in c.lags.items():
         start[:, k] = _lagging(c, u, k, rate, tick_s)[first]
     f = Followed(recording.info.name, tick_s, u, y, first, lead + window, lead, block, start, ranges, noise, own)
-    f = replace(f, floor=_floor(f, noise))
+    f = replace(f, floor=_floor(c, f, noise))
     for _ in range(_ROUNDS * bool(c.hidden)):
         change = _step(c, f, {})[:, c.hidden]
         f.start[:, c.hidden] += change
@@ -140,11 +140,17 @@ def _outputs(c: Composed, recording: Recording, rows: int) -> Array:
     return np.stack([o.factor * recording.column(o.column)[:rows] + o.offset for o in c.model.outputs], axis=1)
 
 
-def _floor(f: Followed, noise: Array) -> Array:
-    """Rms (ny,) that noise, rounding and an ordinary model leave in the mean of a block."""
+def _floor(c: Composed, f: Followed, noise: Array) -> Array:
+    """Rms (ny,) that noise, rounding and an ordinary model leave in the mean of a block.
+
+    What the user says that a good model leaves stands for all that, but it cannot be less than noise and rounding.
+    """
     motion = f.measured.std(axis=1).mean(axis=0)
     steps = np.array([_step_of(f.y[:, k]) for k in range(f.y.shape[1])])
-    return np.asarray(np.sqrt(noise**2 / f.block + steps**2 / 12.0 + (RIPPLE * motion) ** 2))
+    sensor = noise**2 / f.block + steps**2 / 12.0
+    stated = np.array([o.leaves or 0.0 for o in c.model.outputs])
+    squares = np.where(stated > 0.0, np.maximum(stated**2, sensor), sensor + (RIPPLE * motion) ** 2)
+    return np.asarray(np.sqrt(squares))
 
 
 def _step_of(values: Array) -> float:

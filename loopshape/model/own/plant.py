@@ -27,6 +27,7 @@ from loopshape.model.own.nameless import Shapes
 
 ENOUGH = 12  # recordings times outputs, below which recordings are cut into pieces
 RARE = (0.8, 0.95, 0.99, 0.997)  # shares of the commands
+FEW_LEAVE = 3.0  # medians: a window of a good machine that leaves more has run away, or met something else
 _FEWEST = 3  # windows a piece
 _FAR = 2.0  # how much farther means of windows lie apart than a machine moves within one
 _PUSHES = (1.0, 1e-3, 1e-6)  # of a port's force, smaller ones where all windows run away under a larger one
@@ -47,6 +48,8 @@ class OwnMachine:
         self.name, self.needs = model.name, model.columns
         self.window_s, self.open_window = self.composed.window_s, model.window_s is None
         self.windows_s: tuple[float, ...] = ()
+        self.units = {o.name: o.unit for o in model.outputs}
+        self.stated = frozenset(o.name for o in model.outputs if o.leaves is not None)
         self.spread: tuple[Spread, ...] = spread(model)
         first = model.outputs[0]
         self.trace_channel = f"{first.name} [{first.unit}]"
@@ -79,6 +82,24 @@ class OwnMachine:
         model = replace(self.model, window_s=window_s)
         out = OwnMachine(model, self.effects, self.composed.of(model))
         out.windows_s = tried_s
+        return out
+
+    def left(self, prepared: Sequence[Followed], moves: Mapping[str, float]) -> dict[str, float]:
+        """Rms within a window, by output, that parameters moved as given leave of recordings.
+
+        The root of the mean square over windows, of which none counts for more than FEW_LEAVE medians.
+        """
+        off = [f.measured - following.explained(self.composed, f, moves, following.CONVERGED) for f in prepared]
+        squares = np.concatenate([np.mean(x**2, axis=1) for x in off])
+        usual = np.minimum(squares, FEW_LEAVE**2 * np.median(squares, axis=0)).mean(axis=0)
+        return {o.name: float(np.sqrt(usual[k])) for k, o in enumerate(self.model.outputs)}
+
+    def leaving(self, rms: Mapping[str, float]) -> OwnMachine:
+        """The machine of which a good model leaves so much, by output; what is stated already stays."""
+        outputs = [o if o.leaves is not None else replace(o, leaves=rms[o.name]) for o in self.model.outputs]
+        model = replace(self.model, outputs=tuple(outputs), window_s=self.window_s)
+        out = OwnMachine(model, self.effects, self.composed.of(model))
+        out.windows_s = self.windows_s
         return out
 
     def _pieces(self, recording: Recording, count: int) -> list[Recording]:
