@@ -23,7 +23,7 @@ from loopshape.verbs.tracking import setpoint_of
 from loopshape.view.feedforward import feedforward_page
 from loopshape.view.gap_missing import missing
 from loopshape.view.gap_report import gap_figure, sizes
-from loopshape.view.style import COLOURS, FULL_WIDTH_IN, png, styled
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, figure_of, png, styled
 from loopshape.view.tones import tones_page
 
 DOCS = Path(__file__).parent
@@ -79,17 +79,34 @@ def shown_of(report: GapReport) -> dict[str, list[float]]:
     }
 
 
-def draw() -> None:
-    """The README's by the first example of the gallery, the pages' in the system's Chromium."""
-    here, readme = Path.cwd(), FIGURES / "readme"
-    readme.mkdir(parents=True, exist_ok=True)
+def drawn() -> dict[str, Figure]:
+    """By their paths under figures/ the pictures that need neither a browser nor minutes."""
+    here = Path.cwd()
     os.chdir(DOCS / "gallery")  # examples read their data two folders above themselves
-    figure = runpy.run_path("1_bench.py")["figure"]
+    bench = runpy.run_path("1_bench.py")["figure"]
     os.chdir(here)
-    figure.savefig(readme / "bench.png", dpi=150)
-    _tones().savefig(readme / "tones.png", dpi=150)
-    _feedforward().savefig(readme / "feedforward.png", dpi=150)
-    _diagrams(FIGURES / "diagrams")
+    return {
+        "readme/bench": bench,
+        "readme/tones": _tones(),
+        "readme/feedforward": _feedforward(),
+        **_diagrams(),
+    }
+
+
+def shown_in(figure: Figure) -> dict[str, list[float]]:
+    """What stands in a picture: the rms of each line's x and y; of axes without scales their words, without a number."""
+    found: dict[str, list[float]] = {}
+    for k, ax in enumerate(figure.axes):
+        for n, line in enumerate(ax.lines):
+            xy = np.ma.masked_invalid(np.asarray(line.get_xydata(), dtype=float))
+            found[f"axes {k}, line {n}"] = [float(x) for x in np.sqrt((xy**2).mean(axis=0))]
+        if not ax.axison and ax.texts:
+            found[" ".join(text.get_text() for text in ax.texts).strip()] = []
+    return found
+
+
+def draw_in_browser() -> None:
+    """The pages of shape and report, in the system's Chromium."""
     for script in (
         DOCS / "shape_pictures.py",
         DOCS.parent / "experiments" / "report" / "run.py",
@@ -195,22 +212,27 @@ def structures() -> dict[str, object]:
     return made
 
 
-def _diagrams(folder: Path) -> None:
+def _diagrams() -> dict[str, Figure]:
     """The diagrams of the page of structures, by their names there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, one in structures().items():
-        if isinstance(one, ls.Diagram) and name not in ("D", "with_it"):
-            figure = ls.plot.diagram(one).get_figure()
-            assert isinstance(figure, Figure)
-            figure.savefig(folder / f"{name}.png", dpi=130)
+    return {
+        f"diagrams/{name}": figure_of(ls.plot.diagram(one))
+        for name, one in structures().items()
+        if isinstance(one, ls.Diagram) and name not in ("D", "with_it")
+    }
 
 
 if __name__ == "__main__":
     matplotlib.use("Agg")
-    draw()
-    demo, swing = diagnosed(), diagnosed_swing()
-    (FIGURES / "demo").mkdir(parents=True, exist_ok=True)
+    draw_in_browser()
+    pictures, demo, swing = drawn(), diagnosed(), diagnosed_swing()
+    noted = shown() | {name: shown_in(figure) for name, figure in pictures.items()}
+    noted |= {"demo": shown_of(demo), "swing": shown_of(swing)}
+    for name in ("readme", "diagrams", "demo"):
+        (FIGURES / name).mkdir(parents=True, exist_ok=True)
+    for name, figure in (pictures | {"readme/swing": swing_figure(swing)}).items():
+        figure.savefig(FIGURES / f"{name}.png", dpi=130 if name.startswith("diagrams") else 150)
     (FIGURES / "demo" / "gap.png").write_bytes(png(gap_figure(demo)))
-    swing_figure(swing).savefig(FIGURES / "readme" / "swing.png", dpi=150)
-    noted = shown() | {"demo": shown_of(demo), "swing": shown_of(swing)}
-    (FIGURES / "shown.json").write_text(json.dumps(noted, indent=1) + "\n")
+    text = re.sub(
+        r"\[[^][{}]*\]", lambda m: json.dumps(json.loads(m[0])), json.dumps(noted, indent=1)
+    )
+    (FIGURES / "shown.json").write_text(text + "\n")

@@ -1,4 +1,7 @@
-"""What several tests need: the folder of shared data, and the 1-DoF arm with experiments on it."""
+"""What several tests need: the folder of shared data, and the 1-DoF arm with experiments on it.
+
+Every PNG that a test writes must be readable: `text_layout` says what it looks for.
+"""
 
 import os
 from pathlib import Path
@@ -7,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from matplotlib.figure import Figure
+from text_layout import look_at_each_png, unreadable
 
 from loopshape.data.experiment import Experiment
 
@@ -14,6 +19,33 @@ from loopshape.data.experiment import Experiment
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
 settings.load_profile("repeatable")
 set_hypothesis_home_dir(Path(__file__).resolve().parents[1] / ".pytest_cache" / "hypothesis")
+
+UNREADABLE: list[str] = []
+look_at_each_png(UNREADABLE.extend)
+
+
+@pytest.fixture(autouse=True)
+def every_png_is_readable():
+    yield
+    found = list(dict.fromkeys(UNREADABLE))
+    UNREADABLE.clear()
+    assert not found, "\n".join(found)
+
+
+@pytest.fixture
+def every_figure_is_readable(monkeypatch):
+    """Keeps the figures that a test makes, written or not, and looks at each when the test is over."""
+    made, original = [], Figure.__init__
+
+    def init(self, *args, **words):
+        original(self, *args, **words)
+        made.append(self)
+
+    monkeypatch.setattr(Figure, "__init__", init)
+    yield
+    monkeypatch.undo()
+    found = [line for figure in made for line in unreadable(figure)]
+    assert not found, "\n".join(dict.fromkeys(found))
 
 
 @pytest.fixture(scope="session")

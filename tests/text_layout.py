@@ -1,8 +1,11 @@
 """What a reader of a figure cannot read: text over other text, over axes that it does not belong to, or cut."""
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from itertools import combinations
+from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -25,7 +28,31 @@ def unreadable(figure: Figure, dpi: float = 150.0) -> list[str]:
     canvas = FigureCanvasAgg(figure)
     with _drawn() as texts:
         canvas.draw()
-    renderer = canvas.get_renderer()
+    return _found(canvas, texts)
+
+
+def look_at_each_png(told: Callable[[list[str]], object]) -> None:
+    """From now on `told` gets what is unreadable in each PNG that this process writes, at the PNG's own dpi."""
+    write = FigureCanvasAgg.print_png
+
+    @wraps(write)
+    def print_png(self: FigureCanvasAgg, *args: object, **words: object) -> None:
+        with _drawn() as texts:
+            write(self, *args, **words)
+        if found := _found(self, texts):
+            told(found)
+
+    FigureCanvasAgg.print_png = print_png  # type: ignore[method-assign]
+
+
+def looked_at() -> dict[str, str]:
+    """An environment in which every Python ends with an error where it writes such a PNG, by `sitecustomize`."""
+    here = str(Path(__file__).parent)
+    return os.environ | {"PYTHONPATH": os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
+def _found(canvas: FigureCanvasAgg, texts: list[Text]) -> list[str]:
+    figure, renderer = canvas.figure, canvas.get_renderer()
     boxes = [(text, Text.get_window_extent(text, renderer)) for text in texts]
     found = [f"{_name(t)} is cut" for t, box in boxes if not _within(_frame(t, figure), box)]
     found += [

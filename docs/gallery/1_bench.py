@@ -63,7 +63,7 @@ panels["verdict"].set_axis_off()
 panels["verdict"].set_title(f"verdict: {v.outcome}", fontweight="bold")
 shown = panels["verdict"].table(
     cells, colLabels=["requirement", "required", "worst case, 95 % interval", "outcome"],
-    loc="center", cellLoc="left", edges="horizontal", colWidths=[0.4, 0.15, 0.31, 0.14],
+    loc="center", cellLoc="left", colLoc="left", edges="horizontal", colWidths=[0.36, 0.15, 0.345, 0.145],
 )  # fmt: skip
 shown.auto_set_font_size(False)
 shown.set_fontsize(8.5)

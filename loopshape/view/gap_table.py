@@ -16,7 +16,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES
 from loopshape.data.gap_table import GapRow, GapTable
 from loopshape.view.labels import number, quantity, symbol
-from loopshape.view.style import FULL_WIDTH_IN, QUIET, axes_or_new, figure_of, styled
+from loopshape.view.style import FULL_WIDTH_IN, QUIET, axes_or_new, figure_of, styled, wrapped
 
 #: sizes that the colours span, in percent
 SPAN_PERCENT = (1.0, 100.0)
@@ -24,6 +24,7 @@ SPAN_PERCENT = (1.0, 100.0)
 MOST_NUMBERS = 14
 #: from this size on ink on a cell is white, in percent
 DARK_PERCENT = 17.0
+_BESIDE_IN, _LETTER_IN = 2.2, 0.06  # what stands beside the cells, a letter of 7 pt
 
 _Key = tuple[str, str, float, float]  # path, excited loop, band
 _Column = tuple[int, int]  # block, operating point
@@ -65,7 +66,7 @@ def gap_map(table: GapTable, *, ax: Axes | None = None) -> Axes:
 
 
 def _width(columns: int) -> float:
-    return float(np.clip(2.2 + 0.5 * columns, 3.6, FULL_WIDTH_IN))
+    return float(np.clip(_BESIDE_IN + 0.5 * columns, 3.6, FULL_WIDTH_IN))
 
 
 def _colours() -> Colormap:
@@ -160,8 +161,13 @@ def _label_columns(ax: Axes, table: GapTable, column_of: Mapping[str, _Column], 
     for block in dict.fromkeys(k for k, _ in columns):
         inside = [i for i, (k, _) in enumerate(columns) if k == block]
         injected = dict.fromkeys(_amplitude(r) for r in table.rows if column_of[r.recording][0] == block)
-        text = "injected " + "; ".join(injected)
-        ax.text(float(np.mean(inside)) + 0.5, -0.2, text, ha="center", va="bottom", fontsize=7.0, gid="injected")
+        room = round((_width(len(columns)) - _BESIDE_IN) * len(inside) / len(columns) / _LETTER_IN)
+        lines = wrapped("injected " + "; ".join(injected), room)
+        if len(lines) > 1:
+            lines = ["injected", *(line for one in injected for line in wrapped(one, room))]
+        ax.text(
+            float(np.mean(inside)) + 0.5, -0.2, "\n".join(lines), ha="center", va="bottom", fontsize=7.0, gid="injected"
+        )
         if inside[0]:
             ax.axvline(inside[0], color="0.35", linewidth=0.6)
 

@@ -17,7 +17,7 @@ from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 
 from loopshape.view.labels import numbers, point, quantity
-from loopshape.view.style import COLOURS, MARKERS, QUIET, shades, styled
+from loopshape.view.style import COLOURS, MARKERS, MARKS, QUIET, shades, styled
 
 
 class Placed(Protocol):
@@ -82,17 +82,15 @@ def _row(name: str, values: Sequence[float], looks: Sequence[dict[str, Any]]) ->
     return ((quantity(name), {}), *zip(numbers(values), looks, strict=True))
 
 
-def _by_name(items: Sequence[Placed], columns: int = 6) -> Key:
+def _by_name(items: Sequence[Placed]) -> Key:
     few = len(items) <= len(COLOURS)
     colours = list(COLOURS[: len(items)]) if few else shades(len(items))
     looks = tuple(
         {"color": c} if few else {"color": c, "marker": MARKERS[k % len(MARKERS)]} for k, c in enumerate(colours)
     )
     texts = [item.recording or f"{k + 1}" for k, item in enumerate(items)]
-    entries = list(zip(texts, looks, strict=True))
-    rows = tuple(tuple(entries[k : k + columns]) for k in range(0, len(entries), columns))
     same = len(items) > 0 and all(item.operating_point == items[0].operating_point for item in items)
-    return Key(looks, rows, point(items[0].operating_point) if same else "")
+    return Key(looks, (tuple(zip(texts, looks, strict=True)),), point(items[0].operating_point) if same else "")
 
 
 def curve(look: Mapping[str, Any], k: int, n: int) -> dict[str, Any]:
@@ -111,11 +109,12 @@ def curve(look: Mapping[str, Any], k: int, n: int) -> dict[str, Any]:
 
 @styled()
 def place_key(figure: Figure, key: Key) -> Legend | None:
-    """The key below the figure, one row a quantity; None for a single curve."""
+    """The key below the figure, a quantity in as few rows as fit its width; None for a single curve."""
     if len(key.looks) < 2:
         return None
-    width = max(len(row) for row in key.rows)
-    cells = [row[i] if i < len(row) else ("", {}) for i in range(width) for row in key.rows]  # filled by column
+    rows = [line for row in key.rows for line in _broken(row, 72.0 * figure.get_figwidth())]
+    width = max(len(row) for row in rows)
+    cells = [row[i] if i < len(row) else ("", {}) for i in range(width) for row in rows]  # filled by column
     return figure.legend(
         *_handles(cells),
         loc="outside lower center",
@@ -124,6 +123,22 @@ def place_key(figure: Figure, key: Key) -> Legend | None:
         handletextpad=0.5,
         borderaxespad=0.3,
     )
+
+
+def _broken(row: Sequence[Entry], width_pt: float) -> list[list[Entry]]:
+    """A row as lines of about equal length that fit a width; the first alone has the heading."""
+    heading = [entry for entry in row[:1] if not entry[1]]
+    entries = row[len(heading) :]
+    each, first = (max((_width_pt(text) for text, _ in part), default=0.0) for part in (entries, heading))
+    columns = max(1, int((width_pt - first) / each))
+    n = -(-len(entries) // -(-len(entries) // columns))
+    lines = [list(entries[k : k + n]) for k in range(0, len(entries), n)]
+    return [[*(heading if not k else [("", {})] * len(heading)), *line] for k, line in enumerate(lines)]
+
+
+def _width_pt(text: str) -> float:
+    """About what an entry takes: its line, the gaps and its letters, at 8 pt."""
+    return 28.0 + 5.2 * len(MARKS.sub("", text))
 
 
 @styled()

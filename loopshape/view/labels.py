@@ -11,7 +11,7 @@ from loopshape.data.channel import Channel, sum_terms
 from loopshape.data.frf import FRF
 
 _GREEK = ("theta", "kappa", "zeta", "omega", "phi", "psi", "alpha", "beta", "gamma", "delta", "tau")
-_USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz"}
+_USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz", "_kg": "kg"}
 
 
 def split_unit(column: str) -> tuple[str, str]:
@@ -93,11 +93,11 @@ def decibel(what: str, unit: str) -> str:
 
 
 def point(operating_point: Mapping[str, float]) -> str:
-    """An operating point in words: "θ2 = -30 deg, p_AB = 0.8 bar"; "" where there is none."""
+    """An operating point in words, to four figures: "θ2 = -30 deg, p_AB = 0.8 bar"; "" where there is none."""
     parts = []
     for key, value in operating_point.items():
         name, unit = split_unit(key)
-        parts.append(f"{symbol(name)} = {number(value)} {'' if unit == '1' else unit}".rstrip())
+        parts.append(f"{symbol(name)} = {number(float(f'{value:.4g}'))} {'' if unit == '1' else unit}".rstrip())
     return ", ".join(parts)
 
 

@@ -14,6 +14,7 @@ from loopshape.view.curves import UNTRUSTED
 from loopshape.view.key import Entry, place_notes
 
 NOTE_SIZE = 7.0
+EDGE_IN = (0.34, 0.1)  # half of a contour's words, which are not cut by the frame
 _SQUARE_IN, _STRIDE = 0.02, 100_000
 _LINE_IN, _LETTER_IN, _HANDLE_IN = 0.155, 0.058, 0.5
 _CORNERS = {"upper left": (0, 1), "upper right": (1, 1), "lower left": (0, 0), "lower right": (1, 0)}
@@ -47,7 +48,7 @@ class Crowd:
     def distance_in(self, x: Array, y: Array) -> Array:
         """Distance (n,) in inches from places to the nearest thing; minus one outside the axes or near their edge."""
         places = self._scale(np.column_stack([x, y]))
-        inside = np.all((places > (0.22, 0.1)) & (places < self._size - (0.22, 0.1)), axis=1)
+        inside = np.all((places > EDGE_IN) & (places < self._size - EDGE_IN), axis=1)
         if self._tree is None:
             self._tree = KDTree(self._held_in())
         return np.where(inside, self._tree.query(np.where(inside[:, None], places, 0.0))[0], -1.0)

@@ -23,7 +23,7 @@ QUIET = "#6E6E6E"  # what only helps to read
 FULL_WIDTH_IN = 7.0
 HEAD_IN = 1.0  # of a figure's height, which its own size allows for title and details
 DPI = 150
-_MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
+MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
 
 RC: dict[str, object] = {
     "font.size": 9.0,
@@ -99,7 +99,7 @@ def shades(n: int) -> list[str]:
 @styled()
 def head(figure: Figure, title: str, *details: str) -> None:
     """Title at the left, details below it in grey; the figure grows by what leaves the axes too little room."""
-    lines = [line for detail in details for line in _wrapped(detail, round(16.5 * figure.get_figwidth()))]
+    lines = [line for detail in details for line in wrapped(detail, round(16.5 * figure.get_figwidth()))]
     room = 0.24 + 0.165 * len(lines)
     height = figure.get_figheight() + max(0.0, room - HEAD_IN)
     figure.set_figheight(height)
@@ -112,12 +112,12 @@ def head(figure: Figure, title: str, *details: str) -> None:
     figure.align_ylabels()
 
 
-def _wrapped(text: str, width: int) -> list[str]:
+def wrapped(text: str, width: int) -> list[str]:
     """Lines of at most `width` printed characters; the marks of mathematics do not print."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else word
-        if lines and len(_MARKS.sub("", longer)) <= width:
+        if lines and len(MARKS.sub("", longer)) <= width:
             lines[-1] = longer
         else:
             lines.append(word)

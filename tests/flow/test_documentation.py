@@ -1,25 +1,28 @@
 """The documentation site builds without a warning, its pages hang together, and its notebooks run as plain Python."""
 
 import json
-import os
 import pkgutil
 import re
 import runpy
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
 import pytest
-from text_layout import unreadable
+from text_layout import looked_at, unreadable
 
 import loopshape as ls
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
-NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.py"))
-QUICK = {"1_bench_in_five_minutes"}
+NOTEBOOKS, GALLERY = (sorted((DOCS / kind).glob("*.py")) for kind in ("notebooks", "gallery"))
+DRAWN = [path for kind in ("readme", "diagrams", "demo") for path in (ROOT / "figures" / kind).glob("*.png")]
+SLOW = {"4_detuning", "5_estimators_on_a_sweep"} | {path.stem for path in NOTEBOOKS[1:]}
 
 
 def copied(to: Path) -> Path:
@@ -31,7 +34,7 @@ def copied(to: Path) -> Path:
 
 
 def run_python(words: list[str], here: Path, tmp_path: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"MPLBACKEND": "Agg", "TMPDIR": str(tmp_path)}
+    environment = looked_at() | {"MPLBACKEND": "Agg", "TMPDIR": str(tmp_path)}
     return subprocess.run(
         [sys.executable, *words], cwd=here, env=environment, capture_output=True, text=True, check=False,
         timeout=timeout_s,
@@ -41,18 +44,27 @@ def run_python(words: list[str], here: Path, tmp_path: Path, timeout_s: float) -
 @pytest.mark.parametrize(
     "path",
     # the site runs them all when it is built: the slow ones on their own, warnings as errors, by the hour
-    [pytest.param(p, marks=[] if p.stem in QUICK else (pytest.mark.long, pytest.mark.hour)) for p in NOTEBOOKS],
+    [
+        pytest.param(p, marks=(pytest.mark.long, pytest.mark.hour) if p.stem in SLOW else [])
+        for p in NOTEBOOKS + GALLERY
+    ],
     ids=lambda p: p.stem,
 )
-def test_a_notebook_runs(path: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("every_figure_is_readable")
+def test_an_example_runs_and_its_figures_can_be_read(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if path.stem == "6_a_rig" and shutil.which("cc") is None:
         pytest.skip("there is no C compiler, which the emulator needs")
-    here = tmp_path / "docs" / "notebooks"
+    here = tmp_path / "docs" / path.parent.name
     here.mkdir(parents=True)
     shutil.copy(path, here)
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
-    done = run_python(["-W", "error", path.name], here, tmp_path, 280.0)
-    assert done.returncode == 0, done.stderr[-3000:]
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    matplotlib.use("Agg")
+    runpy.run_path(path.name)
+    plt.close("all")
 
 
 def test_there_are_six_notebooks_in_the_percent_format() -> None:
@@ -97,14 +109,20 @@ def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
     assert [part.splitlines()[0] for part in parts if "*Code:*" not in part] == []
 
 
-def test_the_pictures_show_what_the_code_computes() -> None:
+def test_the_pictures_show_what_the_code_computes_and_can_be_read() -> None:
     noted = json.loads((ROOT / "figures" / "shown.json").read_text())
-    computed = runpy.run_path(str(DOCS / "pictures.py"))["shown"]()
-    assert set(noted) - {"demo", "swing"} == set(computed) == {"readme", "shape"}
+    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    figures = pictures["drawn"]()
+    plt.close("all")
+    computed = pictures["shown"]() | {name: pictures["shown_in"](figure) for name, figure in figures.items()}
+    assert set(noted) - {"demo", "swing"} == set(computed)
+    kept = {path.relative_to(ROOT / "figures").with_suffix("").as_posix() for path in DRAWN}
+    assert kept == set(figures) | {"demo/gap", "readme/swing"}
     for name, rows in computed.items():
         assert set(noted[name]) == set(rows)
-        for requirement, numbers in rows.items():
-            assert noted[name][requirement] == pytest.approx(numbers, rel=2e-3), (name, requirement, "make pictures")
+        for row, what in rows.items():
+            assert noted[name][row] == pytest.approx(what, rel=2e-3), (name, row, "make pictures")
+    assert {name: found for name, figure in figures.items() if (found := unreadable(figure))} == {}
 
 
 @pytest.mark.long

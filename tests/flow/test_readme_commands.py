@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from text_layout import looked_at
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -41,7 +42,7 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         study.write_text(study.read_text().replace("watchdog_ms = 250", "watchdog_ms = 5000"))
     if name == "arm":  # the whole identification belongs to `make demo`: two points of it here
         _shorten(tmp_path / "examples" / "arm" / "identify.toml")
-    environment = os.environ | {"PATH": f"{here}:{os.environ['PATH']}"}
+    environment = looked_at() | {"PATH": f"{here}:{os.environ['PATH']}"}
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True,
         check=False, timeout=600,

@@ -3,16 +3,28 @@
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib as mpl
 import picture_nouns as nouns
 import pytest
-from text_layout import unreadable
+from text_layout import looked_at, unreadable
 
 from loopshape.data.method import by_loop, in_short
 from loopshape.view import frequency
 from loopshape.view.key import key_of, varying
-from loopshape.view.labels import decibel, number, numbers, product, quantity, ratio, superscripts, symbol, unit_of
+from loopshape.view.labels import (
+    decibel,
+    number,
+    numbers,
+    point,
+    product,
+    quantity,
+    ratio,
+    superscripts,
+    symbol,
+    unit_of,
+)
 from loopshape.view.style import head, new_figure, png, shades
 
 
@@ -58,9 +70,19 @@ def test_a_key_of_one_quantity_names_the_other_once() -> None:
     assert key.common == "$p_{AB}$ = 1.2 bar"
 
 
-@pytest.mark.parametrize("point", [{}, {"load_kg": 1.0}])
-def test_a_key_without_operating_points_falls_back_on_recordings(point: dict) -> None:
-    items = [replace(frf, operating_point=point) for frf in nouns.frfs()]
+def test_a_key_of_24_points_of_one_quantity_is_broken_into_lines_that_fit() -> None:
+    frfs = [replace(frf, operating_point={"payload_kg": 0.5 + 0.125 * k}) for k, frf in enumerate(nouns.frfs())]
+    figure = frequency.frf_overview(frfs)
+    (key,) = figure.legends
+    texts = [text.get_text() for text in key.get_texts() if text.get_text()]
+    assert set(texts) == {"payload [kg]", *(f"{0.5 + 0.125 * k:.3f}" for k in range(24))}
+    assert key._ncols < 12
+    assert unreadable(figure) == []
+
+
+@pytest.mark.parametrize("at", [{}, {"load_kg": 1.0}])
+def test_a_key_without_operating_points_falls_back_on_recordings(at: dict) -> None:
+    items = [replace(frf, operating_point=at) for frf in nouns.frfs()]
     key = key_of(items)
     texts = [text for row in key.rows for text, _ in row]
     assert texts == [frf.recording for frf in items]
@@ -76,6 +98,7 @@ def test_names_and_units_are_written_as_on_paper() -> None:
     assert quantity("theta2_deg") == r"$\theta_{2}$ [deg]"
     assert quantity("p_ab_bar") == "$p_{AB}$ [bar]"
     assert quantity("position_m") == "position [m]"
+    assert point({"payload_kg": 2.3784142, "p_ab_bar": 1.0}) == "payload = 2.378 kg, $p_{AB}$ = 1 bar"
     assert symbol("z_theta2") == r"$z_{\theta_{2}}$"
     assert symbol("z_p_a") == "$z_{p,A}$"
     assert unit_of("p_a_bar + p_b_bar") == "bar"
@@ -149,3 +172,13 @@ def test_text_over_axes_over_text_and_beyond_the_frame_is_found() -> None:
     assert "'in its own axes' over 'a caption over the plot'" in found
     assert "'beyond the right edge of the figure' is cut" in found
     figure.clear()  # each figure of these tests is looked at
+
+
+def test_a_process_of_a_test_that_writes_a_png_which_cannot_be_read_ends_with_an_error(tmp_path: Path) -> None:
+    draws = "f = Figure(figsize=(4.0, 3.0)); f.text({}, 0.5, 'a line of words'); f.savefig('f.png')"
+    for x, told in (("0.1", ""), ("0.9", "'a line of words' is cut")):
+        code = f"from matplotlib.figure import Figure; {draws.format(x)}"
+        words = [sys.executable, "-c", code]
+        done = subprocess.run(words, cwd=tmp_path, env=looked_at(), capture_output=True, text=True, check=False)
+        assert (done.returncode == 0) == (not told)
+        assert told in done.stderr

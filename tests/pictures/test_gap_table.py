@@ -79,7 +79,7 @@ def test_paths_bands_and_points_are_written_with_their_units() -> None:
     assert ax.get_xlabel() == "$\\theta_{2}$ [deg]\n$p_{AB}$ [bar]"
     assert [t.get_text() for t in ax.get_xticklabels()] == ["−15\n1", "0\n1", "15\n1"]
     injected = [t.get_text() for t in ax.texts if t.get_gid() == "injected"]
-    assert injected == [r"injected 0.035 rad in $\theta_{2}$; 0.035 bar in $p_{AB}$"]
+    assert injected == ["injected\n0.035 rad in $\\theta_{2}$\n0.035 bar in $p_{AB}$"]
     bar = figure_of(ax).axes[1]
     assert " ".join(bar.get_ylabel().split()) == "|difference| / |response| [%]"
 
