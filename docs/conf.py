@@ -128,7 +128,7 @@ def as_rst(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: lis
 def public(
     app: Sphinx, env: BuildEnvironment, node: pending_xref, text: nodes.Element
 ) -> nodes.reference | None:
-    """A class is known by its public name wherever it is defined: loopshape.data.frf.FRF is loopshape.FRF."""
+    """A class is known by its public name wherever it is defined: loopshape.data.response.frf.FRF is loopshape.FRF."""
     short = f"loopshape.{str(node.get('reftarget')).rsplit('.', 1)[-1]}"
     if node.get("refdomain") != "py" or short == node["reftarget"]:
         return None

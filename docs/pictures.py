@@ -17,14 +17,14 @@ from matplotlib.figure import Figure
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.data.gap_report import BudgetPart, GapReport
-from loopshape.identify.tones import Period, tones_of, without_periods
-from loopshape.verbs.tracking import setpoint_of
-from loopshape.view.feedforward import feedforward_page
-from loopshape.view.gap_missing import missing
-from loopshape.view.gap_report import gap_figure, sizes
+from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, GapReport
+from loopshape.toolbox.gap.pictures.missing import missing
+from loopshape.toolbox.gap.pictures.report import gap_figure, sizes
+from loopshape.toolbox.learning.picture import feedforward_page
+from loopshape.toolbox.learning.verbs import setpoint_of
+from loopshape.toolbox.planning.tone.pictures import tones_page
+from loopshape.toolbox.planning.tone.tones import Period, tones_of, without_periods
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, figure_of, png, styled
-from loopshape.view.tones import tones_page
 
 DOCS = Path(__file__).parent
 FIGURES, BENCH = DOCS.parent / "figures", DOCS.parent / "examples" / "motor_bench"

@@ -19,69 +19,82 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
-    from loopshape.data.algebra.diagram import transfer as transfer
     from loopshape.data.algebra.multirate import multirate as multirate
-    from loopshape.data.axis import axis as axis
-    from loopshape.data.common_diagrams import cascade as cascade
-    from loopshape.data.common_diagrams import disturbance_observer as disturbance_observer
-    from loopshape.data.common_diagrams import dual_stage as dual_stage
-    from loopshape.data.common_diagrams import prefilter as prefilter
-    from loopshape.data.common_diagrams import two_sensors as two_sensors
-    from loopshape.data.control_frd import from_control as from_control
-    from loopshape.data.control_frd import to_control as to_control
-    from loopshape.data.controller import Controller as Controller
-    from loopshape.data.diagram import Diagram as Diagram
-    from loopshape.data.diagram import Part as Part
-    from loopshape.data.disturbance import Disturbance as Disturbance
-    from loopshape.data.fixed import fixed as fixed
-    from loopshape.data.frf import FRF as FRF
-    from loopshape.data.gain_scheduled import GainScheduled as GainScheduled
-    from loopshape.data.gain_scheduled import gain_scheduled as gain_scheduled
-    from loopshape.data.gap_report import GapReport as GapReport
-    from loopshape.data.interaction import Interaction as Interaction
-    from loopshape.data.limits_over import AtPoints as AtPoints
-    from loopshape.data.limits_over import Mask as Mask
-    from loopshape.data.machine import Input as Input
-    from loopshape.data.machine import Model as Model
-    from loopshape.data.machine import ModelParameter as ModelParameter
-    from loopshape.data.machine import Output as Output
-    from loopshape.data.machine import Port as Port
-    from loopshape.data.model import Fit as Fit
-    from loopshape.data.objective import Objective as Objective
-    from loopshape.data.prediction import Comparison as Comparison
-    from loopshape.data.prediction import Prediction as Prediction
-    from loopshape.data.recording import Recording as Recording
-    from loopshape.data.requirements import Margins as Margins
-    from loopshape.data.requirements import Requirements as Requirements
-    from loopshape.data.requirements import SeveralRequirements as SeveralRequirements
-    from loopshape.data.run import Run as Run
-    from loopshape.data.shorthand import biquad as biquad
-    from loopshape.data.shorthand import complex_lead as complex_lead
-    from loopshape.data.shorthand import controller as controller
-    from loopshape.data.shorthand import gain as gain
-    from loopshape.data.shorthand import lead_lag as lead_lag
-    from loopshape.data.shorthand import low_pass as low_pass
-    from loopshape.data.shorthand import notch as notch
-    from loopshape.data.shorthand import pi as pi
-    from loopshape.data.shorthand import pid as pid
-    from loopshape.data.shorthand import resonator as resonator
-    from loopshape.data.study import Study as Study
-    from loopshape.data.verdict import Outcome as Outcome
-    from loopshape.data.verdict import Verdict as Verdict
-    from loopshape.data.weight import Weight as Weight
-    from loopshape.data.wired import Wired as Wired
-    from loopshape.design.bound import Bound as Bound
-    from loopshape.design.decouple import decouple as decouple
-    from loopshape.design.decoupled import decoupled as decoupled
-    from loopshape.design.feedforward import feedforward as feedforward
-    from loopshape.design.learning import learning as learning
-    from loopshape.design.next_trial import next_trial as next_trial
-    from loopshape.design.repetitive import repetitive as repetitive
+    from loopshape.data.control.controller import Controller as Controller
+    from loopshape.data.control.fixed import fixed as fixed
+    from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
+    from loopshape.data.control.gain_scheduled import gain_scheduled as gain_scheduled
+    from loopshape.data.control.shorthand import biquad as biquad
+    from loopshape.data.control.shorthand import complex_lead as complex_lead
+    from loopshape.data.control.shorthand import controller as controller
+    from loopshape.data.control.shorthand import gain as gain
+    from loopshape.data.control.shorthand import lead_lag as lead_lag
+    from loopshape.data.control.shorthand import low_pass as low_pass
+    from loopshape.data.control.shorthand import notch as notch
+    from loopshape.data.control.shorthand import pi as pi
+    from loopshape.data.control.shorthand import pid as pid
+    from loopshape.data.control.shorthand import resonator as resonator
+    from loopshape.data.requirement.limits_over import AtPoints as AtPoints
+    from loopshape.data.requirement.limits_over import Mask as Mask
+    from loopshape.data.requirement.objective import Objective as Objective
+    from loopshape.data.requirement.requirements import Margins as Margins
+    from loopshape.data.requirement.requirements import Requirements as Requirements
+    from loopshape.data.requirement.requirements import SeveralRequirements as SeveralRequirements
+    from loopshape.data.requirement.weight import Weight as Weight
+    from loopshape.data.response.control_frd import from_control as from_control
+    from loopshape.data.response.control_frd import to_control as to_control
+    from loopshape.data.response.frf import FRF as FRF
+    from loopshape.data.response.interaction import Interaction as Interaction
+    from loopshape.data.response.model import Fit as Fit
+    from loopshape.data.result.prediction import Comparison as Comparison
+    from loopshape.data.result.prediction import Prediction as Prediction
+    from loopshape.data.result.verdict import Outcome as Outcome
+    from loopshape.data.result.verdict import Verdict as Verdict
+    from loopshape.data.signal.disturbance import Disturbance as Disturbance
+    from loopshape.data.signal.recording import Recording as Recording
+    from loopshape.data.signal.run import Run as Run
+    from loopshape.data.signal.study import Study as Study
+    from loopshape.design.decoupling.decouple import decouple as decouple
+    from loopshape.design.decoupling.decoupled import decoupled as decoupled
     from loopshape.design.tune import Tuning as Tuning
-    from loopshape.loop.diagram_run import simulate as simulate
-    from loopshape.loop.equivalent import Equivalent as Equivalent
-    from loopshape.loop.equivalent import equivalent as equivalent
-    from loopshape.verbs.campaign import campaign as campaign
+    from loopshape.toolbox.campaign.verbs import campaign as campaign
+    from loopshape.toolbox.diagrams.common_diagrams import cascade as cascade
+    from loopshape.toolbox.diagrams.common_diagrams import disturbance_observer as disturbance_observer
+    from loopshape.toolbox.diagrams.common_diagrams import dual_stage as dual_stage
+    from loopshape.toolbox.diagrams.common_diagrams import prefilter as prefilter
+    from loopshape.toolbox.diagrams.common_diagrams import two_sensors as two_sensors
+    from loopshape.toolbox.diagrams.diagram import Diagram as Diagram
+    from loopshape.toolbox.diagrams.diagram import Part as Part
+    from loopshape.toolbox.diagrams.diagram_run import simulate as simulate
+    from loopshape.toolbox.diagrams.equivalent import Equivalent as Equivalent
+    from loopshape.toolbox.diagrams.equivalent import equivalent as equivalent
+    from loopshape.toolbox.diagrams.transfer import transfer as transfer
+    from loopshape.toolbox.diagrams.wired import Wired as Wired
+    from loopshape.toolbox.gap.nouns.axis import axis as axis
+    from loopshape.toolbox.gap.nouns.gap_report import GapReport as GapReport
+    from loopshape.toolbox.gap.nouns.machine import Input as Input
+    from loopshape.toolbox.gap.nouns.machine import Model as Model
+    from loopshape.toolbox.gap.nouns.machine import ModelParameter as ModelParameter
+    from loopshape.toolbox.gap.nouns.machine import Output as Output
+    from loopshape.toolbox.gap.nouns.machine import Port as Port
+    from loopshape.toolbox.gap.verbs import gap as gap
+    from loopshape.toolbox.gap.verbs import identifiability as identifiability
+    from loopshape.toolbox.learning.feedforward import feedforward as feedforward
+    from loopshape.toolbox.learning.learning import learning as learning
+    from loopshape.toolbox.learning.next_trial import next_trial as next_trial
+    from loopshape.toolbox.learning.repetitive import repetitive as repetitive
+    from loopshape.toolbox.learning.verbs import tracking_error as tracking_error
+    from loopshape.toolbox.limits.bound import Bound as Bound
+    from loopshape.toolbox.limits.verbs import bound as bound
+    from loopshape.toolbox.limits.verbs import reach as reach
+    from loopshape.toolbox.limits.verbs import schedule as schedule
+    from loopshape.toolbox.planning.tone.verbs import tones as tones
+    from loopshape.toolbox.planning.verbs import plan as plan
+    from loopshape.toolbox.planning.verbs import write_plan as write_plan
+    from loopshape.toolbox.rig.verbs.machine import connect as connect
+    from loopshape.toolbox.rig.verbs.machine import emulator as emulator
+    from loopshape.toolbox.rig.verbs.machine import measure as measure
+    from loopshape.toolbox.rig.verbs.stop import stop as stop
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
@@ -90,8 +103,6 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
-    from loopshape.verbs.diagnosis import gap as gap
-    from loopshape.verbs.diagnosis import identifiability as identifiability
     from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
@@ -102,102 +113,91 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import read_table as read_table
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
-    from loopshape.verbs.machine import connect as connect
-    from loopshape.verbs.machine import emulator as emulator
-    from loopshape.verbs.machine import measure as measure
-    from loopshape.verbs.plan import plan as plan
-    from loopshape.verbs.plan import write_plan as write_plan
-    from loopshape.verbs.possible import bound as bound
-    from loopshape.verbs.possible import reach as reach
-    from loopshape.verbs.possible import schedule as schedule
     from loopshape.verbs.several import frf_matrices as frf_matrices
     from loopshape.verbs.several import interaction as interaction
-    from loopshape.verbs.stop import stop as stop
-    from loopshape.verbs.tones import tones as tones
-    from loopshape.verbs.tracking import tracking_error as tracking_error
     from loopshape.view import plot as plot
 
 __version__ = "0.1.0"
 
 #: public name -> the module that holds it
 _HOME = {
-    "AtPoints": "data.limits_over",
-    "Bound": "design.bound",
-    "Comparison": "data.prediction",
-    "Controller": "data.controller",
-    "Diagram": "data.diagram",
-    "Disturbance": "data.disturbance",
-    "Equivalent": "loop.equivalent",
-    "FRF": "data.frf",
-    "Fit": "data.model",
-    "GainScheduled": "data.gain_scheduled",
-    "Wired": "data.wired",
-    "GapReport": "data.gap_report",
-    "Input": "data.machine",
-    "Interaction": "data.interaction",
+    "AtPoints": "data.requirement.limits_over",
+    "Bound": "toolbox.limits.bound",
+    "Comparison": "data.result.prediction",
+    "Controller": "data.control.controller",
+    "Diagram": "toolbox.diagrams.diagram",
+    "Disturbance": "data.signal.disturbance",
+    "Equivalent": "toolbox.diagrams.equivalent",
+    "FRF": "data.response.frf",
+    "Fit": "data.response.model",
+    "GainScheduled": "data.control.gain_scheduled",
+    "Wired": "toolbox.diagrams.wired",
+    "GapReport": "toolbox.gap.nouns.gap_report",
+    "Input": "toolbox.gap.nouns.machine",
+    "Interaction": "data.response.interaction",
     "LoopshapeError": "core.errors",
-    "Margins": "data.requirements",
-    "Mask": "data.limits_over",
-    "Model": "data.machine",
-    "ModelParameter": "data.machine",
-    "Objective": "data.objective",
-    "Outcome": "data.verdict",
-    "Output": "data.machine",
-    "Part": "data.diagram",
-    "Port": "data.machine",
-    "Prediction": "data.prediction",
-    "Recording": "data.recording",
-    "Requirements": "data.requirements",
-    "Run": "data.run",
-    "SeveralRequirements": "data.requirements",
-    "Study": "data.study",
+    "Margins": "data.requirement.requirements",
+    "Mask": "data.requirement.limits_over",
+    "Model": "toolbox.gap.nouns.machine",
+    "ModelParameter": "toolbox.gap.nouns.machine",
+    "Objective": "data.requirement.objective",
+    "Outcome": "data.result.verdict",
+    "Output": "toolbox.gap.nouns.machine",
+    "Part": "toolbox.diagrams.diagram",
+    "Port": "toolbox.gap.nouns.machine",
+    "Prediction": "data.result.prediction",
+    "Recording": "data.signal.recording",
+    "Requirements": "data.requirement.requirements",
+    "Run": "data.signal.run",
+    "SeveralRequirements": "data.requirement.requirements",
+    "Study": "data.signal.study",
     "Tuning": "design.tune",
-    "Verdict": "data.verdict",
-    "Weight": "data.weight",
-    "axis": "data.axis",
-    "biquad": "data.shorthand",
-    "bound": "verbs.possible",
-    "campaign": "verbs.campaign",
-    "cascade": "data.common_diagrams",
+    "Verdict": "data.result.verdict",
+    "Weight": "data.requirement.weight",
+    "axis": "toolbox.gap.nouns.axis",
+    "biquad": "data.control.shorthand",
+    "bound": "toolbox.limits.verbs",
+    "campaign": "toolbox.campaign.verbs",
+    "cascade": "toolbox.diagrams.common_diagrams",
     "check": "verbs.chain",
     "compare": "verbs.chain",
-    "complex_lead": "data.shorthand",
-    "connect": "verbs.machine",
-    "controller": "data.shorthand",
-    "decouple": "design.decouple",
-    "decoupled": "design.decoupled",
-    "disturbance_observer": "data.common_diagrams",
-    "dual_stage": "data.common_diagrams",
-    "emulator": "verbs.machine",
-    "equivalent": "loop.equivalent",
+    "complex_lead": "data.control.shorthand",
+    "connect": "toolbox.rig.verbs.machine",
+    "controller": "data.control.shorthand",
+    "decouple": "design.decoupling.decouple",
+    "decoupled": "design.decoupling.decoupled",
+    "disturbance_observer": "toolbox.diagrams.common_diagrams",
+    "dual_stage": "toolbox.diagrams.common_diagrams",
+    "emulator": "toolbox.rig.verbs.machine",
+    "equivalent": "toolbox.diagrams.equivalent",
     "export": "verbs.files",
-    "feedforward": "design.feedforward",
+    "feedforward": "toolbox.learning.feedforward",
     "fit": "verbs.chain",
-    "fixed": "data.fixed",
+    "fixed": "data.control.fixed",
     "frf": "verbs.chain",
     "frf_matrices": "verbs.several",
     "frfs": "verbs.chain",
-    "from_control": "data.control_frd",
-    "gain": "data.shorthand",
-    "gain_scheduled": "data.gain_scheduled",
-    "gap": "verbs.diagnosis",
-    "identifiability": "verbs.diagnosis",
+    "from_control": "data.response.control_frd",
+    "gain": "data.control.shorthand",
+    "gain_scheduled": "data.control.gain_scheduled",
+    "gap": "toolbox.gap.verbs",
+    "identifiability": "toolbox.gap.verbs",
     "interaction": "verbs.several",
-    "lead_lag": "data.shorthand",
-    "learning": "design.learning",
-    "low_pass": "data.shorthand",
-    "measure": "verbs.machine",
+    "lead_lag": "data.control.shorthand",
+    "learning": "toolbox.learning.learning",
+    "low_pass": "data.control.shorthand",
+    "measure": "toolbox.rig.verbs.machine",
     "multirate": "data.algebra.multirate",
-    "next_trial": "design.next_trial",
-    "notch": "data.shorthand",
-    "pi": "data.shorthand",
-    "pid": "data.shorthand",
-    "plan": "verbs.plan",
+    "next_trial": "toolbox.learning.next_trial",
+    "notch": "data.control.shorthand",
+    "pi": "data.control.shorthand",
+    "pid": "data.control.shorthand",
+    "plan": "toolbox.planning.verbs",
     "plot": "view",
     "predict": "verbs.chain",
-    "prefilter": "data.common_diagrams",
+    "prefilter": "toolbox.diagrams.common_diagrams",
     "profiles": "verbs.files",
-    "reach": "verbs.possible",
+    "reach": "toolbox.limits.verbs",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_frf": "verbs.files",
@@ -205,20 +205,20 @@ _HOME = {
     "read_requirements": "verbs.files",
     "read_table": "verbs.files",
     "report": "verbs.files",
-    "repetitive": "design.repetitive",
-    "resonator": "data.shorthand",
-    "schedule": "verbs.possible",
+    "repetitive": "toolbox.learning.repetitive",
+    "resonator": "data.control.shorthand",
+    "schedule": "toolbox.limits.verbs",
     "shape": "verbs.chain",
-    "simulate": "loop.diagram_run",
-    "stop": "verbs.stop",
-    "to_control": "data.control_frd",
-    "tones": "verbs.tones",
-    "tracking_error": "verbs.tracking",
-    "transfer": "data.algebra.diagram",
+    "simulate": "toolbox.diagrams.diagram_run",
+    "stop": "toolbox.rig.verbs.stop",
+    "to_control": "data.response.control_frd",
+    "tones": "toolbox.planning.tone.verbs",
+    "tracking_error": "toolbox.learning.verbs",
+    "transfer": "toolbox.diagrams.transfer",
     "tune": "verbs.chain",
-    "two_sensors": "data.common_diagrams",
+    "two_sensors": "toolbox.diagrams.common_diagrams",
     "write": "verbs.files",
-    "write_plan": "verbs.plan",
+    "write_plan": "toolbox.planning.verbs",
 }
 __all__ = ["__version__", *_HOME]
 

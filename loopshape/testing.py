@@ -21,8 +21,8 @@ from os import PathLike
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.verdict import Verdict
-from loopshape.data.verdict_words import (
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.result.verdict_words import (
     WORDS,
     comparison_text,
     line_text,
@@ -30,8 +30,8 @@ from loopshape.data.verdict_words import (
     stability_text,
     verdict_text,
 )
-from loopshape.io.check_files import Baseline, LoopCheck, against, check_files
-from loopshape.io.requirements import read_requirements
+from loopshape.io.write.check_files import Baseline, LoopCheck, against, check_files
+from loopshape.io.write.requirements import read_requirements
 
 AnyPath = str | PathLike[str]
 STABILITY = "stability"

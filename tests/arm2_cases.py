@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from loopshape.data.experiment import Experiment
-from loopshape.model.arm import closed_loop2 as kernel
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.closed_loop import COMPLETE, CONTROL, plain_wiring
-from loopshape.model.arm.parameters import Sensors
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
+from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROL, plain_wiring
+from loopshape.toolbox.arm.parameters import Sensors
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
 
 ARM = Arm2()
 MIDDLE = (0.0, 0.0, 0.4, 0.4)  # deg, deg, bar, bar

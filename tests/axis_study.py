@@ -10,14 +10,14 @@ from python_target_machine import Axes
 from loopshape.cli.output import Output
 from loopshape.core.kernels import scheduled
 from loopshape.core.kernels.noise import start_state
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.gain_scheduled import Follows
-from loopshape.io.run_folder import read_run
-from loopshape.io.study import read_study
-from loopshape.rig.described import DescribedRig
-from loopshape.rig.simulated import experiment as experiment_of
-from loopshape.rig.simulated import plan
-from loopshape.verbs.machine import ended_early, measure
+from loopshape.data.control.gain_scheduled import Follows
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.rig.described import DescribedRig
+from loopshape.toolbox.rig.simulated import experiment as experiment_of
+from loopshape.toolbox.rig.simulated import plan
+from loopshape.toolbox.rig.verbs.machine import ended_early, measure
 
 RATE_HZ = 1000.0
 LOOP = """

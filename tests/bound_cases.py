@@ -3,12 +3,12 @@
 import numpy as np
 
 from loopshape.core.units import db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.design.bound_nodes import nodes
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.limits.bound_nodes import nodes
 
 RATE = 2000.0
 

@@ -13,7 +13,7 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from matplotlib.figure import Figure
 from text_layout import look_at_each_png, unreadable
 
-from loopshape.data.experiment import Experiment
+from loopshape.data.signal.experiment import Experiment
 
 # the same examples in every run, and no folder .hypothesis at the root, which pytest would look into
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -60,7 +60,7 @@ def shared():
 
 @pytest.fixture(scope="session")
 def arm():
-    from loopshape.model.arm.arm1 import Arm1
+    from loopshape.toolbox.arm.arm1 import Arm1
 
     return Arm1()
 
@@ -74,7 +74,7 @@ def quiet():
 @pytest.fixture(scope="session")
 def arm_constants():
     """The kernel's constants for named parameter changes."""
-    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
     return lambda **changes: constants(ARM1_PARAMETERS.vector(changes))
 
@@ -112,8 +112,8 @@ def arm_open_loop():
 
     `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
     """
-    from loopshape.model.arm import closed_loop, memory
-    from loopshape.model.arm.parameters import Sensors
+    from loopshape.toolbox.arm.dynamics import closed_loop, memory
+    from loopshape.toolbox.arm.parameters import Sensors
 
     sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9)  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])

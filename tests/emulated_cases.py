@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.target_settings import Limit, TargetSettings
-from loopshape.model.arm.emulated import plant_file
-from loopshape.rig.emulator import Emulator, compiler, emulated
-from loopshape.rig.link import open_link
-from loopshape.rig.session import Session
-from loopshape.rig.target import arm, configuration, drive
+from loopshape.toolbox.arm.emulated import plant_file
+from loopshape.toolbox.rig.emulator import Emulator, compiler, emulated
+from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.target import arm, configuration, drive
 
 RANGES = {"theta2_rad": 0.9, "p_a_bar": 1.5, "p_b_bar": 1.5, "u_a_v": 20.0, "u_b_v": 20.0}
 COMMANDS = {"u_a_v": {"theta2": 1.0, "p_ab": 1.0}, "u_b_v": {"theta2": -1.0, "p_ab": 1.0}}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from loopshape.core.units import from_db
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 
 F = np.arange(1, 81) * 0.1  # 0.1 to 8 Hz
 

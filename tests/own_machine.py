@@ -7,9 +7,9 @@ controller a PD of the test's own; nothing of the package takes part.
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from loopshape.data.machine import Input, Model, ModelParameter, Output, Port
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
 
 RATE_HZ, SECONDS = 500.0, 8
 INERTIA, DAMPING, SPRING, WEIGHT = 0.020, 0.05, 0.8, 0.30

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 import loopshape as ls
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
 
 BENCH = Path(__file__).parents[1] / "examples" / "motor_bench"
 RATE_HZ = 1000.0

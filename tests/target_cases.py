@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import loopshape
-from loopshape.rig.frames import Frame, Receiver
-from loopshape.rig.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
+from loopshape.toolbox.rig.target.frames import Frame, Receiver
+from loopshape.toolbox.rig.target.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
 
 TARGET = Path(loopshape.__file__).parent / "rig" / "c_target"
 CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "frames.c")

@@ -5,8 +5,8 @@ import struct
 from axis_study import target
 from python_target_frames import body_of
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Say
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.messages import Say
 
 
 class Second:

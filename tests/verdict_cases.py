@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from loopshape.data.baseline import Checked
-from loopshape.data.controller import Block, Controller
-from loopshape.data.requirements import LIMITS, Margins
-from loopshape.data.verdict import Line, Verdict
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import LIMITS, Margins
+from loopshape.data.result.baseline import Checked
+from loopshape.data.result.verdict import Line, Verdict
 
 CONTROLLER = Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))

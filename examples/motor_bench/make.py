@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import loopshape as ls
-from loopshape.io.verdicts import write_verdicts
+from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.baseline import checked
 
 HERE = Path(__file__).parent

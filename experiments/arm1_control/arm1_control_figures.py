@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from loopshape.core.units import Array, db, deg
-from loopshape.data.loop import Loop
-from loopshape.model.arm.source import value
-from loopshape.view.contours import constant_s, nichols_coordinates
-from loopshape.view.curves import frequency_axis, unwrapped_deg
+from loopshape.data.control.loop import Loop
+from loopshape.toolbox.arm.source import value
+from loopshape.view.plots.contours import constant_s, nichols_coordinates
+from loopshape.view.plots.curves import frequency_axis, unwrapped_deg
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 LOW_HZ, HIGH_HZ = 0.15, 12.0

@@ -10,10 +10,10 @@ from arm1_motion import Crossing, Followed, Moved, fastest_rise_s, pressure_rate
 from arm1_scores import AGREES, APART, DIFFERS, PARTLY, Score, holds, judged
 
 from loopshape.core.units import rad
-from loopshape.data.loop import Loop
-from loopshape.data.prediction import Indicators
-from loopshape.data.requirements import Margins
-from loopshape.model.arm.source import number, value
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Margins
+from loopshape.data.result.prediction import Indicators
+from loopshape.toolbox.arm.source import number, value
 
 WORDS = {
     "source": "table 5.1",

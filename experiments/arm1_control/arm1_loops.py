@@ -11,18 +11,18 @@ from arm1_sweeps import Arm, Found, found, recorded
 from source_controllers import angle_controller, pressure_controller, third_order_plant
 
 from loopshape.core.units import Array, angular, db, from_db
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Margins, Requirements
-from loopshape.data.study import Study
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.study import Study
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.loop.margins import margins
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import value
 
 PLACES = ("figure_4_12", "figure_4_15.measured", "figure_4_14", "figure_4_15.simulated")
 UPRIGHT = (0.0, 1.0)

@@ -12,20 +12,20 @@ from scipy.signal import cont2discrete
 from source_controllers import angle_controller
 
 from loopshape.core.units import Array, deg, rad
-from loopshape.data.controller import Controller
-from loopshape.data.model import TransferFunction
-from loopshape.data.prediction import Indicators, StepComparison
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.data.study import Study
-from loopshape.loop.indicators import indicators, recorded_steps, tracking
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.model import derivatives
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
-from loopshape.model.arm.source import value
-from loopshape.rig.effects import moves
-from loopshape.rig.simulated import header, measure, plan
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.result.prediction import Indicators, StepComparison
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.data.signal.study import Study
+from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
+from loopshape.toolbox.arm.dynamics.model import derivatives
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.simulated import header, measure, plan
 
 P_AB = "p_a_bar + p_b_bar"
 

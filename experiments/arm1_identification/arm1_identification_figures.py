@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from source_controllers import third_order_plant
 
 from loopshape.core.units import db
-from loopshape.model.arm.source import value
-from loopshape.view.curves import frequency_axis, unwrapped_deg
-from loopshape.view.frequency import spectra
+from loopshape.toolbox.arm.source import value
+from loopshape.view.plots.curves import frequency_axis, unwrapped_deg
+from loopshape.view.plots.frequency import spectra
 from loopshape.view.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, shades, styled
 
 LOW_HZ, HIGH_HZ = 0.15, 12.0

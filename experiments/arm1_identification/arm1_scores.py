@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-from loopshape.model.arm.source import number
+from loopshape.toolbox.arm.source import number
 
 AGREES, PARTLY, DIFFERS, APART = "agrees", "partly", "differs", "not comparable"
 

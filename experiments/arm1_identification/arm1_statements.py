@@ -11,8 +11,8 @@ from arm1_scores import AGREES, DIFFERS, PARTLY, Score, holds, judged, within
 from arm1_sweeps import Found
 
 from loopshape.core.units import Array, db
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import number, value
 
 GAP = "experiments/source_arm_gap"
 PARAMETERS = (("kappa", "kappa"), ("f", "f_hz"), ("zeta", "zeta"))

@@ -10,18 +10,18 @@ import numpy as np
 from scipy.signal import csd
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.data.study import Study
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.data.signal.study import Study
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.linear import Linearisation, linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.rig.effects import moves
-from loopshape.rig.simulated import header, measure, plan
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.simulated import header, measure, plan
 
 Point = tuple[float, float]
 

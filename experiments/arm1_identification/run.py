@@ -20,11 +20,11 @@ from arm1_scores import write_scores  # noqa: E402
 from arm1_statements import Statements, scores_of_fits, scores_of_statements  # noqa: E402
 from arm1_sweeps import Arm, Found, by_formula_4_9, found, recorded  # noqa: E402
 
-from loopshape.data.controller import Block  # noqa: E402
-from loopshape.data.recording import Recording  # noqa: E402
-from loopshape.data.study import Study  # noqa: E402
+from loopshape.data.control.controller import Block  # noqa: E402
+from loopshape.data.signal.recording import Recording  # noqa: E402
+from loopshape.data.signal.study import Study  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study import read_study  # noqa: E402
+from loopshape.io.study.study import read_study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import deg
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
 
 PANELS = 8  # of a loop page

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from loopshape.data.recording import Recording
-from loopshape.data.verdict import Verdict
-from loopshape.model.arm.source import number, value
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.arm.source import number, value
 
 MEASURED = Path(__file__).parent.parent / "arm2_interaction"  # answers figures 5.8 and H.7
 #: numbers that the source gives as "about": agree within the first factor, partly within the second

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import Array, deg
-from loopshape.data.controller import Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording
-from loopshape.io.study import read_study
-from loopshape.loop.indicators import recorded_steps
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.rig.simulated import measure
+from loopshape.data.control.controller import Controller
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
+from loopshape.io.study.study import read_study
+from loopshape.loop.predict.indicators import recorded_steps
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.rig.simulated import measure
 
 STEPS = (
     "experiment", "loop", "at_s", "size", "unit", "rise_time_s", "settling_time_s", "settling_time_5_s", "overshoot",

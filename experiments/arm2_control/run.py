@@ -22,25 +22,25 @@ from source_controllers import controller  # noqa: E402
 
 from loopshape.core.units import db  # noqa: E402
 from loopshape.data.algebra.propagation import pick  # noqa: E402
-from loopshape.data.controller import Block, Controller  # noqa: E402
-from loopshape.data.frf import FRF  # noqa: E402
-from loopshape.data.requirements import Requirements  # noqa: E402
-from loopshape.data.verdict import Verdict  # noqa: E402
+from loopshape.data.control.controller import Block, Controller  # noqa: E402
+from loopshape.data.requirement.requirements import Requirements  # noqa: E402
+from loopshape.data.response.frf import FRF  # noqa: E402
+from loopshape.data.result.verdict import Verdict  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
-from loopshape.identify.matrix import estimate_matrix  # noqa: E402
+from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.requirements import read_requirements  # noqa: E402
-from loopshape.io.study import read_study  # noqa: E402
-from loopshape.loop.several import check_several  # noqa: E402
+from loopshape.io.study.study import read_study  # noqa: E402
+from loopshape.io.write.requirements import read_requirements  # noqa: E402
+from loopshape.loop.matrix.several import check_several  # noqa: E402
 from loopshape.loop.verdict import check, loops_of  # noqa: E402
-from loopshape.model.arm.arm2 import Arm2  # noqa: E402
-from loopshape.model.arm.linear2 import linearise2  # noqa: E402
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
-from loopshape.model.arm.source import value  # noqa: E402
-from loopshape.model.arm.strategies2 import DUAL  # noqa: E402
-from loopshape.rig.simulated import header, measure  # noqa: E402
-from loopshape.view.loops import loop_page  # noqa: E402
-from loopshape.view.nichols import nichols  # noqa: E402
+from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402
+from loopshape.toolbox.arm.dynamics.linear2 import linearise2  # noqa: E402
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
+from loopshape.toolbox.arm.source import value  # noqa: E402
+from loopshape.toolbox.arm.strategies2 import DUAL  # noqa: E402
+from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
+from loopshape.view.plots.loops import loop_page  # noqa: E402
+from loopshape.view.plots.nichols import nichols  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

@@ -13,9 +13,9 @@ from valves import Plant, Valves, rates
 from loopshape.core.kernels import biquads
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array, ComplexArray, angular
-from loopshape.data.experiment import Experiment
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.model.arm.simulation import sections
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.toolbox.arm.simulation import sections
 
 
 def held(plant: Plant, tick_s: float) -> tuple[Array, Array]:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from loopshape.core.units import ComplexArray, db
-from loopshape.data.frf import FRF
-from loopshape.view.curves import draw_band, frequency_axis
+from loopshape.data.response.frf import FRF
+from loopshape.view.plots.curves import draw_band, frequency_axis
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, styled
 
 #: |P| in dB that the source reads off its figure 5.8, in rad/V

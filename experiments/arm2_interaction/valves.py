@@ -14,8 +14,8 @@ import numpy as np
 
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array, ComplexArray, angular
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
 
 ATMOSPHERE_BAR, PWM_S, PWM_TICKS, DEAD_ZONE = 1.01325, 0.02, 20, 0.01
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.data.block import BlockTemplate
-from loopshape.data.controller import Controller
-from loopshape.data.gain_scheduled import GainScheduled
-from loopshape.io.requirements import read_requirements
-from loopshape.io.study import read_study
-from loopshape.rig.simulated import header, measure
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.io.study.study import read_study
+from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.rig.simulated import header, measure
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

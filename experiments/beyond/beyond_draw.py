@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import deg
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 from loopshape.view.style import COLOURS, MARKERS, head, new_figure, styled
 
 Tables = Mapping[str, Sequence[Mapping]]

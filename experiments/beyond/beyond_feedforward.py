@@ -10,15 +10,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from loopshape.core.units import Array, angular, deg, rad
-from loopshape.data.controller import Controller
-from loopshape.data.excitation import Profile
-from loopshape.data.experiment import Experiment
-from loopshape.data.recording import Recording
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.equilibrium import LOWEST_BAR
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.model import derivatives
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.data.control.controller import Controller
+from loopshape.data.signal.excitation import Profile
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.equilibrium import LOWEST_BAR
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.dynamics.model import derivatives
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants
 
 RATE_HZ = 1000.0
 

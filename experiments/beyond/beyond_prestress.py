@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.model.arm.equilibrium import pressures
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import value
 
 ANGLES_DEG = np.arange(0.0, 45.1, 0.5)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.source import number, value
 
 Tables = Mapping[str, Sequence[Mapping]]
 GAIN = 1.1  # less than a tenth is no gain

@@ -9,24 +9,24 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.units import db, deg, rad
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.objective import Objective
-from loopshape.data.recording import Recording
-from loopshape.data.requirements import Margins, Requirements
-from loopshape.data.study import Study
-from loopshape.design.schedule import Schedule, schedule
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.objective import Objective
+from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.study import Study
 from loopshape.design.tune import tune
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.loop.indicators import recorded_steps
+from loopshape.loop.predict.indicators import recorded_steps
 from loopshape.loop.verdict import check
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.linear import Linearisation, linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.rig.simulated import header, measure
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.schedules.schedule import Schedule, schedule
 
 
 @dataclass(frozen=True, eq=False)

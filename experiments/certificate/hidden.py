@@ -8,8 +8,8 @@ import numpy as np
 from loops import LINEAR, LOGARITHMIC, between
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.model import TransferFunction
-from loopshape.loop.sampling import hidden_poles
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.stability.sampling import hidden_poles
 
 RECORDS = 1000
 WIDTHS, TAILS = (0.03, 0.1, 0.3, 1.0), (2.0, 4.0, 6.0, 8.0, 12.0, 20.0)

@@ -9,13 +9,13 @@ import control
 import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, hz
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.data.valid_band import trusted_lines
-from loopshape.identify.smoothing import smoothed
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.response.valid_band import trusted_lines
+from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.verdict import loops_of
 
 KINDS = (

@@ -16,9 +16,9 @@ sys.path.insert(0, str(HERE))  # the study's own files, however it is started
 from hidden import alarms, detection  # noqa: E402
 from loops import KINDS, SPOILED, STEPS, Case, case, checked, loop, measured, peer, spoiled  # noqa: E402
 
-from loopshape.data.frf import FRF  # noqa: E402
-from loopshape.loop.sampling import visible_residue  # noqa: E402
-from loopshape.loop.stability import Stability, closed_loop_stability  # noqa: E402
+from loopshape.data.response.frf import FRF  # noqa: E402
+from loopshape.loop.stability.sampling import visible_residue  # noqa: E402
+from loopshape.loop.stability.stability import Stability, closed_loop_stability  # noqa: E402
 
 LOOPS = 400
 NOISES, FLOORS = (1e-6, 0.02, 0.05, 0.1), (0.1, 0.3, 0.5)

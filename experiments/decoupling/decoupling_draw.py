@@ -15,9 +15,9 @@ from matplotlib.lines import Line2D
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, db
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.view.curves import draw_band, frequency_axis
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.view.plots.curves import draw_band, frequency_axis
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 SCALE = Normalize(-60.0, 0.0)

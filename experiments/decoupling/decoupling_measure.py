@@ -16,19 +16,19 @@ sys.path.insert(0, str(HERE.parent / "arm2_interaction"))  # its valves
 from valves import Plant, best_gains, replayed, valves  # noqa: E402
 
 from loopshape.core.units import ComplexArray, deg  # noqa: E402
-from loopshape.data.frf import FRF  # noqa: E402
-from loopshape.data.interaction import Interaction  # noqa: E402
-from loopshape.data.recording import Recording  # noqa: E402
-from loopshape.data.run import Run  # noqa: E402
-from loopshape.data.study import Study  # noqa: E402
-from loopshape.identify.interaction import interaction  # noqa: E402
-from loopshape.identify.matrix import estimate_matrix  # noqa: E402
-from loopshape.model.arm.arm1 import Arm1  # noqa: E402
-from loopshape.model.arm.equilibrium import pressures  # noqa: E402
-from loopshape.model.arm.linear import Linearisation, linearise  # noqa: E402
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
-from loopshape.model.arm.source import value  # noqa: E402
-from loopshape.rig.simulated import header, measure  # noqa: E402
+from loopshape.data.response.frf import FRF  # noqa: E402
+from loopshape.data.response.interaction import Interaction  # noqa: E402
+from loopshape.data.signal.recording import Recording  # noqa: E402
+from loopshape.data.signal.run import Run  # noqa: E402
+from loopshape.data.signal.study import Study  # noqa: E402
+from loopshape.identify.matrix.interaction import interaction  # noqa: E402
+from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
+from loopshape.toolbox.arm.arm1 import Arm1  # noqa: E402
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures  # noqa: E402
+from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise  # noqa: E402
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
+from loopshape.toolbox.arm.source import value  # noqa: E402
+from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
 
 LOOPS = ("theta2", "p_ab")
 LIMIT_DB = value("figure_h_7.interaction")

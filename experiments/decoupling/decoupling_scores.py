@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from decoupling_measure import LIMIT_DB
 
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 Tables = Mapping[str, Sequence[Mapping]]
 

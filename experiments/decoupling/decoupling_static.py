@@ -9,13 +9,13 @@ import numpy as np
 from decoupling_measure import LIMIT_DB, LOOPS, Found
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.interaction import BandVerdict
-from loopshape.data.requirements import Margins, Requirements
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.interaction import BandVerdict
 from loopshape.identify.fit.fit import fit, structure_by_name
-from loopshape.identify.interaction import interaction
-from loopshape.loop.margins import margins
+from loopshape.identify.matrix.interaction import interaction
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import loops_of
 
 

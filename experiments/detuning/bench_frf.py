@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.import_file import import_file
-from loopshape.io.requirements import read_requirements
+from loopshape.io.read.import_file import import_file
+from loopshape.io.write.requirements import read_requirements
 
 FOLDER = Path(__file__).parents[2] / "examples" / "motor_bench"
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
 from loopshape.design.tune import tune
-from loopshape.io.requirements import read_requirements
+from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent

@@ -18,13 +18,13 @@ from scipy.optimize import minimize_scalar
 sys.path.insert(0, str(Path(__file__).parents[1] / "lab"))
 from exam_cases import PLANT, catalogue, library_run
 
-from loopshape.data.run import Run
-from loopshape.diagnose import attribute
-from loopshape.diagnose.decide import UNKNOWN_LEAVES
-from loopshape.diagnose.diagnose import BRIEF_S, PERIODIC_S
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.model.registry import diagnosable
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.diagnose import attribute
+from loopshape.toolbox.gap.diagnose.decide import UNKNOWN_LEAVES
+from loopshape.toolbox.gap.diagnose.diagnose import BRIEF_S, PERIODIC_S
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.registry import diagnosable
 
 TABLE = Path(__file__).parent / "forms.csv"
 COLUMNS = ["effect", "true_form", "fitted_form", "healthy_excess", "excess", "share_left", "log_ratio"]

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import deg
-from loopshape.data.effect_sheet import EffectSheet
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.effect_study import effect_study, paths, signals
-from loopshape.rig.effect_sheets import sheets
-from loopshape.rig.effects import asked
-from loopshape.view.effects import effects_page
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
+from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet
+from loopshape.toolbox.gap.pictures.effects import effects_page
+from loopshape.toolbox.rig.effect_sheets import sheets
+from loopshape.toolbox.rig.effects import asked
 from loopshape.view.style import png
 
 HERE = Path(__file__).parent

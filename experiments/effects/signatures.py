@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.data.effect_sheet import EffectSheet, FrfChange
+from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet, FrfChange
 
 LOW, MID, RESONANCE, HIGH, BROAD = (0.15, 0.8), (1.0, 3.0), (3.5, 7.0), (8.0, 12.5), (0.3, 8.0)
 U_T, U_P, P_T = "u -> theta2", "u -> p", "p -> theta2"

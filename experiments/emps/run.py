@@ -12,19 +12,19 @@ from matplotlib.axes import Axes
 from scipy.optimize import least_squares
 
 from loopshape.core.units import Array
-from loopshape.data.effect import EffectForm
-from loopshape.data.run import Run
-from loopshape.diagnose import attribute
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.fitting import Fitted
-from loopshape.diagnose.hypothesis import Hypothesis, candidates
+from loopshape.data.signal.run import Run
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.import_file import import_file
-from loopshape.model.servo_axis import following, nominal
-from loopshape.model.servo_axis.axis import ServoAxis
-from loopshape.model.servo_axis.effects import quadratic_drag
-from loopshape.model.servo_axis.following import Followed
-from loopshape.view.curves import frequency_axis
+from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.gap.diagnose import attribute
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.fitting import Fitted
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis, candidates
+from loopshape.toolbox.gap.nouns.effect import EffectForm
+from loopshape.toolbox.servo import following, nominal
+from loopshape.toolbox.servo.axis import ServoAxis
+from loopshape.toolbox.servo.effects import quadratic_drag
+from loopshape.toolbox.servo.following import Followed
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, head, new_figure, png, styled
 
 HERE = Path(__file__).parent

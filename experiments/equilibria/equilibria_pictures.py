@@ -12,8 +12,8 @@ from matplotlib.patches import Rectangle
 from standing import MODELS, arm, off_square_deg
 
 from loopshape.core.units import Array
-from loopshape.model.arm.source import value
-from loopshape.view.equilibria import contours_by_angle, contours_by_pressures
+from loopshape.toolbox.arm.equilibria_pictures import contours_by_angle, contours_by_pressures
+from loopshape.toolbox.arm.source import value
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 Maps = Mapping[str, tuple[Array, ...]]

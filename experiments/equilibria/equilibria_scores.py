@@ -8,8 +8,8 @@ import numpy as np
 from standing import ANALYTICAL, MODELS, arm, firmness, gain_limit, rests, supply_bar
 
 from loopshape.core.units import Array
-from loopshape.model.arm.equilibrium import angle_deg, angle_map, pressures
-from loopshape.model.arm.source import EQUILIBRIA, number, value
+from loopshape.toolbox.arm.dynamics.equilibrium import angle_deg, angle_map, pressures
+from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
 
 POINTS = (
     "theta2_deg", "p_ab_bar", "p_a_fitted_bar", "p_b_fitted_bar", "p_a_analytical_bar", "p_b_analytical_bar",

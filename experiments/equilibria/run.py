@@ -32,8 +32,8 @@ from standing import (  # noqa: E402
 
 from loopshape.core.units import Array  # noqa: E402
 from loopshape.io.files import read_toml, write_bytes_whole  # noqa: E402
-from loopshape.model.arm.equilibrium import angle_deg, pressure_map, pressures  # noqa: E402
-from loopshape.model.arm.source import EQUILIBRIA, value  # noqa: E402
+from loopshape.toolbox.arm.dynamics.equilibrium import angle_deg, pressure_map, pressures  # noqa: E402
+from loopshape.toolbox.arm.source import EQUILIBRIA, value  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, deg, rad
-from loopshape.model.arm.equilibrium import acceleration, angle_deg, pressures
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
-from loopshape.model.arm.source import EQUILIBRIA, number, value
+from loopshape.toolbox.arm.dynamics.equilibrium import acceleration, angle_deg, pressures
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
+from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
 
 Moves = Mapping[str, float]
 STIFFNESS = ("b_bar", "k0", "k1", "k2", "c0", "c1")

@@ -21,7 +21,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "certificate")]
 from spoiled import MOST, dense_hz, draw, in_series  # noqa: E402
 
 from loopshape.core.units import Array  # noqa: E402
-from loopshape.data.model import TransferFunction  # noqa: E402
+from loopshape.data.response.model import TransferFunction  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402
 
 NOISE, COUNT, SEED = (1e-6, 1e-2), 150, 11

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels import margins as kernel
+from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.loop.reading import Reader
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.loop.margin.reading import Reader
 from loopshape.loop.verdict import check
 
 RATE_HZ, DRAWS = 20_000.0, 100

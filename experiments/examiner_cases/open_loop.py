@@ -17,7 +17,7 @@ from scipy.signal import chirp, cont2discrete, lfilter, max_len_seq
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import Array
-from loopshape.io.draft_map import draft_map
+from loopshape.toolbox.formats.drafts.draft_map import draft_map
 
 KINDS = ("steps", "square", "multisine", "sweep", "prbs")
 CLAIMS = ("records", "closed by the draft", "closed by frf", "grows", "no estimate")

@@ -17,9 +17,9 @@ sys.path[:0] = [str(HERE), str(HERE.parent / "certificate")]
 from spoiled import Spoiled, draw  # noqa: E402
 
 from loopshape.core.units import Array  # noqa: E402
-from loopshape.data.frf import FRF  # noqa: E402
-from loopshape.data.valid_band import trusted_lines  # noqa: E402
-from loopshape.data.verdict import Order, SettledBy, Verdict  # noqa: E402
+from loopshape.data.response.frf import FRF  # noqa: E402
+from loopshape.data.response.valid_band import trusted_lines  # noqa: E402
+from loopshape.data.result.verdict import Order, SettledBy, Verdict  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402
 
 KINDS, ROUNDS = ("hole", "poor band", "low edge", "high edge", "sound"), 3

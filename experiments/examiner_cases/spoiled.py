@@ -17,11 +17,11 @@ import numpy as np
 from loops import GAINS, LINEAR, LOGARITHMIC, RATE_HZ, between, limit, pair, product, real, unstable_poles
 
 from loopshape.core.units import TWO_PI, Array
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit, TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.data.valid_band import trusted_lines
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit, TransferFunction
+from loopshape.data.response.valid_band import trusted_lines
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.loop.verdict import check

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from loopshape.data.machine import Model
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.model.own.plant import OwnMachine
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.nouns.machine import Model
+from loopshape.toolbox.gap.own.plant import OwnMachine
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("LOOPSHAPE_DATA", HERE.parents[1] / ".." / "shared" / "data"))

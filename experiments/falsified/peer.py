@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from loopshape.data.run import Run
-from loopshape.model.own.plant import OwnMachine
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.own.plant import OwnMachine
 
 SHARE, LATE_MS = 0.05, 1.0  # tolerance of what has none: a share of its scale, a delay
 LIGHT = 1.0  # floors for one tolerance: holds what the recordings do not tell

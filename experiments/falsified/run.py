@@ -37,8 +37,8 @@ from common import Case, Real, false, honest  # noqa: E402
 from examiner.score import calibrated, share  # noqa: E402
 from peer import least_squares_name  # noqa: E402
 
-from loopshape.diagnose.diagnose import diagnose  # noqa: E402
-from loopshape.model.own.plant import OwnMachine  # noqa: E402
+from loopshape.toolbox.gap.diagnose.diagnose import diagnose  # noqa: E402
+from loopshape.toolbox.gap.own.plant import OwnMachine  # noqa: E402
 
 MACHINES = {m.name: m for m in (emps.AXIS, qube.DRIVE, tokyo.BENCH, pendulums.PENDULUM)}
 SEED = 2031  # of the order in which specimens are numbered

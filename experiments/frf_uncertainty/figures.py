@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from scipy.stats import f as f_distribution
 
 from loopshape.core.units import Array, ComplexArray, db
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.io.files import write_bytes_whole
-from loopshape.view.curves import frequency_axis
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parent.parent.parent / "figures" / Path(__file__).parent.name

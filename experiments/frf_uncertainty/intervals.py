@@ -23,12 +23,12 @@ from known import (
 from scipy.stats import f as f_distribution
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.excitation import Multisine, Sweep
-from loopshape.data.excitation_sets import orthogonal
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.excitation import Multisine, Sweep
+from loopshape.data.signal.excitation_sets import orthogonal
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
-from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
 BAND_HZ = (1.0, 15.0)

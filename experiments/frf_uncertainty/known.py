@@ -1,4 +1,4 @@
-"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `loopshape.data.loop`."""
+"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `loopshape.data.control.loop`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from scipy.signal import butter, cont2discrete, freqz, lfilter
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 
 RATE_HZ = 100.0
 #: samples run before a recording begins: a plant with a damping of 0.02 at 5 Hz then rings at 1e-5

@@ -17,12 +17,12 @@ import cvxpy
 import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
-from loopshape.data.block import series_response
-from loopshape.data.controller import Controller
-from loopshape.data.fixed import fixed
-from loopshape.data.requirements import Requirements
-from loopshape.data.shorthand import controller as made
-from loopshape.design.problem import Problem
+from loopshape.data.control.block import series_response
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.fixed import fixed
+from loopshape.data.control.shorthand import controller as made
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.design.problem.problem import Problem
 
 Unknown, Limit = cvxpy.Variable, cvxpy.Constraint
 #: the bandwidth rises by these factors, the last ones where the first can no more; rounds of each try

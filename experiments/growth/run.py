@@ -14,17 +14,17 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import differential_evolution
 
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
 from loopshape.design.growth import Task, library
-from loopshape.design.problem import Problem
-from loopshape.design.search import LARGEST, begin, search
-from loopshape.design.shifts import copies_for
+from loopshape.design.problem.problem import Problem
+from loopshape.design.problem.shifts import copies_for
+from loopshape.design.search.search import LARGEST, begin, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.requirements import read_requirements
+from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check, loops_of
 from loopshape.view.style import new_figure, png, styled
 

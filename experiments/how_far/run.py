@@ -10,21 +10,21 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import TWO_PI, ComplexArray
-from loopshape.data.block import BlockTemplate
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.design import bound as bound_module
-from loopshape.design import bound_regions
-from loopshape.design.bound import bound, excluded
-from loopshape.design.bound_reach import reach
-from loopshape.design.schedule import schedule
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
 from loopshape.design.tune import tune
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.requirements import read_requirements
+from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check, loops_of
-from loopshape.view.schedule import schedule_page
+from loopshape.toolbox.limits import bound as bound_module
+from loopshape.toolbox.limits import bound_regions
+from loopshape.toolbox.limits.bound import bound, excluded
+from loopshape.toolbox.limits.bound_reach import reach
+from loopshape.toolbox.schedules.picture import schedule_page
+from loopshape.toolbox.schedules.schedule import schedule
 from loopshape.view.style import png
 
 HERE = Path(__file__).parent

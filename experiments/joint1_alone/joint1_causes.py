@@ -9,13 +9,13 @@ import numpy as np
 from source_controllers import controller
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit, TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit, TransferFunction
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import check
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 #: lines of a model's FRF, and the relative standard deviation that stands for exactly known
 GRID_HZ, EXACT = np.unique(np.concatenate([np.geomspace(0.05, 20.0, 500), np.linspace(1.2, 2.6, 600)])), 1e-6

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from loopshape.core.units import db, deg
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.recording import Recording
-from loopshape.model.arm.linear2 import Linearisation2
-from loopshape.view.curves import frequency_axis
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.arm.dynamics.linear2 import Linearisation2
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, head, new_figure, styled
 
 PANELS = 8  # of a loop page

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Margins
-from loopshape.data.verdict import Verdict
-from loopshape.model.arm.source import number, value
+from loopshape.data.requirement.requirements import Margins
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
+from loopshape.toolbox.arm.source import number, value
 
 #: "about so many Hz" agrees within this factor; two spans agree where one lies in the other, partly where they meet
 ABOUT = 1.5

@@ -14,7 +14,7 @@ from scipy.stats import f as f_distribution
 
 import loopshape as ls
 from loopshape.core.units import Array, ComplexArray, db
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 from loopshape.io.files import write_bytes_whole
 from loopshape.view.style import COLOURS, head, new_figure, png, styled
 

@@ -16,8 +16,8 @@ from scipy.linalg import expm
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, hz
-from loopshape.data.controller import Controller
-from loopshape.model.arm.linear2 import Linearisation2
+from loopshape.data.control.controller import Controller
+from loopshape.toolbox.arm.dynamics.linear2 import Linearisation2
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,11 +16,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, angular, deg
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording
-from loopshape.model.arm.linear import linearise, ripple_gains
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.arm.dynamics.linear import linearise, ripple_gains
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
 
 def expected_angle_response(

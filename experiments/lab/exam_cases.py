@@ -11,12 +11,12 @@ import numpy as np
 from examiner import EFFECTS, OUTSIDE, draw_case, draw_magnitude, seal
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.effect import EffectForm
-from loopshape.data.experiment import Experiment
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.model.registry import diagnosable
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.nouns.effect import EffectForm
+from loopshape.toolbox.gap.registry import diagnosable
 
 PLANT = "arm-1dof"
 LEAD_S = 4.0  # a replayed arm stands so long at its first references

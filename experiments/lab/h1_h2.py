@@ -18,15 +18,15 @@ import numpy as np
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF, joined
-from loopshape.data.recording import Recording
-from loopshape.data.valid_band import trusted_lines
+from loopshape.data.response.frf import FRF, joined
+from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
-from loopshape.identify.quality import stayed_bounded
+from loopshape.identify.quality.quality import stayed_bounded
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import LoopSignals, loop_signals
-from loopshape.identify.welch import by_welch
+from loopshape.identify.spectra.welch import by_welch
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular
-from loopshape.data.controller import Block, Controller
-from loopshape.data.model import TransferFunction
-from loopshape.model.arm.source import numbers, value
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.arm.source import numbers, value
 
 #: the loop that each printed controller closes; table 5.6 stands for p_A and p_C
 TABLES = {

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from nine_actions import Rules, Setpoint, Trace
 
-from loopshape.core.kernels.pwm import pulse_s
 from loopshape.core.units import Array, deg, rad
-from loopshape.data.controller import Controller
-from loopshape.data.experiment import Experiment
-from loopshape.data.recording import Recording
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.data.control.controller import Controller
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.pwm import pulse_s
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 
 RATE_HZ = 1000.0
 

@@ -14,7 +14,7 @@ from rivals import Rival, follow, sine
 from trial_outcomes import RATE_HZ, at_setpoint
 
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parents[2] / "figures" / "learning"

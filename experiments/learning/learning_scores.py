@@ -9,10 +9,10 @@ from learning_tables import Results, Rows
 from rivals import EXAMPLE
 from trial_outcomes import Summary, interval_percent
 
-from loopshape.io.study import read_study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.source import value
-from loopshape.rig.simulated import plan
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.simulated import plan
 
 ITEM = "section 5.4"
 HUNDREDS = (100, 1000)

@@ -9,7 +9,7 @@ import numpy as np
 from arm_stepper import SteppedArm
 
 from loopshape.core.units import Array, deg
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 #: valves of A and B: -1 lets air out, 0 shuts both, +1 lets air in; what an arm with on/off valves can be told
 ACTIONS = tuple((float(a), float(b)) for a in (-1, 0, 1) for b in (-1, 0, 1))

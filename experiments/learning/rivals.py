@@ -11,9 +11,9 @@ from feedback_rival import feedback
 from nine_actions import Policy, Rules, Setpoint, Trace, pairs, play
 from trial_outcomes import Summary, reached_s, summary, tracking_deg
 
-from loopshape.data.controller import Controller
-from loopshape.io.controllers import read_controllers
-from loopshape.model.arm.arm1 import Arm1
+from loopshape.data.control.controller import Controller
+from loopshape.io.write.controllers import read_controllers
+from loopshape.toolbox.arm.arm1 import Arm1
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "arm"
 Trials = list[tuple[float, float]]

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import loopshape as ls
 from loopshape.core.errors import UnreadableInputError
-from loopshape.data.machine import Mechanism, Model
 from loopshape.io.files import write_bytes_whole, write_json
-from loopshape.model.own.mechanism import machine
+from loopshape.toolbox.gap.mechanism.mechanism import machine
+from loopshape.toolbox.gap.nouns.machine import Mechanism, Model
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 HERE = Path(__file__).parent

@@ -25,16 +25,16 @@ sys.path.insert(0, str(HERE))  # the study's own files, however it is started
 from run import described, write  # noqa: E402
 from specimens import PLACES, STEPS, specimen  # noqa: E402
 
-from loopshape.data.effect import EffectForm, Free  # noqa: E402
-from loopshape.data.recording import Recording  # noqa: E402
-from loopshape.data.run import Run  # noqa: E402
-from loopshape.diagnose import attribute, decide  # noqa: E402
-from loopshape.diagnose.evidence import Evidence  # noqa: E402
-from loopshape.diagnose.fitting import Fitted  # noqa: E402
-from loopshape.diagnose.hypothesis import Hypothesis  # noqa: E402
-from loopshape.model.own import following  # noqa: E402
-from loopshape.model.own.following import Followed  # noqa: E402
-from loopshape.model.own.plant import OwnMachine  # noqa: E402
+from loopshape.data.signal.recording import Recording  # noqa: E402
+from loopshape.data.signal.run import Run  # noqa: E402
+from loopshape.toolbox.gap.diagnose import attribute, decide
+from loopshape.toolbox.gap.diagnose.evidence import Evidence  # noqa: E402
+from loopshape.toolbox.gap.diagnose.fitting import Fitted  # noqa: E402
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis  # noqa: E402
+from loopshape.toolbox.gap.nouns.effect import EffectForm, Free  # noqa: E402
+from loopshape.toolbox.gap.own import following
+from loopshape.toolbox.gap.own.following import Followed  # noqa: E402
+from loopshape.toolbox.gap.own.plant import OwnMachine  # noqa: E402
 
 SEEDS = (11, 12)
 PLAIN = 5.0  # floors, below which a gap is no measure of a share

@@ -25,9 +25,9 @@ from specimens import ALIKE, COLUMNS, PLACES, SPREAD, XML, Specimen, specimen  #
 
 import loopshape as ls  # noqa: E402
 from loopshape.core.errors import UnreadableInputError  # noqa: E402
-from loopshape.data.machine import Mechanism, Model  # noqa: E402
 from loopshape.io.files import write_bytes_whole, write_json  # noqa: E402
-from loopshape.model.own.mechanism import machine  # noqa: E402
+from loopshape.toolbox.gap.mechanism.mechanism import machine  # noqa: E402
+from loopshape.toolbox.gap.nouns.machine import Mechanism, Model  # noqa: E402
 from loopshape.view.style import COLOURS, head, new_figure, png, styled  # noqa: E402
 
 FIGURES = HERE.parents[1] / "figures" / HERE.name

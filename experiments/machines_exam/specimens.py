@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from engine import RATE_HZ, Truth, recorded
 
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 
 XML = {
     "cart": """<mujoco model="cart"><compiler angle="radian"/><worldbody><body name="wagon">

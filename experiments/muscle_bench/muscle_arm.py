@@ -9,9 +9,9 @@ from muscle_law import LAWS, Digits, printed
 from muscle_models import closed_slope, cylinder_volume
 
 from loopshape.core.units import angular
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, R_A, constants
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, INERTIA, R_A, constants
+from loopshape.toolbox.arm.source import number, value
 
 ROWS = ("stiffness_b_bar", "stiffness_k0", "stiffness_k1", "stiffness_k2", "stiffness_c0", "stiffness_c1")
 JZZ2 = {row.name: row.value for row in ARM1_PARAMETERS.rows}["jzz2_kgm2"]

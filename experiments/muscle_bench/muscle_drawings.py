@@ -13,9 +13,9 @@ from muscle_law import diameter_m, nominal_length_m
 from muscle_points import BAND, Measured
 
 from loopshape.core.units import db, deg
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 from loopshape.view.style import COLOURS, LIMIT, MARKERS, QUIET, head, new_figure, png, shades, styled
 
 

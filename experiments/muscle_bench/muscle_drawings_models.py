@@ -15,7 +15,7 @@ from muscle_parameters import printed_box, reach
 
 from loopshape.core.units import Array
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, shades, styled
 
 

@@ -22,7 +22,7 @@ from muscle_points import Measured, Point, columns, coverage, grid, muscles, swe
 from muscle_records import Bench, measure
 
 from loopshape.core.units import Array
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 FIVE_MM = (150, 160, 170, 180, 190)
 

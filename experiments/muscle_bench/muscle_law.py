@@ -1,6 +1,6 @@
 """The muscle on a tensile bench: pull under closed valves, and the slope that a bench really measures.
 
-Lengths in m, pressures in bar (gauge), pulls in N. The muscle is the arm's own kernel (`loopshape.model.arm.model`).
+Lengths in m, pressures in bar (gauge), pulls in N. The muscle is the arm's own kernel (`loopshape.toolbox.arm.dynamics.model`).
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import numpy as np
 
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.model import muscle
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics.model import muscle
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import value
 
 #: the closed muscle's gas law: pull by k(p_w, h_w) at constant pressure as the source reads its bench, or by the
 #: whole model with the air's mass constant, gauge pressure as printed or absolute pressure

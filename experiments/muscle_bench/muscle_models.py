@@ -14,8 +14,8 @@ import numpy as np
 from muscle_law import nominal_length_m, printed, volume_slopes
 
 from loopshape.core.units import Array
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import value
 
 STEP_M = 1e-6
 V = {row.name: row.value for row in ARM1_PARAMETERS.rows}

@@ -15,7 +15,7 @@ from muscle_law import Digits, printed
 from scipy.optimize import linprog
 
 from loopshape.core.units import Array
-from loopshape.model.arm.source import number
+from loopshape.toolbox.arm.source import number
 
 NAMES = ("b", "k0", "k1", "k2", "c0", "c1")
 

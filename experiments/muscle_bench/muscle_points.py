@@ -12,7 +12,7 @@ from muscle_law import Muscle, damping, printed, slope_closed
 from muscle_records import Bench, SpringDamper, measure, spring_damper
 
 from loopshape.core.units import Array
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 Point = tuple[float, float]
 BAND = 1.96  # a 95 % interval in standard deviations

@@ -10,12 +10,12 @@ from h1_h2 import TwoEstimates, h1_h2
 from muscle_law import Muscle, pulls
 
 from loopshape.core.units import Array, angular
-from loopshape.data.excitation import BandNoise
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.excitation import BandNoise
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.settings import Settings
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 LOOP = LoopSetup("muscle", None, None, "h_m", "pull_n", None)
 

@@ -16,8 +16,8 @@ from muscle_parameters import NAMES
 from muscle_points import BAND
 
 from loopshape.core.units import Array
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import number, value
 
 Row = tuple[str, str, str, str, str, str]
 TABLE, ANALYTICAL = printed(), printed("analytical")

@@ -14,8 +14,8 @@ from muscle_records import reliable_to_hz
 from muscle_scores import ANALYTICAL, FIT_ERROR, HALF_DIGIT, PICTURE, Row, analytical_error, judged, rounds_to
 from muscle_scores import rows_of_chapters as chapters
 
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import number, value
 
 K_TEXT = ", ".join(f"{{figure_g_3.k_{h}}}" for h in FIVE_MM)
 D_TEXT = ", ".join(f"{{figure_g_3.d_{h}}}" for h in FIVE_MM)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from open_loop_scores import Found
 from open_loops import Trace, length_a_mm, run, slack_bar
 
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, styled
 
 LAWS = {"gauge": ("-", "gauge, as printed"), "absolute": ("--", "absolute"), "adiabatic": (":", "absolute, 1.4")}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from open_loops import Terms, Trace, falls_at_s, length_a_mm, slack_bar, zero_bar
 
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 SCORES = ("item", "quantity", "source", "ours", "verdict", "why")
 Row = list[object]

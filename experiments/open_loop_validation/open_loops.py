@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import Array, deg
-from loopshape.io.study import read_study
-from loopshape.model.arm import effect_parameters as e
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.model import geometry, muscle, nominal_length
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.rig.simulated import experiment, plan
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.model import geometry, muscle, nominal_length
+from loopshape.toolbox.arm.effect import effect_parameters as e
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.rig.simulated import experiment, plan
 
 STUDY = Path(__file__).parent / "study.toml"
 PA = 1e5  # Pa per bar

@@ -27,11 +27,11 @@ from open_loops import (  # noqa: E402
 )
 from standing import ANALYTICAL, arm, within_digits  # noqa: E402
 
-from loopshape.data.effect import EffectForm  # noqa: E402
 from loopshape.io.files import read_toml, write_bytes_whole  # noqa: E402
-from loopshape.model.arm.effects import FORMS  # noqa: E402
-from loopshape.model.arm.parameters import ARM1_PARAMETERS  # noqa: E402
-from loopshape.model.arm.source import value  # noqa: E402
+from loopshape.toolbox.arm.effect.effects import FORMS  # noqa: E402
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS  # noqa: E402
+from loopshape.toolbox.arm.source import value  # noqa: E402
+from loopshape.toolbox.gap.nouns.effect import EffectForm  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

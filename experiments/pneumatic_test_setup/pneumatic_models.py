@@ -19,7 +19,7 @@ from scipy.integrate import solve_ivp
 
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 
 RT, P_ATM2, P_IN, HEAD = 0, 1, 2, 3
 THROTTLE, POISEUILLE = 0.0, 1.0

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pneumatic_tables import AGREES, DIFFERS, NOT_COMPARABLE, PARTLY, verdict
 
-from loopshape.model.arm.source import number
+from loopshape.toolbox.arm.source import number
 
 SOURCE = "Bogacki-Shampine"  # the third-order method of fixed steps that the source simulates its arm with
 TUNED_WORSE = 5.0  # Poiseuille has the wrong shape where its best fit is so many times as far off as PTS3

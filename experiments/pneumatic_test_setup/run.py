@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from loopshape.core.units import Array
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's other files, however it is started

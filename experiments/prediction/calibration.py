@@ -16,8 +16,8 @@ sys.path.insert(0, str(HERE.parent.parent / "tests" / "truth"))
 
 from predicted_loops import NEW, OLD, arm, measured, predicted  # noqa: E402
 
-from loopshape.data.model import TransferFunction  # noqa: E402
-from loopshape.loop.prediction import compare, sensitivity_of  # noqa: E402
+from loopshape.data.response.model import TransferFunction  # noqa: E402
+from loopshape.loop.predict.prediction import compare, sensitivity_of  # noqa: E402
 
 RUNS = 1000
 NOISE = (0.02, 0.05, 0.1)

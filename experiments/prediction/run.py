@@ -21,25 +21,25 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.prediction import Prediction
-from loopshape.data.requirements import LIMITS, Margins, Requirements
-from loopshape.data.run import Run
-from loopshape.data.verdict import Verdict
+from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.prediction import Prediction
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.run import Run
 from loopshape.design.tune import tune
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.fit.structures import Structure
-from loopshape.io.controllers import read_controllers, write_controllers
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.predictions import write_predictions
-from loopshape.io.requirements import read_requirements
-from loopshape.io.run_folder import read_run
-from loopshape.loop.prediction import plant_behind, predict
-from loopshape.loop.remeasured import Remeasured, remeasure
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.predictions import write_predictions
+from loopshape.io.write.requirements import read_requirements
+from loopshape.loop.predict.prediction import plant_behind, predict
+from loopshape.loop.predict.remeasured import Remeasured, remeasure
 from loopshape.loop.verdict import check
-from loopshape.view.prediction import comparison_grid, prediction_page, steps_grid
 from loopshape.view.style import png
+from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from loopshape.core.kernels import pwm
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import TWO_PI, angular, deg
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.source import value
 
 
 @compiled

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.source import value
-from loopshape.view.curves import frequency_axis
+from loopshape.toolbox.arm.source import value
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 FIGURES = Path(__file__).parent.parent.parent / "figures" / Path(__file__).parent.name

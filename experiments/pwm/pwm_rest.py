@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.kernels import pwm
 from loopshape.core.units import Array, deg
-from loopshape.data.recording import Recording
-from loopshape.data.study import Study
-from loopshape.io.study import read_study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.source import value
-from loopshape.rig.simulated import measure
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.study import Study
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.simulated import measure
 
 REPEATS = 0.9999  # correlation with itself some PWM periods later: periodic
 DECAYS = 0.8  # second half over first half: still on its way to rest

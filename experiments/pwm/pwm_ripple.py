@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.kernels import pwm
 from loopshape.core.units import Array
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.source import value
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "pneumatic_test_setup"))
 

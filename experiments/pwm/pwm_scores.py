@@ -8,7 +8,7 @@ import numpy as np
 from pneumatic_tables import AGREES, DIFFERS, NOT_COMPARABLE, PARTLY, verdict
 
 from loopshape.core.units import db
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.source import number, value
 
 HARDLY_MBAR = 5.0  # half a percent of the figures' axis
 CONDITION_IDEAL, CONDITION_OWN = "neither", "noise and converters"

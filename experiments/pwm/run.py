@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.kernels import pwm
 from loopshape.core.units import TWO_PI, Array
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.model import flow, supply_flows
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.dynamics.model import flow, supply_flows
+from loopshape.toolbox.arm.source import value
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "pneumatic_test_setup")]  # this study's files, and the other's models

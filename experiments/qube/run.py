@@ -14,13 +14,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.signal import lfilter
 
-from loopshape.core.kernels.spectra import cross_spectra, hann, independent_share
+from loopshape.core.kernels.lines.spectra import cross_spectra, hann, independent_share
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg
-from loopshape.data.recording import Recording
-from loopshape.identify.faults import saturated
+from loopshape.data.signal.recording import Recording
+from loopshape.identify.quality.faults import saturated
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.import_file import import_file
-from loopshape.view.curves import frequency_axis
+from loopshape.io.read.import_file import import_file
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 HERE = Path(__file__).parent

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.signal import cont2discrete, freqz, lfilter
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 

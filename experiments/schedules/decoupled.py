@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 import loopshape as ls
-from loopshape.identify.interaction import interaction
-from loopshape.io.requirements import read_requirements
-from loopshape.io.study import read_study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.simulated import header, measure
+from loopshape.identify.matrix.interaction import interaction
+from loopshape.io.study.study import read_study
+from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.simulated import header, measure
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -15,12 +15,12 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.data.study import expanded
+from loopshape.data.signal.study import expanded
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.requirements import read_requirements
-from loopshape.io.study import read_study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.simulated import header, measure
+from loopshape.io.study.study import read_study
+from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.view.gain_scheduled import gain_scheduled_page
 from loopshape.view.style import png
 

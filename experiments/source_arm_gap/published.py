@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import Array, db
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import EQUILIBRIA, number, value
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 

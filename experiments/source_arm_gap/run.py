@@ -13,11 +13,11 @@ from scipy.optimize import least_squares, minimize
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, angular, rad
-from loopshape.data.effect import EffectForm
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.effects import FORMS
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, INERTIA, constants
+from loopshape.toolbox.arm.source import EQUILIBRIA
+from loopshape.toolbox.gap.nouns.effect import EffectForm
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, shades, styled
 
 HERE = Path(__file__).parent

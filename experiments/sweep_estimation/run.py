@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape import frf
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 from loopshape.identify.frequency_response import estimate_frf
 
 HERE = Path(__file__).parent

@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from loopshape.core.units import db
-from loopshape.identify.distortion import Distortion, Lines, distortion
+from loopshape.identify.quality.distortion import Distortion, Lines, distortion
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.import_file import import_file
-from loopshape.view.curves import frequency_axis
+from loopshape.io.read.import_file import import_file
+from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 
 HERE = Path(__file__).parent

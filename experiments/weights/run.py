@@ -18,12 +18,12 @@ import numpy as np
 import loopshape as ls
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import angular
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit, TransferFunction
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit, TransferFunction
 from loopshape.design.tune import tune
-from loopshape.io.requirements import read_requirements
+from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import loopshape as ls
 from loopshape.io.files import write_bytes_whole, write_json
-from loopshape.view.gap_report import gap_figure
+from loopshape.toolbox.gap.pictures.report import gap_figure
 from loopshape.view.style import png
 
 HERE = Path(__file__).parent

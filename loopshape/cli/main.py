@@ -9,41 +9,41 @@ import typer
 from typer.core import TyperGroup
 
 from loopshape.cli import INTERRUPTED, script
-from loopshape.cli.bound import bound
-from loopshape.cli.campaign import campaign
-from loopshape.cli.check import check
-from loopshape.cli.compare import compare
-from loopshape.cli.demo import demo
-from loopshape.cli.effects import effects
-from loopshape.cli.emulator import emulator
-from loopshape.cli.equilibria import equilibria
+from loopshape.cli.design.profiles import profiles
+from loopshape.cli.design.shape import shape
+from loopshape.cli.design.tune import tune
+from loopshape.cli.estimate.figures import figures
+from loopshape.cli.estimate.fit import fit
+from loopshape.cli.estimate.frf import frf
+from loopshape.cli.estimate.interaction import interaction
 from loopshape.cli.examples import examples
-from loopshape.cli.export import export, export_controller, export_excitation, firmware
-from loopshape.cli.feedforward import feedforward
-from loopshape.cli.figures import figures
-from loopshape.cli.fit import fit
-from loopshape.cli.frf import frf
-from loopshape.cli.gap import gap
-from loopshape.cli.import_file import import_file
-from loopshape.cli.import_frf import import_frf
-from loopshape.cli.interaction import interaction
-from loopshape.cli.learning import learning
-from loopshape.cli.measure import measure
-from loopshape.cli.next_trial import next_trial
 from loopshape.cli.output import complain, for_any_terminal, safe
-from loopshape.cli.plan import plan
-from loopshape.cli.predict import predict
-from loopshape.cli.profiles import profiles
-from loopshape.cli.report import report
-from loopshape.cli.schedule import schedule
-from loopshape.cli.shape import shape
-from loopshape.cli.simulate import simulate
-from loopshape.cli.stop import stop
-from loopshape.cli.tones import tones
-from loopshape.cli.tune import tune
-from loopshape.cli.verify import verify
+from loopshape.cli.verify.check import check
+from loopshape.cli.verify.compare import compare
+from loopshape.cli.verify.predict import predict
+from loopshape.cli.verify.report import report
+from loopshape.cli.verify.verify import verify
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.interrupts import ENDED, ended_soon, interrupted, say_once
+from loopshape.toolbox.arm.commands.demo import demo
+from loopshape.toolbox.arm.commands.equilibria import equilibria
+from loopshape.toolbox.campaign.commands import campaign
+from loopshape.toolbox.formats.commands.export import export, export_controller, export_excitation, firmware
+from loopshape.toolbox.formats.commands.import_file import import_file
+from loopshape.toolbox.formats.commands.import_frf import import_frf
+from loopshape.toolbox.gap.commands.effects import effects
+from loopshape.toolbox.gap.commands.gap import gap
+from loopshape.toolbox.learning.commands.feedforward import feedforward
+from loopshape.toolbox.learning.commands.learning import learning
+from loopshape.toolbox.learning.commands.next_trial import next_trial
+from loopshape.toolbox.limits.command import bound
+from loopshape.toolbox.planning.commands.plan import plan
+from loopshape.toolbox.planning.commands.tones import tones
+from loopshape.toolbox.rig.commands.emulator import emulator
+from loopshape.toolbox.rig.commands.measure import measure
+from loopshape.toolbox.rig.commands.simulate import simulate
+from loopshape.toolbox.rig.commands.stop import stop
+from loopshape.toolbox.schedules.command import schedule
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 

@@ -72,7 +72,7 @@ class Output:
 
     def paragraph(self, words: str) -> None:
         """Sentences folded at 80 columns, each line of `words` a paragraph; what follows its first row is indented."""
-        from loopshape.data.verdict_words import folded
+        from loopshape.data.result.verdict_words import folded
 
         for line in words.splitlines():
             self.say(folded(line))

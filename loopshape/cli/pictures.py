@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def figures_of(run: Path) -> Path:
     """The folder of a run's figures; refuses a link that leads out of the run."""
     from loopshape.io.files import inside
-    from loopshape.io.run_inputs import FIGURES
+    from loopshape.io.run.run_inputs import FIGURES
 
     return inside(run, FIGURES, "the folder of a run's figures")
 

@@ -15,21 +15,21 @@ from itertools import product
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.data.block import BlockTemplate, Free
-from loopshape.data.controller import Controller
-from loopshape.data.disturbance import Disturbance
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
-from loopshape.design.problem import Problem, problem
-from loopshape.design.rms import opened
-from loopshape.design.search import Goal, begin, search, step_within
+from loopshape.data.control.block import BlockTemplate, Free
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.disturbance import Disturbance
+from loopshape.design.problem.problem import Problem, problem
+from loopshape.design.problem.rms import opened
+from loopshape.design.problem.shifts import Copy, closer, judged, shifted_loops
+from loopshape.design.search.search import Goal, begin, search, step_within
+from loopshape.design.search.starts import leaps
 from loopshape.design.settle import Judge, Settled, settle
-from loopshape.design.shifts import Copy, closer, judged, shifted_loops
-from loopshape.design.starts import leaps
-from loopshape.loop.error_rms import error_warnings, of_points
+from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
 

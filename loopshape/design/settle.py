@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.data.controller import Controller
-from loopshape.data.requirements import LIMIT_OF
-from loopshape.data.verdict import Verdict
-from loopshape.design.measures import Measures, measure
-from loopshape.design.problem import Problem
-from loopshape.design.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
-from loopshape.design.search import Found, Goal, begin, search
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import LIMIT_OF
+from loopshape.data.result.verdict import Verdict
+from loopshape.design.problem.measures import Measures, measure
+from loopshape.design.problem.problem import Problem
+from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.search.search import Found, Goal, begin, search
 
 
 class Judge(Protocol):

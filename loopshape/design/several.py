@@ -13,16 +13,16 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.algebra.propagation import pick
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.verdict import Verdict
 from loopshape.design.tune import Tuning, tune
-from loopshape.identify.equivalent_plant import equivalent_plant
-from loopshape.identify.interaction import square_part
-from loopshape.loop.determinant import encirclement_count
-from loopshape.loop.several import check_several, loop_matrices
-from loopshape.loop.stability import unstable_count
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.identify.matrix.interaction import square_part
+from loopshape.loop.matrix.determinant import encirclement_count
+from loopshape.loop.matrix.several import check_several, loop_matrices
+from loopshape.loop.stability.stability import unstable_count
 from loopshape.loop.verdict import loops_of
 
 #: controllers stand still where ln of no response moved by more than this in a round

@@ -10,24 +10,24 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.disturbance import Disturbance
-from loopshape.data.frf import FRF
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
-from loopshape.design.contained import raced, settled
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.growth import LEAST_GAIN, Grown, Stage, Task, closed_in, grown, lowest_bandwidth, pays, step_of
-from loopshape.design.lifted import lifted
-from loopshape.design.measures import Measures
-from loopshape.design.norms import NORM
-from loopshape.design.problem import Problem, bounds_reached
+from loopshape.design.problem.measures import Measures
+from loopshape.design.problem.norms import NORM
+from loopshape.design.problem.problem import Problem, bounds_reached
+from loopshape.design.problem.shifts import copies_for
 from loopshape.design.relax import Shortfall, shortfall
-from loopshape.design.search import Found, begin
+from loopshape.design.search.contained import raced, settled
+from loopshape.design.search.lifted import lifted
+from loopshape.design.search.search import Found, begin
+from loopshape.design.search.starts import random_starts
+from loopshape.design.search.warm import warm_start
 from loopshape.design.settle import Judge, Settled, norm
-from loopshape.design.shifts import copies_for
-from loopshape.design.starts import random_starts
-from loopshape.design.warm import warm_start
 from loopshape.loop.verdict import loops_of, refuse_too_high
 
 
@@ -126,7 +126,7 @@ def tune(
     With `grow` up to so many blocks are added to the structure one after the other, each the one that pays most
     (`loopshape.design.growth`), until one gains less than `least_gain` of the bandwidth; `growth` holds each step.
     Up to three biquads at once are tried too, under a floor on |L| that reaches beyond its dips
-    (`loopshape.design.lifted`); what ends better is taken.
+    (`loopshape.design.search.lifted`); what ends better is taken.
 
     Local searches: a better optimum elsewhere is possible.
     """

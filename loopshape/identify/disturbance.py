@@ -7,10 +7,10 @@ from scipy.signal.windows import tukey
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import Array
-from loopshape.data.disturbance import Disturbance
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
+from loopshape.data.signal.disturbance import Disturbance
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
 
 #: share of a recording over which its ends are faded in and out, so that a steep spectrum does not leak
 FADED = 0.2

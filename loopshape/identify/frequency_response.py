@@ -9,19 +9,19 @@ import numpy as np
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF, joined
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.data.valid_band import trusted_lines
+from loopshape.data.response.frf import FRF, joined
+from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
 from loopshape.identify.answers import Answers, PlantEstimate, ordinary_coherence, plant_of
-from loopshape.identify.feedback import biased_lines, direct_signals
-from loopshape.identify.periods import by_periods
-from loopshape.identify.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
+from loopshape.identify.quality.feedback import biased_lines, direct_signals
+from loopshape.identify.quality.quality import inverse_note, open_loop_note, stayed_bounded, unfed_notes
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import BY_INSTRUMENT, SPECTRAL, Settings
 from loopshape.identify.signals import LoopSignals, held_note, loop_signals, read_signals, wiring_notes
-from loopshape.identify.welch import by_welch
+from loopshape.identify.spectra.periods import by_periods
+from loopshape.identify.spectra.welch import by_welch
 
 
 def excited_recordings(run: Run) -> list[Recording]:

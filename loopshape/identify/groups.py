@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 
 
 def realisations(recordings: Sequence[Recording]) -> list[list[Recording]]:

@@ -10,13 +10,13 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
 from loopshape.core.units import Array, db
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
-from loopshape.identify.local import by_local_fits, compared
-from loopshape.identify.long_sweeps import by_sweep_in_parts
-from loopshape.identify.periods import by_periods
+from loopshape.identify.local.local import by_local_fits, compared
+from loopshape.identify.local.long_sweeps import by_sweep_in_parts
 from loopshape.identify.settings import Settings
-from loopshape.identify.welch import by_welch
+from loopshape.identify.spectra.periods import by_periods
+from loopshape.identify.spectra.welch import by_welch
 
 
 def respond(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.core.errors import BadSignalError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording
-from loopshape.data.valid_band import trusted_lines
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import ordinary_coherence
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import Settings

@@ -10,9 +10,9 @@ import numpy as np
 from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import Signal, constant, equal, extent, stretches
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.channel import Channel, sum_terms
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording
+from loopshape.data.signal.channel import Channel, sum_terms
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
 
 S = TypeVar("S", bound=Signal)
 #: standard deviation over size up to which a control is known well enough to be compared with its controller's answer
@@ -21,7 +21,7 @@ KNOWN_CONTROL = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LoopSignals(Generic[S]):
-    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.data.loop`.
+    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.data.control.loop`.
 
     u is what enters the plant (z, plus n where n enters there). `instrument` is the injected signal, the
     moving reference, or u itself in open loop. `feedback` tells whether a loop was closed around them.

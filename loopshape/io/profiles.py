@@ -7,8 +7,8 @@ from math import inf
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
-from loopshape.data.profile import Profile, Zone
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirement.profile import Profile, Zone
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.io.words import Words, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-profiles/1"

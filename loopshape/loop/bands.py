@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, deg
-from loopshape.data.loop import Loop
+from loopshape.data.control.loop import Loop
 
 #: places of a circular error that stand for all of them
 PLACES = 300

@@ -9,11 +9,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from loopshape.data.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMITS, Limit, Margins
-from loopshape.data.verdict import Line, Verdict
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import LIMITS, Limit, Margins
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
+from loopshape.data.result.verdict import Line, Verdict
 
 #: changes without an error of their own count from here on: what four figures do not show is none
 TINY = 1e-4

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.core.units import Array, from_db
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import Limit, Margins, Requirements
-from loopshape.data.verdict import Order, Outcome, SettledBy, Verdict
-from loopshape.loop.between import path_of
-from loopshape.loop.holes import POOR, median_of_five
-from loopshape.loop.low_end import crossover_below, in_sight
-from loopshape.loop.obstacles import Obstacle
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Limit, Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.verdict import Order, Outcome, SettledBy, Verdict
+from loopshape.loop.margin.between import path_of
 from loopshape.loop.points import point_outcome
-from loopshape.loop.stability import LOWER, Stability, closed_loop_stability, obstacles_of
+from loopshape.loop.stability.holes import POOR, median_of_five
+from loopshape.loop.stability.low_end import crossover_below, in_sight
+from loopshape.loop.stability.obstacles import Obstacle
+from loopshape.loop.stability.stability import LOWER, Stability, closed_loop_stability, obstacles_of
 
 #: lines that do not show what lies between them are asked for so many times closer, those of a limit so many
 FINER, FINER_LIMIT = 4.0, 2.0

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, LIMITS, Margins
-from loopshape.data.verdict import Line, Verdict
-from loopshape.data.verdict_words import STABLE_RANK
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Margins
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict_words import STABLE_RANK
 
 #: quantities that say how close L comes to -1, the most telling first
 CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)

@@ -9,27 +9,27 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db, from_db
-from loopshape.data.controller import Controller
-from loopshape.data.disturbance import Disturbance
-from loopshape.data.frf import FRF, Hold
-from loopshape.data.gain_scheduled import GainScheduled
-from loopshape.data.loop import Loop
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Limit, Margins, Requirements
-from loopshape.data.smoothed import Scatter
-from loopshape.data.verdict import Line, Verdict
-from loopshape.data.verdict_words import detuning_warnings
-from loopshape.identify.merging import merged
-from loopshape.identify.smoothing import smoothed
-from loopshape.loop.detuning import with_detuning
-from loopshape.loop.error_rms import error_warnings, of_points, with_error_rms
-from loopshape.loop.low_end import low_order
-from loopshape.loop.margins import margins
-from loopshape.loop.obstacles import REACH_95, Obstacle
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Limit, Margins, Requirements
+from loopshape.data.response.frf import FRF, Hold
+from loopshape.data.response.model import Fit
+from loopshape.data.response.smoothed import Scatter
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict_words import detuning_warnings
+from loopshape.data.signal.disturbance import Disturbance
+from loopshape.identify.smooth.merging import merged
+from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.margin.error_rms import error_warnings, of_points, with_error_rms
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import SEVERITY, point_outcome
-from loopshape.loop.stability import unstable_count
-from loopshape.loop.step_response import models_within
+from loopshape.loop.predict.step_response import models_within
+from loopshape.loop.shift.detuning import with_detuning
+from loopshape.loop.stability.low_end import low_order
+from loopshape.loop.stability.obstacles import REACH_95, Obstacle
+from loopshape.loop.stability.stability import unstable_count
 
 #: draws of a fit's parameters from which its deviation below the lowest line is taken
 DRAWN = 50

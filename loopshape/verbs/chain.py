@@ -13,26 +13,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
-from loopshape.data.block import BlockTemplate
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.gain_scheduled import GainScheduled
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.data.run import Run
-from loopshape.data.shorthand import bounded
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.shorthand import bounded
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import settings_of
+from loopshape.toolbox.rig.verbs.watch import Unwatched, Watch
 from loopshape.verbs.files import read
 from loopshape.verbs.given import Plants, controller_of, met, plants_of
-from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.disturbance import Disturbance
-    from loopshape.data.prediction import Comparison, Prediction
+    from loopshape.data.result.prediction import Comparison, Prediction
+    from loopshape.data.signal.disturbance import Disturbance
     from loopshape.design.several import SeveralTuning
-    from loopshape.loop.remeasured import Remeasured
+    from loopshape.loop.predict.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
 
 
@@ -252,7 +252,7 @@ def check(
     >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
     True
     """
-    from loopshape.loop.several import check_several
+    from loopshape.loop.matrix.several import check_several
     from loopshape.loop.verdict import check as check_loop
 
     if isinstance(C, Controller | GainScheduled | Tuning):
@@ -277,7 +277,7 @@ def disturbances_of(
 
     Raises BadSignalError for a run without such a recording.
     """
-    from loopshape.data.disturbance import Disturbance
+    from loopshape.data.signal.disturbance import Disturbance
     from loopshape.identify.disturbance import disturbances_in
 
     if given is None:
@@ -364,7 +364,7 @@ def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed
     """
     if seed < 0:
         raise WrongUseError("seed must be 0 or above", f"{seed}")
-    from loopshape.loop.prediction import predict as predict_loop
+    from loopshape.loop.predict.prediction import predict as predict_loop
 
     return tuple(predict_loop(plants_of(P), controller_of(C), tuple(fits), seed=seed))
 
@@ -391,9 +391,9 @@ def compare(
     Two FRFs, or FRFs of two runs (also of import-frf), are compared as plants: each of the second with each of the
     first that is of its loop and operating point.
     """
-    from loopshape.data.prediction import Prediction
-    from loopshape.loop.prediction import compare_all
-    from loopshape.loop.remeasured import remeasure
+    from loopshape.data.result.prediction import Prediction
+    from loopshape.loop.predict.prediction import compare_all
+    from loopshape.loop.predict.remeasured import remeasure
 
     listed = (predictions,) if isinstance(predictions, FRF) else tuple(predictions)
     plants = [x for x in listed if isinstance(x, FRF)]

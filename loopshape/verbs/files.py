@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
-from loopshape.data.controller import Controller
-from loopshape.data.diagram import Diagram
-from loopshape.data.frf import FRF
-from loopshape.data.gain_scheduled import GainScheduled
-from loopshape.data.requirements import Requirements
-from loopshape.data.run import Run
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
+from loopshape.toolbox.diagrams.diagram import Diagram
 
 if TYPE_CHECKING:
-    from loopshape.data.profile import Profile
-    from loopshape.data.run_report import RunReport
+    from loopshape.data.requirement.profile import Profile
+    from loopshape.data.result.run_report import RunReport
 
 FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
@@ -30,7 +30,7 @@ def read(folder: str | Path) -> Run:
 
     Raises UnreadableInputError for a folder that holds no run or a damaged one.
     """
-    from loopshape.io.run_folder import read_run
+    from loopshape.io.run.run_folder import read_run
 
     return read_run(Path(folder))
 
@@ -41,7 +41,7 @@ def read_table(file: str | Path, map_file: str | Path) -> Run:
     The map says rate, units, loops and what was injected where; `docs/files.md` has its keys. Raises
     UnreadableInputError for a damaged file, WrongUseError for a map that does not fit it.
     """
-    from loopshape.io.import_file import import_file
+    from loopshape.io.read.import_file import import_file
 
     return import_file(Path(file), Path(map_file))
 
@@ -52,8 +52,8 @@ def read_frf(file: str | Path, **stated: Any) -> FRF:
     `stated` replaces what the file says or leaves out: relative_std (0: exact), averages, inputs, outputs, recording,
     loop, rate_hz. Raises WrongUseError where neither the file nor `stated` tells the error.
     """
-    from loopshape.io.frf_exchange import read_frf_file
-    from loopshape.io.frf_foreign import Stated
+    from loopshape.toolbox.formats.frf.frf_exchange import read_frf_file
+    from loopshape.toolbox.formats.frf.frf_foreign import Stated
 
     refuse_unknown_keys("what is stated of a FRF is not known", stated, [f.name for f in fields(Stated)])
     return read_frf_file(Path(file), Stated(**stated))
@@ -61,7 +61,7 @@ def read_frf(file: str | Path, **stated: Any) -> FRF:
 
 def read_controllers(file: str | Path) -> tuple[Controller, ...]:
     """The controllers in a controller file (TOML), one a loop. Raises UnreadableInputError for another file."""
-    from loopshape.io.controllers import read_controllers as read_file
+    from loopshape.io.write.controllers import read_controllers as read_file
 
     return read_file(Path(file))
 
@@ -77,14 +77,14 @@ def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
     >>> ls.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
     {'p_bar': 1.4}
     """
-    from loopshape.io.controllers import read_gain_scheduled as read_file
+    from loopshape.io.write.controllers import read_gain_scheduled as read_file
 
     return read_file(Path(file))
 
 
 def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
     """The requirements in a file (TOML), one a loop. Raises UnreadableInputError for another file."""
-    from loopshape.io.requirements import read_requirements as read_file
+    from loopshape.io.write.requirements import read_requirements as read_file
 
     return read_file(Path(file))
 
@@ -124,21 +124,21 @@ def _write(what: Any, path: Path) -> None:
 
 @_write.register
 def _(what: Run, path: Path) -> None:
-    from loopshape.io.run_folder import write_run
+    from loopshape.io.run.run_folder import write_run
 
     write_run(path, what)
 
 
 @_write.register
 def _(what: Controller, path: Path) -> None:
-    from loopshape.io.controllers import write_controllers
+    from loopshape.io.write.controllers import write_controllers
 
     write_controllers(path, (what,))
 
 
 @_write.register
 def _(what: GainScheduled, path: Path) -> None:
-    from loopshape.io.controllers import write_controllers
+    from loopshape.io.write.controllers import write_controllers
 
     write_controllers(path, (what,))
 
@@ -150,7 +150,7 @@ def _(what: Tuning, path: Path) -> None:
 
 @_write.register
 def _(what: FRF, path: Path) -> None:
-    from loopshape.io.frf_exchange import write_frf_file
+    from loopshape.toolbox.formats.frf.frf_exchange import write_frf_file
 
     write_frf_file(path, what)
 
@@ -165,10 +165,10 @@ def export(
     A schedule is written as "json" or "c", a diagram too: its controllers, and what leads from one to the other.
     Raises WrongUseError for another format and for sections that are unstable as they will run.
     """
-    from loopshape.io.controller_export import export_controllers
+    from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 
     if isinstance(controllers, Diagram):
-        from loopshape.io.diagram_c import export_diagram
+        from loopshape.toolbox.diagrams.diagram_c import export_diagram
 
         return export_diagram(Path(folder), controllers, to)
     one = controllers.controller if isinstance(controllers, Tuning) else controllers
@@ -218,7 +218,7 @@ def report_page(
     figures_bytes: int,
 ) -> tuple[RunReport, bytes]:
     """What a report holds, and its page; the date is now where none is given."""
-    from loopshape.io.gathered import gather
+    from loopshape.io.run.gathered import gather
     from loopshape.view.html.page import page
 
     day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")

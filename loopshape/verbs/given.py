@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Controller
-from loopshape.data.diagram import Diagram
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
 from loopshape.design.tune import Tuning
+from loopshape.toolbox.diagrams.diagram import Diagram
 
 Plants = FRF | Sequence[FRF] | Diagram
 
@@ -23,7 +23,7 @@ def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
     """The plants, and the requirements with what a diagram tells of their unstable poles."""
     if not isinstance(P, Diagram):
         return plants_of(P), R
-    from loopshape.loop.equivalent import equivalent
+    from loopshape.toolbox.diagrams.equivalent import equivalent
 
     found = equivalent(P)
     return found.plants, found.asked(R)

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import BadSignalError
-from loopshape.data.frf import FRF
-from loopshape.data.run import Run
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.run import Run
 from loopshape.identify.settings import Settings, settings_of
+from loopshape.toolbox.rig.verbs.watch import Unwatched, Watch
 from loopshape.verbs.files import read
-from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.interaction import Interaction
-    from loopshape.data.recording import Recording
+    from loopshape.data.response.interaction import Interaction
+    from loopshape.data.signal.recording import Recording
 
 
 def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
@@ -32,7 +32,7 @@ def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
 def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, watch: Watch) -> list[FRF]:
     """The plant's matrix from these recordings of a run, at each operating point."""
     from loopshape.identify.groups import matrices
-    from loopshape.identify.matrix import estimate_matrix
+    from loopshape.identify.matrix.matrix import estimate_matrix
 
     groups = matrices([r for r in recordings if r.info.ended_early is None])
     if not groups:
@@ -55,6 +55,6 @@ def interaction(P: FRF, loops: Sequence[str] | None = None) -> Interaction:
     Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
     loop meets with the others closed. Raises WrongUseError for a FRF of a single loop.
     """
-    from loopshape.identify.interaction import interaction as interaction_of
+    from loopshape.identify.matrix.interaction import interaction as interaction_of
 
     return interaction_of(P, loops)

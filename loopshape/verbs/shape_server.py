@@ -19,7 +19,7 @@ from time import monotonic
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.block import BLOCK_KINDS, Block, BlockTemplate, Free
+from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import SeveralLoops, served_page
 from loopshape.view.page.payload import Shaped, certificate_words, controller_from, controller_words, requirements_from
@@ -120,9 +120,9 @@ class ShapeServer:
         return {"words": "each loop has the others closed as they are now"}
 
     def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
-        from loopshape.io.controllers import write_controllers
         from loopshape.io.files import make_folder
         from loopshape.io.held import held
+        from loopshape.io.write.controllers import write_controllers
 
         mine = controller_from(asked["controller"])
         make_folder(self.save_to.parent)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.model import Fit
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.loop.several import loop_matrices, plants_met, unstable_poles_met
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.loop.matrix.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
 from loopshape.view.page.payload import Others, Shaped
@@ -93,10 +93,10 @@ def served_page(loops: Sequence[Shaped], title: str, saved: str) -> bytes:
 
 def several_run(run: Path, require: Path | None, controller: Path) -> tuple[SeveralLoops, list[Shaped]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
-    from loopshape.io.check_files import recorded_under
-    from loopshape.io.controllers import read_controllers
-    from loopshape.io.frfs import read_several_loops
-    from loopshape.io.requirements import read_required
+    from loopshape.io.write.check_files import recorded_under
+    from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.frfs import read_several_loops
+    from loopshape.io.write.requirements import read_required
 
     required, together = read_required(require) if require else ((), None)
     made = SeveralLoops(read_several_loops(run), required, together, recorded_under(run))
@@ -105,10 +105,10 @@ def several_run(run: Path, require: Path | None, controller: Path) -> tuple[Seve
 
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[Shaped]:
     """Loops of a requirements file, else those of a controller file, else all that have a FRF."""
-    from loopshape.io.check_files import fits_of
-    from loopshape.io.controllers import read_controllers
-    from loopshape.io.frfs import read_frfs
-    from loopshape.io.requirements import read_requirements
+    from loopshape.io.write.check_files import fits_of
+    from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.frfs import read_frfs
+    from loopshape.io.write.requirements import read_requirements
 
     frfs, fits = read_frfs(run), fits_of(run)
     required = {} if require is None else {one.loop: one for one in read_requirements(require)}

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES
-from loopshape.data.channel import Channel, sum_terms
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.channel import Channel, sum_terms
 
 _GREEK = ("theta", "kappa", "zeta", "omega", "phi", "psi", "alpha", "beta", "gamma", "delta", "tau")
 _USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz", "_kg": "kg"}

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from loopshape.data.controller import Controller
-from loopshape.data.diagram import Diagram
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
-from loopshape.loop.equivalent import equivalent
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import loops_of
-from loopshape.view import diagram as diagrams
-from loopshape.view import frequency
-from loopshape.view import gap_report as gaps
-from loopshape.view import interaction as meetings
-from loopshape.view import loops as pages
-from loopshape.view import matrix as matrices
-from loopshape.view import nichols as charts
-from loopshape.view import prediction as forecasts
-from loopshape.view.bode import bode_page
+from loopshape.toolbox.diagrams import picture as diagrams
+from loopshape.toolbox.diagrams.diagram import Diagram
+from loopshape.toolbox.diagrams.equivalent import equivalent
+from loopshape.toolbox.gap.pictures import report as gaps
+from loopshape.view.plots import frequency
+from loopshape.view.plots import interaction as meetings
+from loopshape.view.plots import loops as pages
+from loopshape.view.plots import matrix as matrices
+from loopshape.view.plots import nichols as charts
+from loopshape.view.plots.bode import bode_page
+from loopshape.view.verdict import prediction as forecasts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from loopshape.data.gap_report import GapReport
-    from loopshape.data.interaction import Interaction
-    from loopshape.data.loop import Loop
-    from loopshape.data.prediction import Prediction
+    from loopshape.data.control.loop import Loop
+    from loopshape.data.response.interaction import Interaction
+    from loopshape.data.result.prediction import Prediction
     from loopshape.design.tune import Tuning
+    from loopshape.toolbox.gap.nouns.gap_report import GapReport
 
     Plants = FRF | Sequence[FRF] | Diagram
 

@@ -10,8 +10,8 @@ from matplotlib.legend import Legend
 from scipy.spatial import KDTree
 
 from loopshape.core.units import TWO_PI, Array
-from loopshape.view.curves import UNTRUSTED
 from loopshape.view.key import Entry, place_notes
+from loopshape.view.plots.curves import UNTRUSTED
 
 NOTE_SIZE = 7.0
 EDGE_IN = (0.34, 0.1)  # half of a contour's words, which are not cut by the frame

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loopshape.data.controller import Block, Controller
+from loopshape.data.control.controller import Block, Controller
 
 RATE_HZ = 100.0  # low, so that 16 bits hold the poles too
 BLOCKS = {

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from loopshape.data.algebra import feedback, held, inverse, lower_closure, product, subtract, upper_closure
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
 
 F = np.geomspace(0.01, 20.0, 40)
 

@@ -14,14 +14,14 @@ import pytest
 import winch_fmu
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.io.files import part_of
-from loopshape.io.machine import read_model
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.following import explained
-from loopshape.model.own.mockup import machine_of
-from loopshape.model.own.plant import OwnMachine
+from loopshape.toolbox.gap.mechanism.mockup import machine_of
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.file import read_model
+from loopshape.toolbox.gap.own.following import explained
+from loopshape.toolbox.gap.own.plant import OwnMachine
 
 PAGE = (Path(__file__).parents[2] / "docs/machine.md").read_text()
 WORDS = next(t for t in re.findall(r"```toml\n(.*?)```", PAGE, re.S) if "fmu =" in t)

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from arm2_cases import ARM, MIDDLE, QUIET, experiment, numbers
 
-from loopshape.model.arm.equilibrium2 import rest2
-from loopshape.model.arm.model2 import derivatives2
+from loopshape.toolbox.arm.dynamics.equilibrium2 import rest2
+from loopshape.toolbox.arm.dynamics.model2 import derivatives2
 
 #: ours -> theirs; in the trajectories `p_cap` is the capacity
 PRESSURES = {"p_a": "p_a", "p_b": "p_b", "p_c": "p_c", "p_d": "p_d", "p_capacity": "p_cap"}

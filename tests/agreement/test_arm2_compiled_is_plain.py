@@ -12,7 +12,7 @@ import sys
 sys.path.insert(0, sys.argv[2])
 import numpy as np
 from arm2_cases import ARM, experiment
-from loopshape.model.arm.closed_loop2 import run2
+from loopshape.toolbox.arm.dynamics.closed_loop2 import run2
 
 injected = np.zeros((300, 4))
 injected[:, :2] = 0.05 * np.sin(np.outer(np.arange(300), [0.03, 0.02]))

@@ -7,8 +7,8 @@ import pytest
 from arm2_cases import MIDDLE, experiment, numbers, point
 
 import loopshape as ls
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.linear2 import linearise2
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.arm.dynamics.linear2 import linearise2
 
 SECONDS = 8.0
 

@@ -10,14 +10,20 @@ from arm2_cases import point as dual_point
 from arm2_closed import close2
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment
-from loopshape.model import registry
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.equilibrium2 import pair_pressures2, pair_rest2, pressures2
-from loopshape.model.arm.linear2 import DECOUPLING, PAIR_DECOUPLING, PAIR_OUTPUTS, linearise2, linearise_pairs2
-from loopshape.model.arm.model2 import standing_torques
-from loopshape.model.arm.strategies2 import PAIRS
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.arm.dynamics.equilibrium2 import pair_pressures2, pair_rest2, pressures2
+from loopshape.toolbox.arm.dynamics.linear2 import (
+    DECOUPLING,
+    PAIR_DECOUPLING,
+    PAIR_OUTPUTS,
+    linearise2,
+    linearise_pairs2,
+)
+from loopshape.toolbox.arm.dynamics.model2 import standing_torques
+from loopshape.toolbox.arm.strategies2 import PAIRS
+from loopshape.toolbox.gap import registry
 
 PAIR_ARM = Arm2(PAIRS)
 CENTRE = (0.0, 0.0, 0.8, 0.8)  # deg, deg, bar, bar

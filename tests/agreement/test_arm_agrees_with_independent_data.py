@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from loopshape.model.arm.equilibrium import pressures
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.model import derivatives
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.dynamics.model import derivatives
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,11 @@ import pytest
 SCRIPT = """
 import sys
 import numpy as np
-from loopshape.data.controller import Controller
-from loopshape.data.experiment import Experiment
+from loopshape.data.control.controller import Controller
+from loopshape.data.signal.experiment import Experiment
 from loopshape.core.kernels.noise import advance, fill_normal, start_state
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.closed_loop import run
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.closed_loop import run
 
 arm = Arm1()
 injected = np.zeros((300, 2))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from loopshape.model.arm.equilibrium import angle_deg, pressures, rest
-from loopshape.model.arm.linear import linearise, ripple_gains
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.toolbox.arm.dynamics.equilibrium import angle_deg, pressures, rest
+from loopshape.toolbox.arm.dynamics.linear import linearise, ripple_gains
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 POINTS = [(0.0, 1.0), (30.0, 0.8), (-15.0, 1.4), (15.0, 1.2)]
 GASES = [{}, {"gas_absolute_share": 1.0}, {"gas_absolute_share": 1.0, "polytropic_exponent": 1.4}]

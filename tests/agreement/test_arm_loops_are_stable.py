@@ -5,11 +5,11 @@ import pytest
 from scipy.linalg import expm
 from source_controllers import angle_controller
 
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.loop.margins import margins
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.loop.margin.margins import margins
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 F = np.geomspace(0.01, 100.0, 3000)
 #: table 5.1; unstable on the printed model (ARM.md, section 10)

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loopshape.core.kernels import pwm
-from loopshape.model.arm.equilibrium import rest
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
 
 COMMANDS = st.one_of(
     st.floats(-2.5, 2.5), st.sampled_from([0.0, 0.01, -0.01, 0.99, -0.99, 1.0, -1.0, 0.010001, 0.990001, 6.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 
 @pytest.fixture(scope="module")

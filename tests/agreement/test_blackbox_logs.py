@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.blackbox import _Bytes, _four, _three, read_blackbox
-from loopshape.io.csv_text import CsvShape
-from loopshape.io.draft_map import draft_map, write_draft
-from loopshape.io.import_file import import_file
-from loopshape.io.sources import open_source
+from loopshape.io.read.csv_text import CsvShape
+from loopshape.io.read.import_file import import_file
+from loopshape.io.read.sources import open_source
+from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
+from loopshape.toolbox.formats.logs.blackbox import _Bytes, _four, _three, read_blackbox
 
 N = 3000
 NAMES = (

@@ -9,8 +9,8 @@ from python_target import FAULT
 from target_cases import GAIN, Bench
 from two_targets import Second
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Ask, Configuration, Say, setpoint
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.messages import Ask, Configuration, Say, setpoint
 
 WATCHDOG_MS = 100
 ROOM = 1e-12  # of an integrator's rounding: docs/protocol.md

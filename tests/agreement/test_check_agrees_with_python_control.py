@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI, db, hz
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.loop.margins import margins
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.margin.margins import margins
 
 F = np.geomspace(0.005, 2000.0, 12000)
 UNITY = Controller("axis", (Block("gain", {"gain": 1.0}),), 1e5)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, LIMITS, Margins, Requirements
-from loopshape.data.verdict import Line, Verdict
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.verdict import Line, Verdict
 from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.loop.verdict import check
 

@@ -11,9 +11,9 @@ from scipy import signal
 
 from loopshape.core.kernels import cascade
 from loopshape.data.algebra import held
-from loopshape.data.block import series_response
-from loopshape.data.controller import Block, Controller, hold_and_delay
-from loopshape.data.frf import FRF
+from loopshape.data.control.block import series_response
+from loopshape.data.control.controller import Block, Controller, hold_and_delay
+from loopshape.data.response.frf import FRF
 
 F = np.geomspace(1e-3, 49.9, 200)
 SERIES = tuple(BLOCKS.values())

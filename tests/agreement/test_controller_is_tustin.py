@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from loopshape.core.kernels import biquads
-from loopshape.data.controller import BLOCK_KINDS, Block, Controller, series_response
+from loopshape.data.control.controller import BLOCK_KINDS, Block, Controller, series_response
 
 RATE_HZ = 1000.0
 F = np.geomspace(0.01, 499.0, 300)

@@ -3,7 +3,7 @@
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
+from loopshape.data.control.controller import Block, Controller
 
 GAIN = Block("gain", {"gain": 1.0})
 

@@ -15,8 +15,8 @@ from two_targets import Second
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.rig.blocks import Block
-from loopshape.rig.messages import Ask, Configuration, Identity, begin
+from loopshape.toolbox.rig.target.blocks import Block
+from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity, begin
 
 RATE = 1000.0
 COUPLING = 0.2
@@ -101,8 +101,8 @@ def test_the_target_in_python_is_the_simulation(tmp_path, name):
 
 def on_bench(name):
     """The C core's blocks for a diagram: loop k has sensor k, both references stay at 0."""
-    from loopshape.data.experiment import LoopSetup
-    from loopshape.rig.blocks import blocks
+    from loopshape.data.signal.experiment import LoopSetup
+    from loopshape.toolbox.rig.target.blocks import blocks
 
     D, models, wires = diagrams(name)
     loops = [LoopSetup(f"axis{k}", f"r_axis{k}_rad", None, f"z{k}_v", f"angle{k}_rad", None) for k in (1, 2)]

@@ -9,13 +9,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, servos, wished
 
-from loopshape.core.kernels.glance import glance
-from loopshape.data.limits_over import Mask
-from loopshape.data.smoothed import BETWEEN, Dense, by_draw, spread
-from loopshape.design.evaluation import Evaluation
-from loopshape.design.glance import glanced
-from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
-from loopshape.loop.reading import Reader
+from loopshape.core.kernels.loops.glance import glance
+from loopshape.data.requirement.limits_over import Mask
+from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
+from loopshape.design.problem.evaluation import Evaluation
+from loopshape.design.search.glance import glanced
+from loopshape.design.search.search import LARGEST, PENALTY, Goal, begin, linear
+from loopshape.loop.margin.reading import Reader
 
 F = np.geomspace(0.1, 100.0, 60)
 P = 5.0 / (1j * F * (1.0 + 0.1j * F))

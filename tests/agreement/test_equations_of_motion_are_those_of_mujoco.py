@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from loopshape.data.machine import Mechanism
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.following import extended, followed, simulated
-from loopshape.model.own.mechanism import machine
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.toolbox.gap.mechanism.mechanism import machine
+from loopshape.toolbox.gap.nouns.machine import Mechanism
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.following import extended, followed, simulated
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.signal import csd, freqz, lfilter
 
 import loopshape as ls
-from loopshape.data.controller import Block, Controller
-from loopshape.data.excitation import Multisine
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
 RATE, SETPOINT, SEGMENT = 100.0, 0.3, 400

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from exported_controllers import RATE_HZ, cases, inputs
 
-from loopshape.data.controller import Block, Controller, step
-from loopshape.data.precision import Precision
-from loopshape.io.controller_export import export_controllers
-from loopshape.io.controller_words import identifier
+from loopshape.data.control.controller import Block, Controller, step
+from loopshape.data.control.precision import Precision
+from loopshape.toolbox.formats.controllers.controller_export import export_controllers
+from loopshape.toolbox.formats.controllers.controller_words import identifier
 
 COMPILER = shlex.split(os.environ.get("CC", "cc"))
 FLAGS = ("-std=c99", "-O0", "-ffp-contract=off", "-Wall", "-Wextra", "-pedantic", "-Werror")

@@ -12,7 +12,7 @@ import pytest
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
-from loopshape.data.gain_scheduled import Follows
+from loopshape.data.control.gain_scheduled import Follows
 
 DRIVER = """
 #include "controller_theta.h"

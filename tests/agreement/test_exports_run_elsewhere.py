@@ -11,9 +11,9 @@ from scipy.signal import sosfilt
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.controller import step
-from loopshape.io.controller_export import export_controllers
-from loopshape.io.frf_exchange import export_frfs, read_frf_file
+from loopshape.data.control.controller import step
+from loopshape.toolbox.formats.controllers.controller_export import export_controllers
+from loopshape.toolbox.formats.frf.frf_exchange import export_frfs, read_frf_file
 
 BLOCKS = (ls.gain(-0.37), ls.lead_lag(2.2, 18.0), ls.notch(40.0, 0.05, 0.8), ls.pi(0.7))
 C = ls.controller(*BLOCKS, rate_hz=1000.0, loop="theta 2")

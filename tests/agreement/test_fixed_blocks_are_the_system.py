@@ -8,8 +8,8 @@ from scipy import signal
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular
-from loopshape.data.controller import Block, step
-from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.data.control.controller import Block, step
+from loopshape.io.write.controllers import read_controllers, write_controllers
 
 RATE = 1000.0
 F = np.geomspace(0.1, 480.0, 60)

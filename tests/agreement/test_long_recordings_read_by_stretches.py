@@ -8,17 +8,19 @@ from scipy.signal import lfilter
 from loopshape.core import stretches
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, extent
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.identify import faults, long_transforms
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.quality import faults
 from loopshape.identify.settings import Settings
-from loopshape.io import sources, tables
-from loopshape.io.import_file import import_file
-from loopshape.io.run_folder import check_recordings, holds, read_run, write_run
-from loopshape.io.spool import Spool
-from loopshape.io.verify import verify
+from loopshape.identify.spectra import long_transforms
+from loopshape.io.read import sources
+from loopshape.io.read.import_file import import_file
+from loopshape.io.read.spool import Spool
+from loopshape.io.run import tables
+from loopshape.io.run.run_folder import check_recordings, holds, read_run, write_run
+from loopshape.io.run.verify import verify
 
 ROWS = 20_000
 RATE_HZ = 1000.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from loopshape.identify import long_transforms
-from loopshape.identify.long_transforms import low_lines, quadrature
+from loopshape.identify.spectra import long_transforms
+from loopshape.identify.spectra.long_transforms import low_lines, quadrature
 
 
 @pytest.mark.parametrize("part", [1 << 20, 700])

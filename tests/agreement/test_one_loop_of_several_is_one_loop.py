@@ -15,13 +15,13 @@ from several_cases import (
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.propagation import pick
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.loop.determinant import closed_loops_stability
-from loopshape.loop.margins import margins
-from loopshape.loop.several import check_several
-from loopshape.loop.several_margins import several_margins
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.loop.margin.margins import margins
+from loopshape.loop.matrix.determinant import closed_loops_stability
+from loopshape.loop.matrix.several import check_several
+from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.verdict import check
 
 F = np.geomspace(0.01, 300.0, 900)

@@ -11,12 +11,12 @@ from page_in_browser import browser
 
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
-from loopshape.data.requirements import Requirements
-from loopshape.io.gathered import gather
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.io.run.gathered import gather
 from loopshape.loop.verdict import loops_of
-from loopshape.view.curves import magnitude_band_db, thinned
 from loopshape.view.html.page import page
 from loopshape.view.html.traces import embedded, loop_traces, plant_traces
+from loopshape.view.plots.curves import magnitude_band_db, thinned
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "flow"))
 import report_run

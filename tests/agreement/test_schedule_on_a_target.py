@@ -15,10 +15,10 @@ from two_targets import Second
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
-from loopshape.data.gain_scheduled import Follows, GainScheduled, Variable
-from loopshape.rig.messages import Ask, Configuration, Identity
-from loopshape.rig.scheduling import Scheduling
-from loopshape.rig.target import configuration
+from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable
+from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity
+from loopshape.toolbox.rig.target.scheduling import Scheduling
+from loopshape.toolbox.rig.target.target import configuration
 
 SAME = 1e-12  # of a column's largest value, as of a controller that stays as it is
 SIGNALS = [(loop, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in ("theta2", "p_ab")]

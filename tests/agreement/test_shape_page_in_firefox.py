@@ -13,7 +13,7 @@ from firefox import Firefox, Page, firefox
 from test_shape_page_is_check import LAGS, MASKS, WANTED, differences
 
 import loopshape as ls
-from loopshape.data.controller import Controller
+from loopshape.data.control.controller import Controller
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words

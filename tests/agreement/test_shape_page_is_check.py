@@ -13,11 +13,11 @@ import several_cases
 import shaped_cases
 
 import loopshape as ls
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
-from loopshape.data.requirements import LIMITS, Margins, Requirements, SeveralRequirements
-from loopshape.data.verdict import Verdict
-from loopshape.loop.step_response import predict_step
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements, SeveralRequirements
+from loopshape.data.result.verdict import Verdict
+from loopshape.loop.predict.step_response import predict_step
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words

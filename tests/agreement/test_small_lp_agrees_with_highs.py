@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from loopshape.core.kernels.small_lp import NOT_SOLVED, OPTIMAL, boxed_lp
+from loopshape.core.kernels.loops.small_lp import NOT_SOLVED, OPTIMAL, boxed_lp
 
 
 def programme(seed, feasible=True):

@@ -8,8 +8,8 @@ import pytest
 from several_cases import gain, loops, poles, random_plant, response_of
 
 from loopshape.core.units import TWO_PI
-from loopshape.loop.several_margins import broken_twice, gauge_matrix, several_margins
-from loopshape.loop.structured import mu_bounds, refined, scaled, two_loops, upper_at
+from loopshape.loop.matrix.several_margins import broken_twice, gauge_matrix, several_margins
+from loopshape.loop.matrix.structured import mu_bounds, refined, scaled, two_loops, upper_at
 
 
 def random_matrices(rng, count, n, spread=1.0):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from target_cases import GAIN, INFINITE, Bench
 
-from loopshape.core.kernels import biquads, cascade, pwm
-from loopshape.data.controller import Block, Controller
-from loopshape.rig.messages import Ask
+from loopshape.core.kernels import biquads, cascade
+from loopshape.data.control.controller import Block, Controller
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.rig.target.messages import Ask
 
 RATE_HZ = 1000.0
 WIDE = np.array([[-1e6, 1e6, INFINITE]] * 5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from emulated_cases import emulator, excited, record
 
-from loopshape.model.arm.equilibrium import pressures
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures
 
 #: relative to a column's largest value; both round in their own order. Found: 2e-14 at most, in commands.
 SAME = 1e-12

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from target_cases import GAIN, INFINITE, LIMITS, Bench
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Ask, Reason, Say, State
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.messages import Ask, Reason, Say, State
 
 STILL = (0.0, 0.5, 0.5)
 

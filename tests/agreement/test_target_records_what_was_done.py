@@ -8,7 +8,7 @@ from python_target_line import Pty, Running
 from python_target_machine import Axes
 
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.run_folder import read_run
+from loopshape.io.run.run_folder import read_run
 
 MOVING = 'references = { axis1 = { kind = "staircase", times_s = [0.2, 0.5], values_rad = [0.2, -0.1] } }'
 CONTROL = """

@@ -8,8 +8,18 @@ from axis_study import target
 from python_target_frames import body_of
 from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Ask, Configuration, Identity, Reason, Say, State, begin, rows, setpoint
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.messages import (
+    Ask,
+    Configuration,
+    Identity,
+    Reason,
+    Say,
+    State,
+    begin,
+    rows,
+    setpoint,
+)
 
 STATES = list(State)
 #: requests that are in order but for the state, and where they are allowed

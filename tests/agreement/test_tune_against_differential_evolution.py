@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.optimize import differential_evolution
 
-from loopshape.data.controller import Block, Controller
-from loopshape.design.measures import measure
-from loopshape.design.problem import problem
+from loopshape.data.control.controller import Block, Controller
+from loopshape.design.problem.measures import measure
+from loopshape.design.problem.problem import problem
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import loops_of
 

@@ -9,7 +9,7 @@ import numpy as np
 from commands import said_by
 
 from loopshape.io import seen
-from loopshape.rig import many
+from loopshape.toolbox.campaign import many
 
 MAP = """
 format = "loopshape-map/1"

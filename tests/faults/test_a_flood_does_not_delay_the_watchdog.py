@@ -11,12 +11,12 @@ import pytest
 from emulated_cases import emulator, settings
 from target_cases import CORE, TARGET, WARNINGS, compiler
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.link import open_link
-from loopshape.rig.messages import Ask, Configuration, Reason, Say
-from loopshape.rig.session import Session
-from loopshape.rig.target import arm as armed
-from loopshape.rig.target import configuration
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.messages import Ask, Configuration, Reason, Say
+from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.target import arm as armed
+from loopshape.toolbox.rig.target.target import configuration
 
 WATCHDOG_MS = 300
 FLOODS = {

@@ -8,11 +8,11 @@ import pytest
 from memory_limit import in_a_child
 
 import loopshape as ls
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frf_exchange import add_frfs
-from loopshape.loop.sampling import scattered
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
+from loopshape.io.write.controllers import write_controllers
+from loopshape.loop.stability.sampling import scattered
+from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -24,9 +24,9 @@ phase_margin_deg = 40.0
 unstable_poles = 0
 """
 BEFORE = """
-from loopshape.cli.check import check_run
-from loopshape.cli.figures import figures
-from loopshape.cli.report import report
+from loopshape.cli.verify.check import check_run
+from loopshape.cli.estimate.figures import figures
+from loopshape.cli.verify.report import report
 from loopshape.cli.output import Output
 def all_of(folder):
     run, controller, require = folder / "run", folder / "controller.toml", folder / "require.toml"

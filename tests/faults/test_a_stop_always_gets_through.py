@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.core.errors import RigError
-from loopshape.rig.link import open_link
-from loopshape.rig.messages import Reason, Say, State
-from loopshape.rig.session import Session
-from loopshape.rig.target import arm as armed
-from loopshape.rig.target import configuration
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.messages import Reason, Say, State
+from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.target import arm as armed
+from loopshape.toolbox.rig.target.target import configuration
 
 
 @contextmanager

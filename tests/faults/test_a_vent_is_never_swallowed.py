@@ -8,8 +8,8 @@ from axis_study import target
 from python_target_frames import body_of, frame
 from target_cases import Bench
 
-from loopshape.rig.frames import Frame
-from loopshape.rig.messages import Ask, Reason, State
+from loopshape.toolbox.rig.target.frames import Frame
+from loopshape.toolbox.rig.target.messages import Ask, Reason, State
 
 
 def crc_of(kind, tag, payload=b""):

@@ -19,7 +19,7 @@ MASS, VISCOUS, TICK_S, TICKS = 2.0, 3.0, 1e-3, 1000
 COASTS = f"""
 import json, sys
 import numpy as np
-from loopshape.model.servo_axis import closed_loop, motion, parameters as k
+from loopshape.toolbox.servo import closed_loop, motion, parameters as k
 c = np.zeros(len(k.AXIS_PARAMETERS.rows))
 c[k.MASS], c[k.VISCOUS] = {MASS}, {VISCOUS}
 c.setflags(write=len(sys.argv) == 1)  # another type for the compiler

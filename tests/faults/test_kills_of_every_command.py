@@ -18,8 +18,8 @@ import pytest
 from bench import command
 from wide_bench import commands, prepare
 
-from loopshape.io.run_folder import read_run
-from loopshape.io.verify import verify
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.run.verify import verify
 
 #: commands that write
 WRITING = (

@@ -9,11 +9,11 @@ from memory_limit import in_a_child
 from pyarrow.csv import WriteOptions, write_csv
 from scipy.signal import lfilter
 
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io import tables
-from loopshape.io.run_folder import write_run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run import tables
+from loopshape.io.run.run_folder import write_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -38,8 +38,8 @@ excites = "axis"
 BEFORE = """
 from loopshape.core import stretches
 from loopshape.io import sources, tables
-from loopshape.cli.frf import estimate_and_report
-from loopshape.cli.import_file import import_run
+from loopshape.cli.estimate.frf import estimate_and_report
+from loopshape.toolbox.formats.commands.import_file import import_run
 from loopshape.cli.output import Output
 file, given, out = map(Path, sys.argv[1:4])
 from loopshape.identify import faults
@@ -49,7 +49,7 @@ stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.
 import pandas, pyarrow.parquet, numpy as np
 import scipy.linalg
 import loopshape.identify.frequency_response
-from loopshape.core.kernels.spectra import cross_spectra
+from loopshape.core.kernels.lines.spectra import cross_spectra
 square = np.eye(300) * 2.0
 np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve once
 cross_spectra([np.ones(64)] * 3, 16, 8)
@@ -63,7 +63,7 @@ from loopshape.data import excitation_parts
 from loopshape.identify import long_sweeps, long_transforms, sweep_harmonics, sweeps
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io import tables
-from loopshape.io.run_folder import read_run
+from loopshape.io.run.run_folder import read_run
 folder = Path(sys.argv[1])
 stretches.LONG = tables.LONG = 100_000
 tables.KEPT_BYTES, long_transforms.PART, long_sweeps.PART = 10_000_000, 50_000, 1 << 17

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from loopshape.io.run_folder import finished
-from loopshape.io.verify import verify
+from loopshape.io.run.run_folder import finished
+from loopshape.io.run.verify import verify
 
 pytestmark = pytest.mark.long
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from memory_limit import in_a_child
 
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.run_folder import write_run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run.run_folder import write_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -19,10 +19,10 @@ MOST_BYTES = 90_000_000
 
 BEFORE = """
 import numpy as np
-import loopshape.io.tables as tables
+import loopshape.io.run.tables as tables
 tables.KEPT_BYTES = 20_000_000
-from loopshape.io.verify import verify
-from loopshape.io.run_folder import check_recordings, read_run
+from loopshape.io.run.verify import verify
+from loopshape.io.run.run_folder import check_recordings, read_run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 folder = Path(sys.argv[1])

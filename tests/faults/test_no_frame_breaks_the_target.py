@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from target_cases import CORE, SANITIZERS, TARGET, WARNINGS, compiler
 
-from loopshape.rig.frames import Frame, Receiver, opened
+from loopshape.toolbox.rig.target.frames import Frame, Receiver, opened
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.run_folder import finished, read_run
-from loopshape.io.verify import verify
-from loopshape.verbs.machine import measure
+from loopshape.io.run.run_folder import finished, read_run
+from loopshape.io.run.verify import verify
+from loopshape.toolbox.rig.verbs.machine import measure
 
 RECORDINGS = 24
 STUDY = f"""

@@ -19,8 +19,8 @@ from bench import command, commands, in_a_child, prepare
 
 from loopshape.cli import main
 from loopshape.cli.output import safe
-from loopshape.io.frfs import read_frfs
-from loopshape.io.run_folder import read_run
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.write.frfs import read_frfs
 
 pytestmark = pytest.mark.long
 

@@ -9,9 +9,9 @@ import warnings
 
 import pytest
 
-from loopshape.io.run_folder import read_run
-from loopshape.io.verify import verify
-from loopshape.rig.cluster import BATCH_S, _next_count
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.run.verify import verify
+from loopshape.toolbox.campaign.cluster import BATCH_S, _next_count
 
 POINTS = ", ".join(f"{{ theta2_deg = {k / 5 - 10:g}, p_ab_bar = 1.0 }}" for k in range(100))
 STUDY = f"""

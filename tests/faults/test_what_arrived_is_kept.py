@@ -12,11 +12,11 @@ from axis_study import experiment, measured, simulated, study_text, table, targe
 from python_target_line import Faults, Running
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.arriving import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
-from loopshape.io.journal import read_journal
-from loopshape.io.run_folder import finished, read_run
-from loopshape.io.verify import verify
-from loopshape.verbs.machine import ended_early, measure
+from loopshape.io.run.arriving import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
+from loopshape.io.run.journal import read_journal
+from loopshape.io.run.run_folder import finished, read_run
+from loopshape.io.run.verify import verify
+from loopshape.toolbox.rig.verbs.machine import ended_early, measure
 
 NAMES = ["x_rad", "u_v"]
 
@@ -79,7 +79,7 @@ def kept_rows(run, name="one-1"):
 
 @pytest.mark.parametrize("event", ["pull", "silent"])
 def test_a_lost_line_keeps_what_came_and_the_same_command_goes_on(tmp_path, event, monkeypatch):
-    from loopshape.rig import session
+    from loopshape.toolbox.rig.target import session
 
     monkeypatch.setattr(session, "ANSWER_S", 0.05)
     study, run = write_study(tmp_path, study_text(experiment(periods=6))), tmp_path / "run"

@@ -7,7 +7,7 @@ import bench
 import numpy as np
 from bench import said_by
 
-from loopshape.rig import many
+from loopshape.toolbox.campaign import many
 
 LOOP = """
 [[loop]]

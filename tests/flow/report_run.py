@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.fit.fit import fit, structure_by_name
-from loopshape.io.fits import write_fits
-from loopshape.io.frfs import write_frfs
-from loopshape.io.gathered import gather
-from loopshape.io.run_folder import write_run
-from loopshape.view.frequency import frf_page
+from loopshape.io.run.gathered import gather
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.write.fits import write_fits
+from loopshape.io.write.frfs import write_frfs
 from loopshape.view.html.page import page
+from loopshape.view.plots.frequency import frf_page
 from loopshape.view.style import new_figure, png
 
 RATE = 500.0

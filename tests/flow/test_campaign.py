@@ -14,13 +14,13 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, RigError
-from loopshape.data.campaign import Part
-from loopshape.io.campaigns import read_campaign
-from loopshape.io.replacing import replace_run
-from loopshape.io.run_folder import read_run
-from loopshape.io.verify import verify
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.effects import asked
+from loopshape.io.run.replacing import replace_run
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.run.verify import verify
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.campaign.files import read_campaign
+from loopshape.toolbox.campaign.machines import Part
+from loopshape.toolbox.rig.effects import asked
 
 STUDY = """
 format = "loopshape-study/1"
@@ -143,7 +143,7 @@ def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
 def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
-    from loopshape.rig.many import carried_out
+    from loopshape.toolbox.campaign.many import carried_out
 
     with pytest.raises(RigError, match="a worker process ended unasked"):
         list(carried_out(os._exit, [7], 1))
@@ -250,7 +250,7 @@ def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
 
 @pytest.mark.long
 def test_a_cluster_that_is_not_there_is_said():
-    from loopshape.rig.many import carried_out
+    from loopshape.toolbox.campaign.many import carried_out
 
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(RigError, match="no cluster answers there"):

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from loopshape.cli.main import app
 from loopshape.cli.output import Output
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.controllers import read_controllers
-from loopshape.io.verdicts import read_verdicts
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.verdicts import read_verdicts
 
 ROOT = Path(__file__).parents[2]
 WORKFLOW = ROOT / "examples" / "ci" / "check-controllers.yml"
@@ -208,7 +208,7 @@ def test_what_was_not_found_is_null_in_json() -> None:
 def test_an_undecided_line_says_how_much_more_measuring_would_decide(capsys: pytest.CaptureFixture[str]) -> None:
     from verdict_cases import checked, line, margins
 
-    from loopshape.cli.verdicts import report_verdicts
+    from loopshape.cli.verify.verdicts import report_verdicts
 
     points = {"r1": margins(stable="undecided", reason="why", band_hz=(0.0, 2.5))}
     lines = [line("gain_margin_db", "undecided", longer=3.1), line("modulus_margin", "undecided", longer=float("inf"))]
@@ -294,7 +294,7 @@ def test_a_case_that_nobody_asked_for_is_refused() -> None:
 def test_the_headline_names_what_fails_before_what_is_undecided() -> None:
     from verdict_cases import checked, line, margins
 
-    from loopshape.data.verdict_words import headline
+    from loopshape.data.result.verdict_words import headline
 
     lines = [line("gain_margin_db", "undecided"), line("modulus_margin", "failed"), line("phase_margin_deg", "passed")]
     said = headline([checked({"r1": margins()}, lines).verdict])

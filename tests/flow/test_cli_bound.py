@@ -9,12 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import frf_of, gain
 
-from loopshape.cli.bound import bound_run
 from loopshape.cli.output import Output
-from loopshape.cli.schedule import schedule_run
-from loopshape.data.model import TransferFunction
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs
+from loopshape.data.response.model import TransferFunction
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.limits.command import bound_run
+from loopshape.toolbox.schedules.command import schedule_run
 
 REQUIRE = """
 format = "loopshape-requirements/1"

@@ -332,7 +332,7 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
     from loopshape.io.held import alone, held
 
     holds = (
-        "import sys; from pathlib import Path; from loopshape.io.run_folder import alone\n"
+        "import sys; from pathlib import Path; from loopshape.io.run.run_folder import alone\n"
         "with alone(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     )
     words = [sys.executable, "-c", holds, str(tmp_path)]

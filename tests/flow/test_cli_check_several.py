@@ -10,15 +10,15 @@ import typer
 from several_cases import frf_of, gain, noisy
 from typer.testing import CliRunner
 
-from loopshape.cli.check import check as check_command
+from loopshape.cli.verify.check import check as check_command
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
-from loopshape.data.requirements import SeveralRequirements
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs, write_matrices
+from loopshape.data.requirement.requirements import SeveralRequirements
 from loopshape.io.profiles import OWN
-from loopshape.io.requirements import read_required, read_requirements
-from loopshape.loop.several import check_several as check
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs, write_matrices
+from loopshape.io.write.requirements import read_required, read_requirements
+from loopshape.loop.matrix.several import check_several as check
 
 F = np.arange(0.1, 20.0, 0.1)
 S = 1j * TWO_PI * F

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from loopshape.cli.effects import catalogue_rows, markdown_table
 from loopshape.cli.main import app
-from loopshape.io.run_folder import read_run
-from loopshape.model import registry
+from loopshape.io.run.run_folder import read_run
+from loopshape.toolbox.gap import registry
+from loopshape.toolbox.gap.commands.effects import catalogue_rows, markdown_table
 
 DOCS = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
 STUDY = """

@@ -10,16 +10,16 @@ import typer
 from scipy import signal
 from typer.testing import CliRunner
 
-from loopshape.cli.export import export_controller
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.io.controller_words import comment, identifier
-from loopshape.io.controllers import read_controllers, write_controllers
-from loopshape.io.frf_words import frf_header, frf_words
-from loopshape.io.run_tables import loop_table, read_loop
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.io.run.run_tables import loop_table, read_loop
 from loopshape.io.words import Words
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.frf_words import frf_header, frf_words
+from loopshape.toolbox.formats.commands.export import export_controller
+from loopshape.toolbox.formats.controllers.controller_words import comment, identifier
 
 RATE_HZ = 1000.0
 BLOCKS = (

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.io.frfs import read_frfs, write_frfs
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.io.write.frfs import read_frfs, write_frfs
 
 RATE = 500.0
 PLANT = TransferFunction([900.0], [1.0, 6.0, 0.0], 0.004)

@@ -5,10 +5,10 @@ import json
 import pytest
 from small_gap_run import KNOWN, MIDDLE, loopshape, recorded
 
-from loopshape.io.run_folder import write_run
-from loopshape.io.study import read_study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.simulated import measure, plan
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.simulated import measure, plan
 
 KEYS = {
     "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "kinds": dict,

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.controller import Block, Controller
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs, write_matrices
+from loopshape.data.control.controller import Block, Controller
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs, write_matrices
 
 K_DB = np.where((F > 2.95) & (F < 3.25), -8.0, -40.0)
 

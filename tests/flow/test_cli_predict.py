@@ -8,17 +8,17 @@ import pytest
 import typer
 from typer.testing import CliRunner, Result
 
-from loopshape.cli.compare import compare
-from loopshape.cli.fit import fit_run
-from loopshape.cli.measure import measure
+from loopshape.cli.estimate.fit import fit_run
 from loopshape.cli.output import Output
-from loopshape.cli.predict import predict
-from loopshape.data.requirements import Requirements
-from loopshape.io.predictions import read_predictions
-from loopshape.io.run_folder import read_run
-from loopshape.loop.prediction import plant_behind
-from loopshape.loop.remeasured import remeasure
+from loopshape.cli.verify.compare import compare
+from loopshape.cli.verify.predict import predict
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.write.predictions import read_predictions
+from loopshape.loop.predict.prediction import plant_behind
+from loopshape.loop.predict.remeasured import remeasure
 from loopshape.loop.verdict import check
+from loopshape.toolbox.rig.commands.measure import measure
 
 app = typer.Typer()
 for command in (measure, predict, compare):
@@ -137,9 +137,9 @@ def test_a_prediction_of_another_gain_did_not_hold_and_exit_code_is_1(folder: Pa
     """The rig's gain fell by a third after the prediction was made: here, the prediction is of a larger plant."""
     from dataclasses import replace
 
-    from loopshape.io.frfs import read_frfs
-    from loopshape.io.predictions import write_predictions
-    from loopshape.loop.prediction import predict as predict_loop
+    from loopshape.io.write.frfs import read_frfs
+    from loopshape.io.write.predictions import write_predictions
+    from loopshape.loop.predict.prediction import predict as predict_loop
 
     made = read_predictions(folder / "prediction.npz")[0].controller
     larger = [replace(f, response=1.5 * f.response, covariance=2.25 * f.covariance) for f in read_frfs(folder / "old")]

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.io.controllers import read_controllers, write_controllers
-from loopshape.io.frfs import write_frfs, write_matrices
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.frfs import write_frfs, write_matrices
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from test_tune_several_loops import matrix

@@ -13,12 +13,12 @@ from commands import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.verdict import Line
-from loopshape.io.diagrams import read_diagram
-from loopshape.io.frfs import write_frfs
-from loopshape.io.gathered import gather
-from loopshape.rig.blocks import blocks
+from loopshape.data.result.verdict import Line
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.io.run.gathered import gather
+from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.diagrams.files import read_diagram
+from loopshape.toolbox.rig.target.blocks import blocks
 
 RATE = 2000.0
 F = np.geomspace(0.1, 800.0, 90)

@@ -11,9 +11,9 @@ from small_gap_run import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.machine import read_model
-from loopshape.io.run_folder import write_run
-from loopshape.model.own.mechanism import machine
+from loopshape.io.run.run_folder import write_run
+from loopshape.toolbox.gap.mechanism.mechanism import machine
+from loopshape.toolbox.gap.own.file import read_model
 
 PAGE = (Path(__file__).parents[2] / "docs/machine.md").read_text()
 XML = re.search(r"```xml\n(.*?)```", PAGE, re.S).group(1)

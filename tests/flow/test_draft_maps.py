@@ -8,10 +8,10 @@ import pytest
 from scipy.io import savemat
 
 import loopshape as ls
-from loopshape.cli.import_file import import_file as command
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.draft_map import draft_map, write_draft
-from loopshape.io.import_file import import_file
+from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.commands.import_file import import_file as command
+from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
 
 RATE, N = 500.0, 6000
 

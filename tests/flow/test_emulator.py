@@ -16,14 +16,14 @@ from typer.testing import CliRunner
 
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.folders import cache_folder
-from loopshape.model.arm.emulated import plant_file
-from loopshape.rig import emulator as rig
-from loopshape.rig.emulator import Emulator, NoCompilerError, program, source, start, stop
-from loopshape.rig.link import open_link
-from loopshape.rig.messages import Ask, State
-from loopshape.rig.session import Session
-from loopshape.rig.target import arm as armed
-from loopshape.rig.target import configuration
+from loopshape.toolbox.arm.emulated import plant_file
+from loopshape.toolbox.rig import emulator as rig
+from loopshape.toolbox.rig.emulator import Emulator, NoCompilerError, program, source, start, stop
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.messages import Ask, State
+from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.target import arm as armed
+from loopshape.toolbox.rig.target.target import configuration
 
 
 def test_every_source_lies_in_the_package():
@@ -230,7 +230,7 @@ def test_vented_the_muscles_empty_and_idle_it_stands_again(arm_experiment):
 def test_the_command_prints_the_port_and_runs_until_it_is_told_to_end(how, ignoring):
     """Also where Ctrl-C's signal was ignored as it was started, as a shell does in the background."""
     needs_a_compiler()
-    code = "import typer; from loopshape.cli.emulator import emulator; typer.run(emulator)"
+    code = "import typer; from loopshape.toolbox.rig.commands.emulator import emulator; typer.run(emulator)"
     command = [sys.executable, "-c", code, "--tcp", "0", "--change", "payload_kg=0.1"]
     before = signal.signal(signal.SIGINT, signal.SIG_IGN if ignoring else signal.default_int_handler)
     try:
@@ -253,7 +253,7 @@ def test_the_command_prints_the_port_and_runs_until_it_is_told_to_end(how, ignor
 def test_the_command_refuses_what_is_no_change():
     import typer
 
-    from loopshape.cli.emulator import emulator as command
+    from loopshape.toolbox.rig.commands.emulator import emulator as command
 
     app = typer.Typer()
     app.command()(command)

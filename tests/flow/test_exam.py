@@ -19,7 +19,7 @@ from exam_cases import Case, case_list, catalogue, library_run
 from examiner import EFFECTS, OUTSIDE
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.gap_report import GapReport, Ranked, Shrink, Where
+from loopshape.toolbox.gap.nouns.gap_report import GapReport, Ranked, Shrink, Where
 
 PLAN = {"single": 4, "healthy": 2, "unknown": 1, "pairs": 2}
 
@@ -50,7 +50,7 @@ def sat(monkeypatch):
         return report(name)
 
     run = SimpleNamespace(plant="arm-1dof")
-    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", diagnose)
+    monkeypatch.setattr("loopshape.toolbox.gap.diagnose.diagnose.diagnose", diagnose)
     monkeypatch.setattr(examiner, "make_run", lambda labels, seed, variant: run)
     monkeypatch.setattr("loopshape.view.style.png", lambda figure: b"")  # test_draw_exam.py looks at pictures
     return found
@@ -99,7 +99,7 @@ def test_a_diagnosis_that_breaks_off_is_a_wrong_answer(sat, tmp_path, monkeypatc
     def broken(*words, **more):
         raise FloatingPointError("no")
 
-    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", broken)
+    monkeypatch.setattr("loopshape.toolbox.gap.diagnose.diagnose.diagnose", broken)
     sit(tmp_path)
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert (scores["failed"], scores["single"]["right"], scores["false_alarms"]["right"]) == (9, 0, 2)

@@ -12,15 +12,15 @@ from scipy.io import loadmat, savemat
 
 import loopshape as ls
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.control_frd import from_control, to_control
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.io.frf_csv import frf_csv
-from loopshape.io.frf_exchange import FORMATS, export_frfs, read_frf_file
-from loopshape.io.frf_foreign import Stated
-from loopshape.io.frf_mat import write_frf_mat
-from loopshape.io.frf_uff import write_frf_uff
-from loopshape.io.frf_words import PERHAPS, frf_header
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.control_frd import from_control, to_control
+from loopshape.data.response.frf import FRF
+from loopshape.io.write.frf_csv import frf_csv
+from loopshape.io.write.frf_words import PERHAPS, frf_header
+from loopshape.toolbox.formats.frf.frf_exchange import FORMATS, export_frfs, read_frf_file
+from loopshape.toolbox.formats.frf.frf_foreign import Stated
+from loopshape.toolbox.formats.frf.frf_mat import write_frf_mat
+from loopshape.toolbox.formats.frf.frf_uff import write_frf_uff
 
 
 def frf(ny=2, nu=2, nf=6, **words):
@@ -149,7 +149,7 @@ def test_a_users_own_mat_file_of_version_7_3(tmp_path):
 
 def test_an_analysers_coherence_gives_the_error_with_the_averages():
     """The stated rule against Welch averages of a known noise."""
-    from loopshape.io.frf_foreign import ForeignFRF, frf_of
+    from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF, frf_of
 
     rng, K, runs = np.random.default_rng(0), 16, 4000
     u = rng.standard_normal((runs, K)) + 1j * rng.standard_normal((runs, K))

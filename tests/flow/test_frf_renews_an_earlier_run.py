@@ -8,8 +8,8 @@ from commands import loopshape
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.io.frfs import read_frfs
-from loopshape.io.run_folder import write_run
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.write.frfs import read_frfs
 
 RATE_HZ = 100.0
 

@@ -8,11 +8,11 @@ import pytest
 from commands import loopshape
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.run_folder import read_run
-from loopshape.io.study import read_study
-from loopshape.io.trials import read_learning
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.simulated import plan
+from loopshape.io.run.run_folder import read_run
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.learning.files import read_learning
+from loopshape.toolbox.rig.simulated import plan
 
 PAGE = (Path(__file__).parents[2] / "docs" / "feedforward.md").read_text()
 IDENTIFY, MOVE = (part.split("```")[0] for part in PAGE.split("```toml\n")[1:3])

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from loopshape.cli.main import app
-from loopshape.io.run_folder import read_run
+from loopshape.io.run.run_folder import read_run
 
 STUDY = """
 format = "loopshape-study/1"

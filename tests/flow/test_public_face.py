@@ -166,8 +166,8 @@ def test_a_coherence_tells_the_error() -> None:
 
 def test_the_verb_and_the_command_say_the_same(tmp_path: Path) -> None:
     """`ls.check` on the arm's exact response, and `loopshape check` on the same FRF in a run folder."""
-    from loopshape.io.controllers import write_controllers
-    from loopshape.io.frfs import write_frfs
+    from loopshape.io.write.controllers import write_controllers
+    from loopshape.io.write.frfs import write_frfs
 
     P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.02, rate_hz=RATE_HZ, loop="x", recording="r1")
     C = ls.controller(ls.gain(0.5), ls.pi(1.0), rate_hz=RATE_HZ, loop="x")

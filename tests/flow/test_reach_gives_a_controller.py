@@ -11,7 +11,7 @@ from bound_cases import frf_of, gain, limits
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.model import TransferFunction
+from loopshape.data.response.model import TransferFunction
 
 MODEL = TransferFunction([3.0], np.polymul([1.0, 0.0], [1 / 900.0, 0.1 / 30.0, 1.0]), 0.01)
 ASKED = {

@@ -141,16 +141,16 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 36.6 Hz of bandwidth."""
     import numpy as np
 
-    from loopshape.cli.fit import fit_run
-    from loopshape.cli.frf import estimate_and_report
-    from loopshape.cli.import_file import import_run
+    from loopshape.cli.estimate.fit import fit_run
+    from loopshape.cli.estimate.frf import estimate_and_report
     from loopshape.cli.output import Output
     from loopshape.core.units import db
     from loopshape.design.tune import tune
     from loopshape.identify.fit.fit import modes
-    from loopshape.io.fits import read_fits
-    from loopshape.io.frfs import read_frfs
-    from loopshape.io.requirements import read_requirements
+    from loopshape.io.write.fits import read_fits
+    from loopshape.io.write.frfs import read_frfs
+    from loopshape.io.write.requirements import read_requirements
+    from loopshape.toolbox.formats.commands.import_file import import_run
 
     bench, quiet = ROOT / "examples" / "motor_bench", Output(quiet=True)
     import_run(bench / "multisine_type_a.parquet", bench / "map.toml", tmp_path, quiet)

@@ -22,9 +22,9 @@ import shaped_cases
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
-from loopshape.io.controllers import write_controllers
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
+from loopshape.io.write.controllers import write_controllers
 from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import SeveralLoops, shaped

@@ -10,20 +10,20 @@ import pytest
 
 from loopshape import __version__
 from loopshape.core.units import rad
-from loopshape.data.block import Free
-from loopshape.data.controller import Block, Controller
-from loopshape.data.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
-from loopshape.data.frf import FRF
-from loopshape.data.model import Estimate, Fit, TransferFunction
-from loopshape.data.requirements import Margins
-from loopshape.data.verdict import Line, Verdict
-from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.data.control.block import Free
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Margins
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Estimate, Fit, TransferFunction
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.io.files import read_json, read_toml, write_json, write_toml
-from loopshape.io.fits import read_fits, write_fits
-from loopshape.io.frfs import frf_csv, read_frfs, write_frfs
-from loopshape.io.junit import write_junit
-from loopshape.io.requirements import read_requirements
-from loopshape.io.study import read_study
+from loopshape.io.study.study import read_study
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.fits import read_fits, write_fits
+from loopshape.io.write.frfs import frf_csv, read_frfs, write_frfs
+from loopshape.io.write.junit import write_junit
+from loopshape.io.write.requirements import read_requirements
 
 
 def assert_same(one, other):

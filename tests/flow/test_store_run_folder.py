@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io import run_folder
-from loopshape.io.run_folder import (
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run import run_folder
+from loopshape.io.run.run_folder import (
     add_recording,
     check_recordings,
     finished,
@@ -21,7 +21,7 @@ from loopshape.io.run_folder import (
     start_run,
     write_run,
 )
-from loopshape.io.tables import TableColumns, check_rate, write_table
+from loopshape.io.run.tables import TableColumns, check_rate, write_table
 
 RATE_HZ = 100.0
 

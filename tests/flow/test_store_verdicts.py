@@ -11,11 +11,11 @@ import numpy as np
 from markdown_it import MarkdownIt
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.data.requirements import LIMITS, Margins
+from loopshape.data.requirement.requirements import LIMITS, Margins
 from loopshape.io.files import read_json
-from loopshape.io.junit import write_junit
-from loopshape.io.markdown import markdown, write_markdown
-from loopshape.io.verdicts import read_verdicts, write_verdicts
+from loopshape.io.write.junit import write_junit
+from loopshape.io.write.markdown import markdown, write_markdown
+from loopshape.io.write.verdicts import read_verdicts, write_verdicts
 from loopshape.loop.baseline import compare, same_controller
 
 LINES = (

@@ -9,9 +9,9 @@ from axis_study import experiment, measured, simulated, study_text, table, targe
 from python_target_line import Faults, Pty, Running
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.run_folder import finished
-from loopshape.io.verify import verify
-from loopshape.rig import session, taking
+from loopshape.io.run.run_folder import finished
+from loopshape.io.run.verify import verify
+from loopshape.toolbox.rig.target import session, taking
 
 pytestmark = pytest.mark.timeout(60)  # a hang is a failure
 NAMES = ("one", "two")

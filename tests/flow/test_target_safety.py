@@ -19,16 +19,16 @@ import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.interrupts import interrupts
-from loopshape.data.controller import Block, Controller
-from loopshape.data.target_settings import spoken
-from loopshape.io import measuring
-from loopshape.io.journal import read_journal
-from loopshape.io.run_folder import finished, read_run
-from loopshape.io.study import read_study
-from loopshape.io.verdicts import write_verdicts
-from loopshape.rig.blocks import Block as Computed
-from loopshape.rig.blocks import own_radius
-from loopshape.verbs.machine import measure
+from loopshape.data.control.controller import Block, Controller
+from loopshape.io.run import measuring
+from loopshape.io.run.journal import read_journal
+from loopshape.io.run.run_folder import finished, read_run
+from loopshape.io.study.study import read_study
+from loopshape.io.write.verdicts import write_verdicts
+from loopshape.toolbox.rig.settings import spoken
+from loopshape.toolbox.rig.target.blocks import Block as Computed
+from loopshape.toolbox.rig.target.blocks import own_radius
+from loopshape.toolbox.rig.verbs.machine import measure
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
@@ -345,7 +345,7 @@ def test_a_real_target_that_is_not_idle_is_left_alone(tmp_path, state):
 
 
 def test_a_host_that_writes_for_long_is_still_there(tmp_path, monkeypatch):
-    from loopshape.io import run_folder
+    from loopshape.io.run import run_folder
 
     add = run_folder.add_recording
     monkeypatch.setattr(run_folder, "add_recording", lambda *a, **k: (time.sleep(1.5), add(*a, **k)))

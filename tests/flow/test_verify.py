@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 from loopshape import __version__
 from loopshape.cli.main import app
 from loopshape.core.errors import UnreadableInputError
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.io.files import read_toml, write_toml
-from loopshape.io.journal import FILE, note, read_journal
 from loopshape.io.provenance import file_sha256, versions
-from loopshape.io.run_folder import add_recording, read_run, start_run
-from loopshape.io.verify import verify
+from loopshape.io.run.journal import FILE, note, read_journal
+from loopshape.io.run.run_folder import add_recording, read_run, start_run
+from loopshape.io.run.verify import verify
 
 RATE = 100.0
 

@@ -9,16 +9,16 @@ import typer
 from typer.testing import CliRunner
 
 from loopshape import __version__
-from loopshape.cli.fit import root_cells
+from loopshape.cli.estimate.fit import root_cells
 from loopshape.cli.main import COMMANDS, app
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import TWO_PI
-from loopshape.data.excitation import Multisine
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.model import Estimate
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.run_folder import write_run
+from loopshape.data.response.model import Estimate
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run.run_folder import write_run
 
 pytestmark = pytest.mark.short
 

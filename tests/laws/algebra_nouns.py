@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 
 
 def any_frf(rng, ny, nu, *, f=None, error=0.01, outputs=None, inputs=None, recording="", size=1.0, **words):

@@ -4,8 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from loopshape.data.effect import EffectForm
-from loopshape.diagnose.decide import (
+from loopshape.toolbox.gap.diagnose.decide import (
     ONE_EFFECT,
     WRONG_FORM_LEAVES,
     WRONG_FORM_PAIRS,
@@ -13,6 +12,7 @@ from loopshape.diagnose.decide import (
     judged,
     probabilities,
 )
+from loopshape.toolbox.gap.nouns.effect import EffectForm
 
 PAIRS = {"play@rail+friction@rail", "friction@rail+lag@belt"}
 SEEN = {  # a cart with an effect that is in no list, as it was answered: a pair, though 37 of 397 floors are left

@@ -8,11 +8,11 @@ from arm2_cases import MIDDLE, numbers, open_loop
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.equilibrium2 import pressures2, rest2
-from loopshape.model.arm.model import flow
-from loopshape.model.arm.model2 import derivatives2, standing_torques, supply_flows2
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2, rest2
+from loopshape.toolbox.arm.dynamics.model import flow
+from loopshape.toolbox.arm.dynamics.model2 import derivatives2, standing_torques, supply_flows2
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS
 
 C = numbers()
 NOMINAL = dict(zip(ARM2_PARAMETERS.names, ARM2_PARAMETERS.vector().tolist(), strict=True))

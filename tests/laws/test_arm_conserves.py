@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.model import derivatives, flow, muscle, supply_flows
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
+from loopshape.toolbox.arm.dynamics.model import derivatives, flow, muscle, supply_flows
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
 C = constants(ARM1_PARAMETERS.vector())
 PRESSURES = st.floats(1.5e4, 1.2e5)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.effects import FORMS
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 
 #: every neutral row, and a value that must show
 MOVED = {

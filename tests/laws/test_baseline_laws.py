@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import VALUES, checked, margins
 
-from loopshape.data.requirements import LIMITS
+from loopshape.data.requirement.requirements import LIMITS
 from loopshape.loop.baseline import compare
 
 OPPOSITE = {"better": "worse", "worse": "better", "unchanged": "unchanged"}

@@ -5,10 +5,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from loopshape.core.units import from_db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.loop.margins import margins
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.loop.margin.margins import margins
 
 RATE = 500.0
 frequencies = st.floats(0.05, 200.0)

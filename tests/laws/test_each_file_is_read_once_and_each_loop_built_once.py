@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.cli.check import check_run
-from loopshape.cli.figures import figures
-from loopshape.cli.measure import measure
+from loopshape.cli.estimate.figures import figures
 from loopshape.cli.output import Output
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.io import tables, words
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs
+from loopshape.cli.verify.check import check_run
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.io import words
+from loopshape.io.run import tables
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs
 from loopshape.loop import verdict
+from loopshape.toolbox.rig.commands.measure import measure
 
 STUDY = """
 format = "loopshape-study/1"

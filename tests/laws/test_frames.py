@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loopshape.core.errors import WrongUseError
-from loopshape.rig.frames import LONGEST_ENCODED, Frame, Receiver, opened, stuffed, unstuffed
+from loopshape.toolbox.rig.target.frames import LONGEST_ENCODED, Frame, Receiver, opened, stuffed, unstuffed
 
 frames = st.builds(Frame, st.integers(0, 255), st.integers(0, 65535), st.binary(max_size=1000))
 few_zeros = st.binary(max_size=600) | st.lists(st.sampled_from([0, 1, 255]), max_size=600).map(bytes)

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from loopshape.data.effect import EffectForm, Free, Spread
-from loopshape.diagnose import attribute, decide, fitting
-from loopshape.diagnose.evidence import Cell, Evidence
-from loopshape.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.diagnose import attribute, decide, fitting
+from loopshape.toolbox.gap.diagnose.evidence import Cell, Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.nouns.effect import EffectForm, Free, Spread
 
 CELLS = (Cell("r1", "a", 0, 40, 0.5), Cell("r1", "b", 40, 100, 2.0), Cell("r2", "a", 100, 170, 0.5))
 RNG = np.random.default_rng(5)

@@ -6,8 +6,8 @@ from interaction_nouns import F, coupled_by, matrix_frf
 
 from loopshape.core.units import db
 from loopshape.data.algebra import controller_frf, inverse, lower_closure
-from loopshape.data.controller import Block, Controller
-from loopshape.identify.interaction import interaction, interaction_coefficient, relative_gain, square_part
+from loopshape.data.control.controller import Block, Controller
+from loopshape.identify.matrix.interaction import interaction, interaction_coefficient, relative_gain, square_part
 
 NAMES = ("theta1", "theta2")
 

@@ -9,7 +9,7 @@ from loopshape.core.json_ready import Plain, json_ready, keys
 
 for name in ("data.baseline", "design.bound", "design.schedule", "design.several", "identify.plan", "loop.remeasured"):
     importlib.import_module(f"loopshape.{name}")
-importlib.import_module("loopshape.io.check_files")
+importlib.import_module("loopshape.io.write.check_files")
 
 
 def nouns(of=Plain):

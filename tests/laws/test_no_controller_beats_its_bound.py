@@ -9,11 +9,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import RATE, limits, loop_of, own_limits, random_controller, random_plant
 
-from loopshape.data.controller import Block, Controller
-from loopshape.data.model import TransferFunction
-from loopshape.design import bound_nodes
-from loopshape.design.bound import excluded
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.stability.stability import closed_loop_stability
+from loopshape.toolbox.limits import bound_nodes
+from loopshape.toolbox.limits.bound import excluded
 
 
 def crossing_hz(loop):

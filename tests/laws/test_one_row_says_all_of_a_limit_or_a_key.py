@@ -10,18 +10,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from loopshape.data.experiment import Told
-from loopshape.data.limits_over import MASKED, Mask
-from loopshape.data.recording import RecordingInfo
-from loopshape.data.requirements import LIMITS, Margins, Requirements
-from loopshape.data.verdict import Line, Verdict
-from loopshape.data.weight import Weight
-from loopshape.design.bound_nodes import COUNTED, counted
+from loopshape.data.requirement.limits_over import MASKED, Mask
+from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements
+from loopshape.data.requirement.weight import Weight
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.signal.experiment import Told
+from loopshape.data.signal.recording import RecordingInfo
 from loopshape.design.structure import NEAR
-from loopshape.io.run_tables import INFO, TOLD, read_recording, recording_table
-from loopshape.io.study import _EXPERIMENT_KEYS
+from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
+from loopshape.io.study.study import _EXPERIMENT_KEYS
 from loopshape.io.words import Words
 from loopshape.loop.points import CLOSENESS
+from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
 from loopshape.view.html.verdict_parts import _column
 from loopshape.view.html.verdict_parts import margins as margin_tables
 

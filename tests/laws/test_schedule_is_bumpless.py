@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.core.kernels import scheduled
-from loopshape.data.gain_scheduled import Follows
+from loopshape.data.control.gain_scheduled import Follows
 
 RATE_HZ = 1000.0
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.data.experiment import Experiment
-from loopshape.data.run import Run
-from loopshape.model.servo_axis.axis import ServoAxis
-from loopshape.model.servo_axis.parameters import AXIS_PARAMETERS
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.servo.axis import ServoAxis
+from loopshape.toolbox.servo.parameters import AXIS_PARAMETERS
 
 NEUTRAL = {row.name: row.value for row in AXIS_PARAMETERS.rows if row.source.startswith("neutral")}
 MOVED = {

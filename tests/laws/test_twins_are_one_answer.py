@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from loopshape.data.effect import EffectForm, Free
-from loopshape.diagnose import attribute, decide, fitting
-from loopshape.diagnose.decide import judged
-from loopshape.diagnose.evidence import Cell, Evidence
-from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.diagnose.told_apart import Scale, groups, main_effect
+from loopshape.toolbox.gap.diagnose import attribute, decide, fitting
+from loopshape.toolbox.gap.diagnose.decide import judged
+from loopshape.toolbox.gap.diagnose.evidence import Cell, Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.diagnose.told_apart import Scale, groups, main_effect
+from loopshape.toolbox.gap.nouns.effect import EffectForm, Free
 
 ROWS = 60
 CELLS = tuple(Cell(f"r{k}", "a", ROWS * k, ROWS * (k + 1), 1.0) for k in range(6))

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, numbers, point
 
-from loopshape.identify.interaction import interaction
-from loopshape.identify.matrix import estimate_matrix
-from loopshape.io.study import read_study
-from loopshape.model.arm.equilibrium2 import pressures2
-from loopshape.model.arm.linear2 import DECOUPLING, OUTPUTS, linearise2
-from loopshape.rig.simulated import experiment, header, plan
+from loopshape.identify.matrix.interaction import interaction
+from loopshape.identify.matrix.matrix import estimate_matrix
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
+from loopshape.toolbox.arm.dynamics.linear2 import DECOUPLING, OUTPUTS, linearise2
+from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm2_interaction"
 sys.path.insert(0, str(STUDY))

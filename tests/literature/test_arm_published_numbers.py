@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from source_controllers import angle_controller, third_order_plant
 
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.loop.margins import margins
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.equilibrium import pressures
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.model import muscle
-from loopshape.model.arm.source import EQUILIBRIA, value
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.loop.margin.margins import margins
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.dynamics.model import muscle
+from loopshape.toolbox.arm.source import EQUILIBRIA, value
 
 F = np.geomspace(0.01, 100.0, 6000)
 

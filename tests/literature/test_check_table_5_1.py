@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from source_controllers import angle_controller, third_order_plant
 
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import Requirements
-from loopshape.loop.margins import margins
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
-from loopshape.model.arm.source import value
+from loopshape.toolbox.arm.source import value
 
 RATE = 1000.0
 TABLE_5_1 = angle_controller()

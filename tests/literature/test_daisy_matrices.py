@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.data.frf import FRF
-from loopshape.identify.matrix import estimate_matrix
+from loopshape.data.response.frf import FRF
+from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
-from loopshape.io.import_file import import_file
+from loopshape.io.read.import_file import import_file
 
 MAPS = Path(__file__).parents[2] / "examples" / "daisy"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.diagnose import attribute
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.io.import_file import import_file
-from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.gap.diagnose import attribute
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.servo.axis import ServoAxis
 
 ROOT = Path(__file__).parents[2]
 EMPS = Path(os.environ.get("LOOPSHAPE_DATA", ROOT / ".." / "shared" / "data")) / "emps"

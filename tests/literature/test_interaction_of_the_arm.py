@@ -8,8 +8,8 @@ import numpy as np
 from arm2_cases import MIDDLE, numbers
 from interaction_nouns import matrix_frf
 
-from loopshape.identify.interaction import interaction
-from loopshape.model.arm.linear2 import linearise2
+from loopshape.identify.matrix.interaction import interaction
+from loopshape.toolbox.arm.dynamics.linear2 import linearise2
 
 
 def test_the_angles_of_the_arm_are_decoupled_to_1_hz_and_coupled_beyond():

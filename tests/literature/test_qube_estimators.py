@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import db
-from loopshape.identify.quality import loop_feedback
-from loopshape.io.import_file import import_file
+from loopshape.identify.quality.quality import loop_feedback
+from loopshape.io.read.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDY = ROOT / "experiments" / "qube"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.model.arm import source
+from loopshape.toolbox.arm import source
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = ROOT / "experiments"

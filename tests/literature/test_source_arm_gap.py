@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.effects import FORMS
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 UPRIGHT, WIDE = (0.0, 1.0), (30.0, 0.8)
 #: table 4.1 within its rounding, so that the printed model gives the source's own simulation: 5.8 and 4.7 Hz

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.io.controllers import read_controllers
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import number, value
+from loopshape.io.write.controllers import read_controllers
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import number, value
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "experiments" / "beyond"

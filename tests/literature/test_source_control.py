@@ -14,7 +14,7 @@ from source_controllers import (
 )
 
 from loopshape.core.errors import WrongUseError
-from loopshape.model.arm.source import numbers, value
+from loopshape.toolbox.arm.source import numbers, value
 
 STUDIES = Path(__file__).parents[2] / "experiments"
 GRID = {"low_hz": 0.05, "high_hz": 100.0, "count": 2000}

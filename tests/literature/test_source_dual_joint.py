@@ -5,12 +5,12 @@ import pytest
 from arm2_closed import close2
 from source_controllers import controller
 
-from loopshape.data.controller import Block, Controller
-from loopshape.model.arm.equilibrium2 import pressures2
-from loopshape.model.arm.linear2 import linearise2, linearise_pairs2
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.model.arm.source import value
-from loopshape.model.arm.strategies2 import DUAL
+from loopshape.data.control.controller import Block, Controller
+from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
+from loopshape.toolbox.arm.dynamics.linear2 import linearise2, linearise_pairs2
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.arm.strategies2 import DUAL
 
 NUMBERS = constants2(ARM2_PARAMETERS.vector())
 P_A = value("figure_5_8.p_a")

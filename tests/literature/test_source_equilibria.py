@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.equilibrium import angle_deg, pressures
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import INERTIA
-from loopshape.model.arm.source import EQUILIBRIA, number, value
+from loopshape.toolbox.arm.dynamics.equilibrium import angle_deg, pressures
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import INERTIA
+from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
 
 SUPPLY_BAR = 1.0  # section 3.3
 

@@ -5,11 +5,11 @@ import pytest
 from arm2_closed import close2
 from source_controllers import controller
 
-from loopshape.data.controller import Controller
-from loopshape.model.arm.linear2 import linearise_pairs2
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
-from loopshape.model.arm.source import value
-from loopshape.model.arm.strategies2 import PAIRS
+from loopshape.data.control.controller import Controller
+from loopshape.toolbox.arm.dynamics.linear2 import linearise_pairs2
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.arm.strategies2 import PAIRS
 
 NUMBERS = constants2(ARM2_PARAMETERS.vector())
 #: A and B as full as the supply allows, about six working points

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.data.experiment import Experiment
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.source import value
+from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.source import value
 
 STUDY = Path(__file__).parents[2] / "experiments" / "learning"
 sys.path.insert(0, str(STUDY))
@@ -22,7 +22,7 @@ from nine_actions import ACTIONS, HOLD, LIMIT, Rules, Trace, Trial, pairs, play,
 from rivals import designed  # noqa: E402
 from trial_outcomes import at_setpoint, first_held, reached_s, summary  # noqa: E402
 
-from loopshape.model.arm.parameters import ARM1_PARAMETERS  # noqa: E402
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS  # noqa: E402
 
 SETTINGS = tomllib.loads((STUDY / "study.toml").read_text(encoding="utf-8"))
 RULES = Rules(**SETTINGS["trial"], **SETTINGS["reward"])

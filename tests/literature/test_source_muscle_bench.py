@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.source import number, value
 
 STUDY = Path(__file__).resolve().parents[2] / "experiments" / "muscle_bench"
 sys.path.insert(0, str(STUDY))

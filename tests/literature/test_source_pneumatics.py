@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.model.arm.source import number, value
+from loopshape.toolbox.arm.source import number, value
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "pneumatic_test_setup"))
 

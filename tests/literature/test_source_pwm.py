@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.core.kernels import pwm
-from loopshape.io.study import read_study
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.model import flow, supply_flows
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
-from loopshape.model.arm.source import value
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.arm.dynamics.model import flow, supply_flows
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm.source import value
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "pneumatic_test_setup"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "experiments" / "pwm"))

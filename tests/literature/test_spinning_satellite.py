@@ -10,9 +10,9 @@ import pytest
 from several_cases import frf_of, gain, loops
 
 from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.loop.several import check_several
-from loopshape.loop.several_margins import several_margins
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.loop.matrix.several import check_several
+from loopshape.loop.matrix.several_margins import several_margins
 
 A = 10.0
 F = np.sort(np.concatenate([np.geomspace(2e-4, 1e3, 1300), np.linspace(1.55, 1.63, 300)]))

@@ -7,12 +7,12 @@ import numpy as np
 import picture_nouns as nouns
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import check, loops_of
 
 RATE = 1000.0

@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.core.units import TWO_PI, rad
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import Estimate, Fit, TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.requirements import Margins, Requirements
-from loopshape.data.verdict import Line, Verdict
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Estimate, Fit, TransferFunction
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 
 POINTS = (
     *((theta, p) for p in (0.8, 1.0, 1.2, 1.4) for theta in (-30.0, -15.0, 0.0, 15.0, 30.0)),

@@ -8,8 +8,8 @@ from matplotlib.lines import Line2D
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular, db, rad
-from loopshape.view import frequency
-from loopshape.view.curves import magnitude_band_db, unwrapped_deg
+from loopshape.view.plots import frequency
+from loopshape.view.plots.curves import magnitude_band_db, unwrapped_deg
 from loopshape.view.style import new_figure
 
 MODEL_FREE = {"coherence": None, "input_power": None, "output_power": None, "cross_power": None}

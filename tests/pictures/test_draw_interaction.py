@@ -7,10 +7,10 @@ import pytest
 from interaction_nouns import F, coupled_by, matrix_frf
 
 from loopshape.core.units import db
-from loopshape.data.controller import Block, Controller
-from loopshape.identify.interaction import interaction
-from loopshape.view.interaction import coefficients, interaction_page, relative_gains
-from loopshape.view.matrix import matrix_overview, matrix_page, settled
+from loopshape.data.control.controller import Block, Controller
+from loopshape.identify.matrix.interaction import interaction
+from loopshape.view.plots.interaction import coefficients, interaction_page, relative_gains
+from loopshape.view.plots.matrix import matrix_overview, matrix_page, settled
 from loopshape.view.style import png
 
 NAMES = ("theta1", "theta2")

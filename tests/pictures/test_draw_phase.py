@@ -8,12 +8,18 @@ import picture_nouns as nouns
 import pytest
 
 from loopshape.core.units import deg
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.view.curves import unwrapped_deg
-from loopshape.view.phase import continuous_deg, controller_phase_deg, known_lines, loop_phase_deg, plant_phase_deg
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.view.plots.curves import unwrapped_deg
+from loopshape.view.plots.phase import (
+    continuous_deg,
+    controller_phase_deg,
+    known_lines,
+    loop_phase_deg,
+    plant_phase_deg,
+)
 
 FLOOR = 0.02
 

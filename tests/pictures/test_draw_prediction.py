@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.prediction import Prediction, Step, StepComparison
-from loopshape.loop.indicators import indicators
-from loopshape.loop.prediction import compare, sensitivity_of
-from loopshape.view.prediction import comparison_grid, prediction_page, steps_grid
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.prediction import Prediction, Step, StepComparison
+from loopshape.loop.predict.indicators import indicators
+from loopshape.loop.predict.prediction import compare, sensitivity_of
 from loopshape.view.style import png
+from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
 
 GAIN = Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
 T = np.linspace(0.0, 2.0, 200)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loopshape.data.controller import Block, Controller
-from loopshape.design.schedule import PointCost, Schedule
-from loopshape.view.schedule import costs, distinct, ordered, parameter, schedule_page
+from loopshape.data.control.controller import Block, Controller
+from loopshape.toolbox.schedules.picture import costs, distinct, ordered, parameter, schedule_page
+from loopshape.toolbox.schedules.schedule import PointCost, Schedule
 from loopshape.view.style import png
 
 

@@ -5,9 +5,9 @@ import pytest
 from several_cases import frf_of, gain
 
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.requirements import SeveralRequirements
-from loopshape.loop.several import check_several, loop_matrices
-from loopshape.view.several import determinant, disk_margins, loci, several_page, singular_values, summary
+from loopshape.data.requirement.requirements import SeveralRequirements
+from loopshape.loop.matrix.several import check_several, loop_matrices
+from loopshape.view.verdict.several import determinant, disk_margins, loci, several_page, singular_values, summary
 
 F = np.geomspace(0.05, 50.0, 150)
 S = 1j * TWO_PI * F

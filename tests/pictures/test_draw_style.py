@@ -10,8 +10,7 @@ import picture_nouns as nouns
 import pytest
 from text_layout import looked_at, unreadable
 
-from loopshape.data.method import by_loop, in_short
-from loopshape.view import frequency
+from loopshape.data.response.method import by_loop, in_short
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import (
     decibel,
@@ -25,6 +24,7 @@ from loopshape.view.labels import (
     symbol,
     unit_of,
 )
+from loopshape.view.plots import frequency
 from loopshape.view.style import head, new_figure, png, shades
 
 

@@ -10,7 +10,9 @@ from matplotlib.contour import ContourSet
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import deg
-from loopshape.view import equilibria, fits, time
+from loopshape.toolbox.arm import equilibria_pictures as equilibria
+from loopshape.view.plots import fits
+from loopshape.view.verdict import time
 
 pytestmark = pytest.mark.short
 

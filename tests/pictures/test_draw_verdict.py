@@ -8,11 +8,11 @@ import picture_nouns as nouns
 import pytest
 from matplotlib.axes import Axes
 
-from loopshape.data.verdict import Verdict
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import point_outcome
-from loopshape.view import verdicts
-from loopshape.view.outcomes import MARKS
 from loopshape.view.style import figure_of
+from loopshape.view.verdict import verdicts
+from loopshape.view.verdict.outcomes import MARKS
 
 OUTCOMES = ("passed", "undecided", "failed")
 

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
-from loopshape.data.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
-from loopshape.view.gap_chain import chain, in_order, shares
-from loopshape.view.gap_distances import distances
-from loopshape.view.gap_report import errors, gap_figure, hypotheses, plainest, stretch, window
+from loopshape.toolbox.gap.nouns.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
+from loopshape.toolbox.gap.pictures.chain import chain, in_order, shares
+from loopshape.toolbox.gap.pictures.distances import distances
+from loopshape.toolbox.gap.pictures.report import errors, gap_figure, hypotheses, plainest, stretch, window
 from loopshape.view.style import png
 
 BLOCKS = ("valve", "supply", "controller", "sensor", "joint", "muscle", "body", "line", "gas")

@@ -9,8 +9,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.gap_table import GapRow, GapTable
-from loopshape.view.gap_table import gap_map
+from loopshape.toolbox.gap.nouns.gap_table import GapRow, GapTable
+from loopshape.toolbox.gap.pictures.table import gap_map
 from loopshape.view.style import figure_of, new_figure, png
 
 BANDS = ((0.464, 1.0), (1.0, 2.15), (2.15, 4.64))

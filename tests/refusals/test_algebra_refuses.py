@@ -23,9 +23,9 @@ from loopshape.data.algebra import (
     regrid,
     upper_closure,
 )  # fmt: skip
-from loopshape.data.control_frd import from_control, to_control
-from loopshape.data.controller import Block, Controller
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.control_frd import from_control, to_control
 from loopshape.loop.verdict import check
 
 RNG = np.random.default_rng(1)

@@ -4,11 +4,11 @@ import pytest
 from arm2_cases import ARM, MIDDLE, experiment, point
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.study import ExperimentTemplate, Study
-from loopshape.model import registry
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.rig.simulated import plan
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.study import ExperimentTemplate, Study
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig.simulated import plan
 
 NAN = float("nan")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, QUIET, experiment
 
-from loopshape.model.arm import closed_loop
-from loopshape.model.arm.closed_loop2 import range_left2
-from loopshape.model.arm.parameters import Sensors
+from loopshape.toolbox.arm.dynamics import closed_loop
+from loopshape.toolbox.arm.dynamics.closed_loop2 import range_left2
+from loopshape.toolbox.arm.parameters import Sensors
 
 #: limits that nothing reaches, to see what would have come
 FAR = {"range_angle1_deg": 90.0, "range_angle_deg": 90.0, "range_low_bar": 0.0, "range_high_bar": 100.0}

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from loopshape.data.controller import Block, Controller
-from loopshape.model.arm import closed_loop
-from loopshape.model.arm.parameters import Sensors
+from loopshape.data.control.controller import Block, Controller
+from loopshape.toolbox.arm.dynamics import closed_loop
+from loopshape.toolbox.arm.parameters import Sensors
 
 #: limits that nothing reaches, to see what would have come
 FAR = {"range_angle_deg": 90.0, "range_low_bar": 0.0, "range_high_bar": 100.0}

@@ -10,9 +10,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import frf_of, gain, limits, loop_of
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.model import TransferFunction
-from loopshape.design.bound import bound, excluded
-from loopshape.design.schedule import schedule
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.limits.bound import bound, excluded
+from loopshape.toolbox.schedules.schedule import schedule
 
 
 def test_a_plant_whose_integrators_are_not_known():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMITS, Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.response.frf import FRF
 from loopshape.loop.verdict import check
 
 WISHED = Requirements("axis", phase_margin_deg=30.0, integrators=1, unstable_poles=0)

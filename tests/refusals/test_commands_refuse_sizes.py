@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from loopshape.cli.output import Output
-from loopshape.cli.report import report
+from loopshape.cli.verify.report import report
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.io.check_files import LoopCheck, against
-from loopshape.io.verdicts import write_verdicts
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.io.write.check_files import LoopCheck, against
+from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.baseline import checked
 from loopshape.loop.verdict import check
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller, step
-from loopshape.data.experiment import LoopSetup
-from loopshape.io.controller_export import export_controllers
-from loopshape.io.controllers import read_controllers
-from loopshape.io.run_tables import loop_table, read_loop
+from loopshape.data.control.controller import Block, Controller, step
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.io.run.run_tables import loop_table, read_loop
 from loopshape.io.words import Words
+from loopshape.io.write.controllers import read_controllers
+from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 
 GAIN = Block("gain", {"gain": 1.0})
 SLOW = Block("low_pass_1", {"f_hz": 0.001})

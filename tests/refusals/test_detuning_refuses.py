@@ -6,10 +6,10 @@ import pytest
 from verdict_cases import checked, margins
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.detuning import Detuning, Lost, MovedResonance, Reach
-from loopshape.data.requirements import Requirements
-from loopshape.io.requirements import read_requirements
-from loopshape.io.verdicts import read_verdicts, write_verdicts
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
+from loopshape.io.write.requirements import read_requirements
+from loopshape.io.write.verdicts import read_verdicts, write_verdicts
 
 DETUNING = Detuning(
     up=Reach(1.5, False, "gain_margin_db", (1.2, 1.7)),

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from loopshape.cli.effects import draw_effects
 from loopshape.core.errors import WrongUseError
-from loopshape.data.study import ExperimentTemplate, Study
-from loopshape.model.servo_axis.axis import ServoAxis
-from loopshape.rig.effects import asked, catalogue, chosen, moves
-from loopshape.rig.simulated import plan
-from loopshape.verbs.machine import measure
+from loopshape.data.signal.study import ExperimentTemplate, Study
+from loopshape.toolbox.gap.commands.effects import draw_effects
+from loopshape.toolbox.rig.effects import asked, catalogue, chosen, moves
+from loopshape.toolbox.rig.simulated import plan
+from loopshape.toolbox.rig.verbs.machine import measure
+from loopshape.toolbox.servo.axis import ServoAxis
 
 POINT = {"theta2_deg": 0.0, "p_ab_bar": 1.0}
 

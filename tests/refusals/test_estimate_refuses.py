@@ -8,13 +8,13 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
 RATE, N = 100.0, 4000

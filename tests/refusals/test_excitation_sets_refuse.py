@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.excitation import BandNoise, Multisine, Prbs, Sweep
-from loopshape.data.excitation_sets import realised, together
-from loopshape.data.experiment import Experiment, LoopSetup
-from loopshape.data.study import ExperimentTemplate, expanded
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Sweep
+from loopshape.data.signal.excitation_sets import realised, together
+from loopshape.data.signal.experiment import Experiment, LoopSetup
+from loopshape.data.signal.study import ExperimentTemplate, expanded
 
 ONE = Multisine(0.5, 20.0, 4.0, 1.0)
 HISS = BandNoise(0.5, 20.0, 40.0, 1.0, seed=1)

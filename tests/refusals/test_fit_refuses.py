@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.frf import FRF
+from loopshape.data.response.frf import FRF
 from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
 from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder
 

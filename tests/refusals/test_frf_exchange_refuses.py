@@ -8,11 +8,11 @@ import pytest
 from scipy.io import savemat
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.control_frd import from_control
-from loopshape.data.frf import FRF
-from loopshape.io.frf_exchange import export_frfs, read_frf_file
-from loopshape.io.frf_foreign import Stated
-from loopshape.io.frf_uff import read_frf_uff
+from loopshape.data.response.control_frd import from_control
+from loopshape.data.response.frf import FRF
+from loopshape.toolbox.formats.frf.frf_exchange import export_frfs, read_frf_file
+from loopshape.toolbox.formats.frf.frf_foreign import Stated
+from loopshape.toolbox.formats.frf.frf_uff import read_frf_uff
 
 F = np.arange(1.0, 7.0)
 SURE = Stated(relative_std=0.1)
@@ -160,7 +160,7 @@ def test_universal_files_that_are_no_matrix(tmp_path):
 
 def test_universal_files_are_read_up_to_a_size_and_need_pyuff(tmp_path, monkeypatch):
     (path,), _ = export_frfs([frf(1, 1)], "uff", tmp_path)
-    monkeypatch.setattr("loopshape.io.frf_uff.LIMIT_BYTES", 100)
+    monkeypatch.setattr("loopshape.toolbox.formats.frf.frf_uff.LIMIT_BYTES", 100)
     no(path, "are read at most")
     monkeypatch.setitem(__import__("sys").modules, "pyuff", None)
     with pytest.raises(WrongUseError, match=r"the library pyuff.*pip install 'loopshape\[uff\]'"):

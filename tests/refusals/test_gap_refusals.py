@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from loopshape.cli.main import run as command
-from loopshape.data.excitation import Multisine
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.data.study import ExperimentTemplate, Study
-from loopshape.io.run_folder import write_run
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.effects import FORMS
-from loopshape.rig.simulated import header, measure
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.data.signal.study import ExperimentTemplate, Study
+from loopshape.io.run.run_folder import write_run
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.rig.simulated import header, measure
 
 POINT = {"theta2_deg": 0.0, "p_ab_bar": 1.0}
 
@@ -209,7 +209,9 @@ def test_numbers_that_are_none_leave_their_recording_out(good, tmp_path) -> None
     torn = np.array(good.recordings[0].column("p_a_bar"))
     torn[1000] = np.nan
     usable = replace(good, recordings=(*good.recordings, changed(good.recordings[0], "r03", p_a_bar=torn)))
-    from loopshape.diagnose.suitable import suitable  # a run folder with such a table is refused when it is read
+    from loopshape.toolbox.gap.recordings.suitable import (
+        suitable,  # a run folder with such a table is refused when it is read
+    )
 
     notes, kept = suitable(Arm1(), usable)
     assert [r.info.name for r in kept] == ["r01", "r02"]
@@ -229,7 +231,7 @@ def test_the_pwm_of_the_plant_holds_where_the_run_names_none(good, tmp_path) -> 
 
 def test_settings_that_a_run_states_are_no_gap(good) -> None:
     """A heavier body that the run states is the nominal one: the spread goes about it, not about the table's."""
-    from loopshape.diagnose.hypothesis import Hypothesis
+    from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 
     stated = replace(good, extra=dict(good.extra) | {"parameters": {"m2_kg": 1.0}})
     plant, _, _ = Arm1().readied(stated, ["r01"])

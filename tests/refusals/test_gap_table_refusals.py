@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.diagnose.nu_gap import nu_gap
-from loopshape.diagnose.table import compare
-from loopshape.diagnose.table_pairs import pair_recordings
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.two_runs.nu_gap import nu_gap
+from loopshape.toolbox.gap.two_runs.table import compare
+from loopshape.toolbox.gap.two_runs.table_pairs import pair_recordings
 
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
 INFO = RecordingInfo("one.parquet", "noise", "controller_input", excites="axis", operating_point={"y_rad": 0.0})

@@ -15,28 +15,28 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.campaign import Campaign
-from loopshape.data.channel import Channel
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment, LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.multisine import Multisine
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.campaigns import write_index
-from loopshape.io.csv_text import CsvShape, read_csv_table
-from loopshape.io.excitation_export import export_signals
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.channel import Channel
+from loopshape.data.signal.experiment import Experiment, LoopSetup
+from loopshape.data.signal.multisine import Multisine
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.io.files import read_toml, write_toml
-from loopshape.io.frfs import write_frfs
 from loopshape.io.held import alone
-from loopshape.io.journal import FILE as JOURNAL
-from loopshape.io.replacing import replace_run
-from loopshape.io.run_folder import add_recording, finished, start_run
-from loopshape.io.study import read_study
-from loopshape.io.verify import verify
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig import processes
-from loopshape.rig.many import carried_out
+from loopshape.io.read.csv_text import CsvShape, read_csv_table
+from loopshape.io.run.journal import FILE as JOURNAL
+from loopshape.io.run.replacing import replace_run
+from loopshape.io.run.run_folder import add_recording, finished, start_run
+from loopshape.io.run.verify import verify
+from loopshape.io.study.study import read_study
+from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.campaign import processes
+from loopshape.toolbox.campaign.files import write_index
+from loopshape.toolbox.campaign.machines import Campaign
+from loopshape.toolbox.campaign.many import carried_out
+from loopshape.toolbox.formats.controllers.excitation_export import export_signals
 
 RATE = 100.0
 STUDY = """
@@ -285,7 +285,7 @@ def test_however_a_campaign_ends_no_process_is_left_and_nothing_finished_is_lost
 
 DEAF = """
 import signal
-from loopshape.rig.processes import by_processes
+from loopshape.toolbox.campaign.processes import by_processes
 
 def deaf(job):
     blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
@@ -300,7 +300,7 @@ OVERLAP = """
 import sys, time
 from functools import partial
 from pathlib import Path
-from loopshape.rig.processes import by_processes
+from loopshape.toolbox.campaign.processes import by_processes
 
 def told_when_the_next_is_at_work(folder, job):
     (folder / str(job)).touch()

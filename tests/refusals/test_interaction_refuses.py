@@ -6,9 +6,9 @@ from interaction_nouns import F, coupled_by, matrix_frf
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.propagation import pick
-from loopshape.data.controller import Block, Controller
-from loopshape.identify.equivalent_plant import equivalent_plant
-from loopshape.identify.interaction import interaction, relative_gain
+from loopshape.data.control.controller import Block, Controller
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.identify.matrix.interaction import interaction, relative_gain
 
 FRF22 = matrix_frf(coupled_by(-30.0), error=0.01)
 TALL = matrix_frf(np.ones((F.size, 3, 2)), outputs=("a_m", "b_m", "c_m"))

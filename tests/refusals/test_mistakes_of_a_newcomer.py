@@ -9,11 +9,11 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.check_files import check_files
-from loopshape.io.frfs import write_frfs
-from loopshape.io.import_file import import_file
-from loopshape.io.machine import _function, _unpacked
 from loopshape.io.profiles import profile_of
+from loopshape.io.read.import_file import import_file
+from loopshape.io.write.check_files import check_files
+from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.gap.own.file import _function, _unpacked
 
 MAP = """format = "loopshape-map/1"
 rate_hz = 1000.0

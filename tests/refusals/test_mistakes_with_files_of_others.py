@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.cli.import_file import import_file as command
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.csv_text import CsvShape
-from loopshape.io.draft_map import draft_map
-from loopshape.io.frf_exchange import add_frfs
-from loopshape.io.import_file import import_file
-from loopshape.io.sources import Place, open_source
+from loopshape.io.read.csv_text import CsvShape
+from loopshape.io.read.import_file import import_file
+from loopshape.io.read.sources import Place, open_source
+from loopshape.toolbox.formats.commands.import_file import import_file as command
+from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
 N = 2000
 T = np.arange(N) / 500.0

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.block import BlockTemplate
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
 from loopshape.io.files import read_toml, write_text_whole
-from loopshape.io.frfs import read_frfs, write_frfs
+from loopshape.io.write.frfs import read_frfs, write_frfs
 from loopshape.loop.verdict import check
 
 

@@ -3,10 +3,10 @@
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.excitation import Multisine
-from loopshape.data.study import ExperimentTemplate, Study
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.simulated import plan
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.study import ExperimentTemplate, Study
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.simulated import plan
 
 
 def study(ramp_s, tail_s):

@@ -10,11 +10,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import known_loops as known
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.excitation import Multisine
-from loopshape.data.experiment import LoopSetup
-from loopshape.identify.plan import plan
-from loopshape.identify.plan_nouns import Required
-from loopshape.identify.plan_record import first_record
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.toolbox.planning.plan import plan
+from loopshape.toolbox.planning.plan_nouns import Required
+from loopshape.toolbox.planning.plan_record import first_record
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_wishes_beside_what_the_record_knows(record, words, sentence):
 def test_a_crossover_needs_a_controller_and_a_loop_that_crosses(record):
     from dataclasses import replace
 
-    from loopshape.data.controller import Block, Controller
+    from loopshape.data.control.controller import Block, Controller
 
     unknown = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
     with pytest.raises(WrongUseError, match="--at HZ"):

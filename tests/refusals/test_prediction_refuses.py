@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.prediction import INDICATORS, Indicators, Prediction, Step
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction, Step
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.sensitivity import estimate_sensitivity
-from loopshape.io.controllers import read_controllers
-from loopshape.io.predictions import read_predictions, write_predictions
-from loopshape.loop.prediction import compare, plant_behind, predict, sensitivity_of
-from loopshape.loop.remeasured import remeasure
-from loopshape.verbs.machine import blocks_of
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.predictions import read_predictions, write_predictions
+from loopshape.loop.predict.prediction import compare, plant_behind, predict, sensitivity_of
+from loopshape.loop.predict.remeasured import remeasure
+from loopshape.toolbox.rig.verbs.machine import blocks_of
 
 GAIN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 

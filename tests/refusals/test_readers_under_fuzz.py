@@ -20,29 +20,29 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.model import Estimate, Fit, TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.campaigns import read_campaign
-from loopshape.io.controllers import read_controllers, write_controllers
-from loopshape.io.csv_text import CsvShape
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Estimate, Fit, TransferFunction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.io.files import read_toml, write_text_whole
-from loopshape.io.fits import read_fits, write_fits
-from loopshape.io.frfs import read_frfs, write_frfs
-from loopshape.io.import_file import import_file
-from loopshape.io.journal import FILE as JOURNAL
-from loopshape.io.journal import note, read_journal
-from loopshape.io.run_folder import add_recording, check_recordings, finished, read_run, start_run
-from loopshape.io.sources import Place, open_source
-from loopshape.io.study import read_study
-from loopshape.io.tables import TableColumns
-from loopshape.io.verify import verify
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.rig.effects import asked
-from loopshape.rig.simulated import plan
+from loopshape.io.read.csv_text import CsvShape
+from loopshape.io.read.import_file import import_file
+from loopshape.io.read.sources import Place, open_source
+from loopshape.io.run.journal import FILE as JOURNAL
+from loopshape.io.run.journal import note, read_journal
+from loopshape.io.run.run_folder import add_recording, check_recordings, finished, read_run, start_run
+from loopshape.io.run.tables import TableColumns
+from loopshape.io.run.verify import verify
+from loopshape.io.study.study import read_study
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.fits import read_fits, write_fits
+from loopshape.io.write.frfs import read_frfs, write_frfs
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.campaign.files import read_campaign
+from loopshape.toolbox.rig.effects import asked
+from loopshape.toolbox.rig.simulated import plan
 
 pytestmark = pytest.mark.long
 
@@ -559,8 +559,8 @@ import resource, sys, warnings
 from pathlib import Path
 import numpy as np
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.csv_text import CsvShape
-from loopshape.io.sources import Place, open_source
+from loopshape.io.read.csv_text import CsvShape
+from loopshape.io.read.sources import Place, open_source
 warnings.simplefilter("ignore")
 resource.setrlimit(resource.RLIMIT_AS, (MOST, MOST))
 whole, folder, tries, refused = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), int(sys.argv[3]), 0

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import Experiment
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.servo.axis import ServoAxis
 
 
 def run_of(force, position, parameters=None, role="estimation"):

@@ -6,11 +6,11 @@ from several_cases import RATE_HZ, frf_of, gain
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Requirements, SeveralRequirements
-from loopshape.io.requirements import read_required
-from loopshape.loop.several import check_several
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.io.write.requirements import read_required
+from loopshape.loop.matrix.several import check_several
 
 F = np.geomspace(0.01, 100.0, 100)
 G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (4.0 / (TWO_PI * 1j * F))[:, None, None]

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.io.controllers import read_controllers, write_controllers
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
 from loopshape.io.files import (
     plain_name,
     read_json,
@@ -19,10 +18,11 @@ from loopshape.io.files import (
     write_toml,
     write_whole,
 )
-from loopshape.io.fits import read_fits, write_fits
-from loopshape.io.frfs import read_frfs, write_frfs
-from loopshape.io.requirements import read_requirements
-from loopshape.io.study import read_study
+from loopshape.io.study.study import read_study
+from loopshape.io.write.controllers import read_controllers, write_controllers
+from loopshape.io.write.fits import read_fits, write_fits
+from loopshape.io.write.frfs import read_frfs, write_frfs
+from loopshape.io.write.requirements import read_requirements
 
 
 def refused(read, path, text, *words, error=WrongUseError):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.run_folder import add_recording, check_recordings, read_run, start_run, write_run
-from loopshape.io.tables import TableColumns, check_rate, write_table
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run.run_folder import add_recording, check_recordings, read_run, start_run, write_run
+from loopshape.io.run.tables import TableColumns, check_rate, write_table
 
 HEAD = 'format = "loopshape-run/1"\nrate_hz = 100.0\n'
 LOOP = '[[loop]]\nname = "x"\ncontrol = "z_v"\noutput = "x_m"\n'

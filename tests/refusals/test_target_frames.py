@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from target_cases import Bench, built
 
-from loopshape.rig.frames import LONGEST_ENCODED, LONGEST_PAYLOAD, Frame, Receiver, stuffed
-from loopshape.rig.messages import Ask, Say, State
+from loopshape.toolbox.rig.target.frames import LONGEST_ENCODED, LONGEST_PAYLOAD, Frame, Receiver, stuffed
+from loopshape.toolbox.rig.target.messages import Ask, Say, State
 
 MUTATIONS = 100_000
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import RigError, WrongUseError
-from loopshape.io.study import read_study
-from loopshape.rig.described import DescribedRig
-from loopshape.rig.intake import Intake
-from loopshape.rig.link import open_link
-from loopshape.rig.messages import Identity, Samples
-from loopshape.rig.target import configuration
+from loopshape.io.study.study import read_study
+from loopshape.toolbox.rig.described import DescribedRig
+from loopshape.toolbox.rig.target.intake import Intake
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.messages import Identity, Samples
+from loopshape.toolbox.rig.target.target import configuration
 
 STUDY = """
 format = "loopshape-study/1"

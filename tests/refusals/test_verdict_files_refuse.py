@@ -7,7 +7,7 @@ from verdict_cases import checked, line, margins
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
 from loopshape.io.files import read_json
-from loopshape.io.verdicts import read_verdicts, write_verdicts
+from loopshape.io.write.verdicts import read_verdicts, write_verdicts
 
 
 @pytest.fixture

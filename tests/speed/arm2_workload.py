@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.equilibrium2 import rest2
-from loopshape.model.arm.parameters import P_IN
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.arm.dynamics.equilibrium2 import rest2
+from loopshape.toolbox.arm.parameters import P_IN
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
 
 SECONDS = 100.0
 

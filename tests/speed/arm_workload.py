@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.data.experiment import Experiment
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants
 
 SECONDS = 100.0
 

@@ -33,10 +33,10 @@ CAMPAIGN = 'format = "loopshape-campaign/1"\nstudy = "study.toml"\ndraws = {draw
 BARE = """
 import sys, time
 from pathlib import Path
-from loopshape.io.study import read_study
+from loopshape.io.study.study import read_study
 from loopshape.model import registry
-from loopshape.rig.many import Job, done
-from loopshape.rig.simulated import listed
+from loopshape.toolbox.campaign.many import Job, done
+from loopshape.toolbox.rig.simulated import listed
 study = read_study(Path(sys.argv[1]))
 plant = registry.plant(study.plant)
 job = Job("one", study, listed(study, plant)[0], {})

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import csd
 
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.identify.local import by_local_fits
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.identify.local.local import by_local_fits
 from loopshape.identify.settings import Settings
-from loopshape.identify.welch import by_welch
+from loopshape.identify.spectra.welch import by_welch
 
 RATE, MINUTES, LENGTH, STEP = 1000.0, 20, 20_000, 5_000
 

@@ -13,8 +13,8 @@ import numba
 import numpy as np
 from arm_workload import biquads, references, start
 
-from loopshape.model.arm.model import HELD, moving
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.dynamics.model import HELD, moving
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
 HERE = Path(__file__).parent
 PLAIN = ("-O3", "-std=c99")

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core import stretches
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.run_folder import check_recordings, read_run, write_run
+from loopshape.io.run.run_folder import check_recordings, read_run, write_run
 
 RATE_HZ, ROWS, LENGTH, STEP = 10_000.0, 9_000_000, 200_000, 50_000
 COLUMNS = ("n_v", "z_v", "y_m")

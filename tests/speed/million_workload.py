@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 
 import loopshape as ls
-from loopshape.data.block import Block
-from loopshape.data.controller import Controller
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frf_exchange import add_frfs
+from loopshape.data.control.block import Block
+from loopshape.data.control.controller import Controller
+from loopshape.io.write.controllers import write_controllers
+from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
 FREQUENCIES = 1_000_000
 REQUIREMENTS = (
     'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis"\nunstable_poles = 0\nphase_margin_deg = 40.0\n'
 )
-READING = "import sys; from pathlib import Path; from loopshape.io.frfs import read_frfs; read_frfs(Path(sys.argv[1]))"
+READING = (
+    "import sys; from pathlib import Path; from loopshape.io.write.frfs import read_frfs; read_frfs(Path(sys.argv[1]))"
+)
 
 
 def written(folder: Path) -> list[str]:

@@ -79,9 +79,9 @@ def c_arm(folder: Path) -> Callable[[], object]:
 def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     """Our kernel on the same workload, one call, no Python inside; with parameters moved."""
     from loopshape.core.kernels.noise import start_state
-    from loopshape.model.arm import closed_loop as kernel
-    from loopshape.model.arm import memory
-    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
+    from loopshape.toolbox.arm.dynamics import closed_loop as kernel
+    from loopshape.toolbox.arm.dynamics import memory
+    from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
 
     vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0} | (moves or {}))
     c, sensors = constants(vector), sensor_constants(vector)
@@ -135,9 +135,9 @@ def our_arm2() -> Callable[[], object]:
     import arm2_workload as work
 
     from loopshape.core.kernels.noise import start_state
-    from loopshape.model.arm import closed_loop2 as kernel
-    from loopshape.model.arm.closed_loop import COMPLETE, CONTROLLER_INPUT, plain_wiring
-    from loopshape.model.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
+    from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
+    from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROLLER_INPUT, plain_wiring
+    from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
 
     vector = ARM2_PARAMETERS.vector()
     c, sensors = constants2(vector), sensor_constants2(vector)
@@ -168,7 +168,7 @@ def lanes() -> None:
 
 def batch(threads: int) -> Callable[[], object]:
     """Eight arms through the plant, recordings and all."""
-    from loopshape.model.arm.arm1 import Arm1
+    from loopshape.toolbox.arm.arm1 import Arm1
 
     plant, todo = Arm1(), experiments(8)
     return lambda: plant.simulate(todo, threads=threads)
@@ -177,9 +177,9 @@ def batch(threads: int) -> Callable[[], object]:
 def solve_ivp_arm(seconds: float) -> Callable[[], object]:
     """scipy's solve_ivp (RK45, rtol 1e-6) on the same closed loop, noise off, restarted at each tick and edge."""
     from loopshape.core.kernels import biquads as cascade
-    from loopshape.core.kernels.pwm import pulse_s
-    from loopshape.model.arm.model import derivatives
-    from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+    from loopshape.toolbox.arm.dynamics.model import derivatives
+    from loopshape.toolbox.arm.dynamics.pwm import pulse_s
+    from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
     c, r, sections = constants(ARM1_PARAMETERS.vector()), references(seconds), biquads()
 
@@ -210,7 +210,7 @@ def first_call(cached: bool) -> float:
     """Seconds from starting Python to the end of a first short simulation, with a filled or an empty cache."""
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from arm_workload import experiments;"
-        "from loopshape.model.arm.arm1 import Arm1; Arm1().simulate(experiments(1, 1.0))"
+        "from loopshape.toolbox.arm.arm1 import Arm1; Arm1().simulate(experiments(1, 1.0))"
     )
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | ({} if cached else {"NUMBA_CACHE_DIR": folder})

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from million_workload import spent
 
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.io.run_folder import write_run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.io.run.run_folder import write_run
 
 ROWS = 3_000_000
 MAP = """

@@ -15,7 +15,7 @@ import shaped_cases
 from firefox import firefox
 
 import loopshape as ls
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.verbs.shaping import page_of, shaped
 
 POINTS, LINES, MOVES, FRAME_MS = 24, 500, 150, 16

@@ -16,16 +16,16 @@ from scipy.optimize import differential_evolution, dual_annealing
 from tune_workload import frfs, requirements
 
 from loopshape.core.units import angular, db, deg
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.design.measures import measure
-from loopshape.design.problem import Problem, problem
-from loopshape.loop.reading import Reader
-from loopshape.loop.stability import count_unstable
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.design.problem.measures import measure
+from loopshape.design.problem.problem import Problem, problem
+from loopshape.loop.margin.reading import Reader
+from loopshape.loop.stability.stability import count_unstable
 from loopshape.loop.verdict import loops_of
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 
 PENALTY = 20.0
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from loopshape.core.units import angular
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
-from loopshape.model.arm.linear import linearise
-from loopshape.model.arm.parameters import ARM1_PARAMETERS, constants
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 
 def frfs(lines: int) -> list[FRF]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.data.block import BlockTemplate
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
 
 RATE_HZ = 20000.0
 TWO_PI = 2.0 * np.pi

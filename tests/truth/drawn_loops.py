@@ -3,11 +3,11 @@
 import numpy as np
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.identify.smoothing import smoothed
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.identify.smooth.smoothing import smoothed
 
 RATE = 1e5
 LINES = 0.1 * np.arange(1, 601)

@@ -1,6 +1,6 @@
 """Linear loops whose discrete plant is known, run exactly as difference equations; for the estimators' tests.
 
-Signals and signs as drawn in `loopshape.data.loop`: n enters at the controller's input or at the plant's input, v is
+Signals and signs as drawn in `loopshape.data.control.loop`: n enters at the controller's input or at the plant's input, v is
 noise on the sensor. Everything may be (records, n): the last axis is time.
 """
 
@@ -8,9 +8,9 @@ import numpy as np
 from scipy.signal import freqz, lfilter
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 
 RATE = 100.0

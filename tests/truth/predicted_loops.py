@@ -8,12 +8,12 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.algebra import feedback
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.prediction import Prediction
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.result.prediction import Prediction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 
 RATE_HZ = 1000.0
 OLD = Controller("a", (Block("gain", {"gain": 0.5}),), RATE_HZ)

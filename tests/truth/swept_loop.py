@@ -10,10 +10,10 @@ from scipy.signal import cont2discrete, csd, freqz, lfilter
 from scipy.stats import f as f_distribution
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.response.frf import FRF
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 
 LOW, HIGH = 0.5, 80.0
 Truth = Callable[[Array, float], ComplexArray]

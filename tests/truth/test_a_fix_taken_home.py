@@ -11,14 +11,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from loopshape.data.effect import Unsaid, fix_of
-from loopshape.data.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port
 from loopshape.io.files import write_beside
-from loopshape.model.own.catalogue import PortScale, Scales, forms
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.fix import in_files
-from loopshape.model.own.kinds import with_kinds
-from loopshape.model.own.signals import actuated, sensed
+from loopshape.toolbox.gap.mechanism.fix import in_files
+from loopshape.toolbox.gap.nouns.effect import Unsaid, fix_of
+from loopshape.toolbox.gap.nouns.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port
+from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.kinds import with_kinds
+from loopshape.toolbox.gap.own.signals import actuated, sensed
 
 STEP_S, ROWS, HOLD = 0.0005, 2400, 20
 TIMES = STEP_S * np.arange(ROWS)
@@ -69,7 +69,7 @@ def mechanism(text=None, kinds=()):
 
 @cache
 def machine_of(m):
-    from loopshape.model.own.mechanism import machine
+    from loopshape.toolbox.gap.mechanism.mechanism import machine
 
     return with_kinds(machine(m), m.kinds)
 

@@ -9,11 +9,11 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.machine import Kind, ModelParameter
-from loopshape.io.machine import read_model
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.kinds import with_kinds
-from loopshape.model.own.mechanism import machine
+from loopshape.toolbox.gap.mechanism.mechanism import machine
+from loopshape.toolbox.gap.nouns.machine import Kind, ModelParameter
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.file import read_model
+from loopshape.toolbox.gap.own.kinds import with_kinds
 
 CODE = '''import numpy as np
 

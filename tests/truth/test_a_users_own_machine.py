@@ -11,16 +11,16 @@ from scipy.integrate import solve_ivp
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.machine import Input, Model, ModelParameter, Output
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.diagnose.next_recording import repeat, separation
-from loopshape.model.own import kernel
-from loopshape.model.own.catalogue import PortScale, Scales, forms
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.following import explained, simulated
-from loopshape.model.own.plant import OwnMachine
-from loopshape.model.own.signals import delayed, lagged
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output
+from loopshape.toolbox.gap.own import kernel
+from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.following import explained, simulated
+from loopshape.toolbox.gap.own.plant import OwnMachine
+from loopshape.toolbox.gap.own.signals import delayed, lagged
+from loopshape.toolbox.gap.recordings.next_recording import repeat, separation
 
 
 @cache

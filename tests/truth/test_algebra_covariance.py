@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
 from algebra_nouns import any_frf, covariance_of, drawn
 
 from loopshape.data.algebra import add, feedback, inverse, lower_closure, product, subtract, upper_closure
-from loopshape.data.controller import Block, Controller
+from loopshape.data.control.controller import Block, Controller
 
 COUNT, F = 20_000, np.array([1.0, 2.0])
 Y, U = ("y0", "y1"), ("u0", "u1", "u2")

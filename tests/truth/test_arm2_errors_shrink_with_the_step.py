@@ -7,8 +7,8 @@ import pytest
 from arm2_cases import numbers, open_loop
 from scipy.integrate import solve_ivp
 
-from loopshape.model.arm.equilibrium2 import rest2
-from loopshape.model.arm.model2 import derivatives2
+from loopshape.toolbox.arm.dynamics.equilibrium2 import rest2
+from loopshape.toolbox.arm.dynamics.model2 import derivatives2
 
 C = numbers()
 START = rest2(C, 2.0, 5.0, 0.5, 0.45, 0.9e5)  # p_c far from p_in and above all muscles: no flow reverses

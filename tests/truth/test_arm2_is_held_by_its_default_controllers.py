@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment
 
-from loopshape.model.arm.parameters2 import ARM2_PARAMETERS
+from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS
 
 POINTS = [
     MIDDLE, (0.0, 0.0, 0.5, 0.5), (0.0, 0.0, 0.3, 0.3), (0.0, 10.0, 0.4, 0.4), (0.0, -10.0, 0.4, 0.4),

@@ -7,9 +7,9 @@ import pytest
 from arm2_cases import experiment
 
 import loopshape as ls
-from loopshape.data.experiment import LoopSetup
-from loopshape.model.arm.arm2 import Arm2
-from loopshape.model.arm.strategies2 import DUAL, PAIRS
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.arm.strategies2 import DUAL, PAIRS
 
 START = (2.0, 3.0, 0.45, 0.4)
 MIX = np.array([[1.0, 0.1, 0.0, 0.3], [-0.2, 0.9, 0.4, 0.0], [0.0, 0.5, 1.1, -0.1], [0.6, 0.0, 0.2, 1.0]])

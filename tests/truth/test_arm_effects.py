@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from loopshape.model.arm import effect_parameters as e
-from loopshape.model.arm import memory, model, valves
-from loopshape.model.arm import parameters as k
-from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.parameters import ARM1_PARAMETERS
+from loopshape.toolbox.arm import parameters as k
+from loopshape.toolbox.arm.dynamics import memory, model, valves
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
+from loopshape.toolbox.arm.effect import effect_parameters as e
+from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 
 #: an arm that nothing moves: muscles without stiffness and damping, and no gravity
 LIMP = {"stiffness_k0": 0.0, "stiffness_k1": 0.0, "stiffness_k2": 0.0, "damping_ns_m": 0.0, "damping_per_bar_ns_m": 0.0}

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from loopshape.model.arm.closed_loop import EDGES, GRID
-from loopshape.model.arm.equilibrium import rest
-from loopshape.model.arm.model import derivatives
+from loopshape.toolbox.arm.dynamics.closed_loop import EDGES, GRID
+from loopshape.toolbox.arm.dynamics.equilibrium import rest
+from loopshape.toolbox.arm.dynamics.model import derivatives
 
 SCALE = np.array([1e5, 1e5, 1e5, 1.0, 1.0])  # bar, rad, rad/s
 SUB_STEPS = (1, 2, 4, 8)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loopshape.model.arm.equilibrium import pressures
-from loopshape.model.arm.source import EQUILIBRIA
+from loopshape.toolbox.arm.dynamics.equilibrium import pressures
+from loopshape.toolbox.arm.source import EQUILIBRIA
 
 #: here one muscle needs 1.13 to 1.16 bar, and the supply has 1.0
 ABOVE_SUPPLY = {(-30.0, 1.4), (30.0, 1.4), (-15.0, 1.6), (15.0, 1.6)}

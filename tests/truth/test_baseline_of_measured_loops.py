@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
 from loopshape.loop.baseline import checked, compare
 from loopshape.loop.verdict import check
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMITS
-from loopshape.io.check_files import Baseline
+from loopshape.data.requirement.requirements import LIMITS
+from loopshape.data.response.frf import FRF
+from loopshape.io.write.check_files import Baseline
 from loopshape.loop.baseline import bridge, compare, data_mark, same_controller
 
 HALF = 2.0

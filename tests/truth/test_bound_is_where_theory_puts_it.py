@@ -10,10 +10,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import limits, loop_of
 
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.model import TransferFunction
-from loopshape.design.bound import excluded
-from loopshape.design.bound_nodes import weights
-from loopshape.design.bound_reach import reach
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.limits.bound import excluded
+from loopshape.toolbox.limits.bound_nodes import weights
+from loopshape.toolbox.limits.bound_reach import reach
 
 
 @pytest.mark.long

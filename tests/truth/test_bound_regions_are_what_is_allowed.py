@@ -10,9 +10,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import gain, limits, loop_of
 
 from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.model import TransferFunction
-from loopshape.design.bound_nodes import nodes
-from loopshape.design.bound_regions import regions
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.limits.bound_nodes import nodes
+from loopshape.toolbox.limits.bound_regions import regions
 
 GRID = 401
 ASKED = {
@@ -51,7 +51,7 @@ def allowed(C, Ps, asked, crossing):
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("unstable", [0, 1])  # chooses the parameter: CS itself, or that about a controller
 def test_support_is_that_of_what_is_allowed(what, several, unstable, monkeypatch):
-    monkeypatch.setattr("loopshape.design.bound_nodes.closed_loop_stability", lambda loop: Stable)
+    monkeypatch.setattr("loopshape.toolbox.limits.bound_nodes.closed_loop_stability", lambda loop: Stable)
     models = [plant(2.0, 5.0), plant(0.9, 6.0), plant(4.0, 4.5)][: 3 if several else 1]
     loops = [loop_of(m, gain(1.5), 1, unstable, name=str(n), lines=2000) for n, m in enumerate(models)]
     asked = limits(**ASKED[what])

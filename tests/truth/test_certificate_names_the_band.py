@@ -5,8 +5,8 @@ import pytest
 from drawn_loops import LINES, PLANTS, frf_of, limit_gain, loop_of
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.loop import Loop
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.loop import Loop
+from loopshape.loop.stability.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]
 

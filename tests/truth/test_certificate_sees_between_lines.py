@@ -7,12 +7,12 @@ import pytest
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, with_mode
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block
-from loopshape.data.model import TransferFunction
-from loopshape.loop.between import path_of
-from loopshape.loop.obstacles import obstacles, sampling
-from loopshape.loop.sampling import hidden_poles, roughness
-from loopshape.loop.stability import closed_loop_stability, count_unstable
+from loopshape.data.control.controller import Block
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.margin.between import path_of
+from loopshape.loop.stability.obstacles import obstacles, sampling
+from loopshape.loop.stability.sampling import hidden_poles, roughness
+from loopshape.loop.stability.stability import closed_loop_stability, count_unstable
 
 PLANT = PLANTS["one integrator"]
 GAP = 0.1

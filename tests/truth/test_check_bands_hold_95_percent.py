@@ -5,10 +5,10 @@ import pytest
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, ComplexArray, db, deg
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.identify.smoothing import smoothed
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.bands import PLACES, band, circular_places
 
 RATE, RUNS = 1000.0, 400

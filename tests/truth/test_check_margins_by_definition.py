@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI, from_db, rad
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.loop.margins import margins
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.margin.margins import margins
 
 RATE = 1000.0
 F = np.geomspace(0.02, 400.0, 6000)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.stability.stability import closed_loop_stability
 
 
 def under_gain(gain):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.requirements import Requirements
-from loopshape.identify.equivalent_plant import equivalent_plant
-from loopshape.identify.quality import stayed_bounded
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.identify.quality.quality import stayed_bounded
 from loopshape.loop.verdict import check, loops_of
 
 RATE = 20_000.0

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational, ThirdOrder
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.loop.margins import margins
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check, loops_of
 
 RATE = 1000.0

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import loopshape as ls
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "flow"))
 import small_gap_run

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from detuned_plants import TWO_MODES, Mode, closed, controller_with, frf_of, polynomials, true_reach
 
-from loopshape.data.detuning import STABILITY
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict_words import verdict_text
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.result.detuning import STABILITY
+from loopshape.data.result.verdict_words import verdict_text
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.resonances import Phase, resonances
-from loopshape.io.controllers import read_controllers
-from loopshape.io.import_file import import_file
-from loopshape.io.requirements import read_requirements
+from loopshape.identify.smooth.resonances import Phase, resonances
+from loopshape.io.read.import_file import import_file
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check
 
 BENCH = Path(__file__).resolve().parents[2] / "examples" / "motor_bench"

@@ -7,7 +7,7 @@ import pytest
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular
-from loopshape.loop.diagram_run import simulate, states
+from loopshape.toolbox.diagrams.diagram_run import simulate, states
 
 RATE = 2000.0
 F = np.geomspace(0.05, 800.0, 120)

@@ -15,18 +15,18 @@ from scipy.integrate import solve_ivp
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.gap_report import BudgetPart, BudgetStep
-from loopshape.data.machine import Input, Model, ModelParameter, Output, Port
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.diagnose.diagnose import Attribution
-from loopshape.diagnose.next_recording import SHARES, repeat
-from loopshape.diagnose.suitable import suitable
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.io.files import write_json
-from loopshape.io.run_folder import read_run, write_run
+from loopshape.io.run.run_folder import read_run, write_run
 from loopshape.io.seen import noting
-from loopshape.model.own.composed import Composed
-from loopshape.model.own.plant import OwnMachine
+from loopshape.toolbox.gap.diagnose.diagnose import Attribution
+from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, BudgetStep
+from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
+from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.plant import OwnMachine
+from loopshape.toolbox.gap.recordings.next_recording import SHARES, repeat
+from loopshape.toolbox.gap.recordings.suitable import suitable
 
 DEG = 180.0 / np.pi
 
@@ -236,7 +236,7 @@ def test_a_model_file_that_is_touched_meanwhile_does_not_lose_the_answer(tmp_pat
         os.utime(model, ns=(1, 1))
         return Answer(["as before"])
 
-    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", touched)
+    monkeypatch.setattr("loopshape.toolbox.gap.diagnose.diagnose.diagnose", touched)
     with noting():
         found = ls.gap(run, model=model)
         write_json(tmp_path / "answer.json", found.notes)
@@ -254,7 +254,7 @@ def test_a_recording_that_changes_meanwhile_still_loses_the_answer(tmp_path, mon
         os.utime(tmp_path / "run" / "run.toml", ns=(1, 1))
         return Answer()
 
-    monkeypatch.setattr("loopshape.diagnose.diagnose.diagnose", touched)
+    monkeypatch.setattr("loopshape.toolbox.gap.diagnose.diagnose.diagnose", touched)
     with noting():
         ls.gap(read_run(tmp_path / "run"), model=servo_model())
         with pytest.raises(ls.LoopshapeError, match="changed by another process"):
@@ -262,7 +262,7 @@ def test_a_recording_that_changes_meanwhile_still_loses_the_answer(tmp_path, mon
 
 
 def test_model_toml_says_what_schedules_and_where_a_zero_is(tmp_path):
-    from loopshape.io.machine import read_model
+    from loopshape.toolbox.gap.own.file import read_model
 
     own = read_model(model_folder(tmp_path))
     assert [i.schedules for i in own.inputs] == [False, True]

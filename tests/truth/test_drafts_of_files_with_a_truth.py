@@ -5,8 +5,8 @@ import pytest
 from scipy.io import savemat
 from scipy.signal import chirp, lfilter
 
-from loopshape.io.draft_map import draft_map
-from loopshape.io.draft_roles import find_roles
+from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.drafts.draft_roles import find_roles
 
 N = 6000
 MODE = ((0.0, 0.002, 0.0019), (1.0, -1.93, 0.94))

@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.verdict_words import found_text, wished_text
+from loopshape.data.result.verdict_words import found_text, wished_text
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.disturbance import powers
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs
-from loopshape.io.run_folder import write_run
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs
 
 RATE, N = 200.0, 8192
 NUM, DEN = np.array([0.0, 0.02]), np.poly([0.98, 0.93 * np.exp(0.5j), 0.93 * np.exp(-0.5j)]).real  # resonance, 16 Hz

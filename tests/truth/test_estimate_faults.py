@@ -7,12 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from loopshape.core.errors import BadSignalError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.identify.faults import saturated, spikes, stuck
-from loopshape.identify.quality import faults
-from loopshape.io.import_file import import_file
-from loopshape.io.run_folder import check_recordings
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.identify.quality.faults import saturated, spikes, stuck
+from loopshape.identify.quality.quality import faults
+from loopshape.io.read.import_file import import_file
+from loopshape.io.run.run_folder import check_recordings
 
 RATE = 1000.0
 N = 20_000

@@ -9,8 +9,8 @@ from known_loops import CONTROLLER, LOOP, RATE, estimates, plant, record, run_lo
 from scipy.signal import butter, chirp, lfilter, sosfilt
 
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.controller import Block
-from loopshape.data.recording import Recording
+from loopshape.data.control.controller import Block
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 

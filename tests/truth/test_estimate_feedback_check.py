@@ -6,9 +6,9 @@ from known_loops import RATE, A, B, record, run_loop
 from scipy.signal import firwin, lfilter
 
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.identify.feedback_check import feedback_check, repeats
-from loopshape.identify.quality import loop_feedback, open_loop_note
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.identify.quality.feedback_check import feedback_check, repeats
+from loopshape.identify.quality.quality import loop_feedback, open_loop_note
 
 N = 2000
 LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", None)

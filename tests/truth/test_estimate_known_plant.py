@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from known_loops import LOOP, RATE, estimates, plant, record, run_loop
 
-from loopshape.data.excitation import BandNoise, Multisine, Sweep
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loopshape.data.excitation import BandNoise, Multisine
-from loopshape.data.excitation_sets import orthogonal, realised, together, turns
-from loopshape.data.study import ExperimentTemplate, expanded
+from loopshape.data.signal.excitation import BandNoise, Multisine
+from loopshape.data.signal.excitation_sets import orthogonal, realised, together, turns
+from loopshape.data.signal.study import ExperimentTemplate, expanded
 
 RATE_HZ = 500.0
 PERIOD = 2000  # samples of 4 s

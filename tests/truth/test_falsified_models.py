@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
-from loopshape.model.own.plant import OwnMachine
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.own.plant import OwnMachine
 
 STUDY = Path(__file__).parents[2] / "experiments" / "falsified"
 SHOWN = 1.25  # of what the honest model leaves: below it the recordings hardly show what was falsified

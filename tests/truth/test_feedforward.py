@@ -12,14 +12,14 @@ from typer.testing import CliRunner
 import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import WrongUseError
-from loopshape.data.excitation import Profile
-from loopshape.data.experiment import Experiment
-from loopshape.data.verdict import Outcome
-from loopshape.io.controllers import write_controllers
-from loopshape.io.frfs import write_frfs
-from loopshape.io.run_folder import write_run
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.verbs.tracking import setpoint_of
+from loopshape.data.result.verdict import Outcome
+from loopshape.data.signal.excitation import Profile
+from loopshape.data.signal.experiment import Experiment
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.write.controllers import write_controllers
+from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.learning.verbs import setpoint_of
 
 RATE = 500.0
 F_HZ = np.geomspace(0.1, 100.0, 200)

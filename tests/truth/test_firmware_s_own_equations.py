@@ -5,11 +5,17 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from loopshape.cli.export import export_controller, firmware
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.controller import step
-from loopshape.io.drives import controller_of_parameters, drive_parameters, drive_text
-from loopshape.io.firmware import controller_of, left_out, parameters_of, read_parameters, with_notches
+from loopshape.data.control.controller import step
+from loopshape.toolbox.formats.commands.export import export_controller, firmware
+from loopshape.toolbox.formats.controllers.drives import controller_of_parameters, drive_parameters, drive_text
+from loopshape.toolbox.formats.controllers.firmware import (
+    controller_of,
+    left_out,
+    parameters_of,
+    read_parameters,
+    with_notches,
+)
 
 RATE_HZ = 1000.0
 T = 1.0 / RATE_HZ

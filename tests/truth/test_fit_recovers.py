@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
 from loopshape.identify.fit.least_squares import Data, residual_tests, runs_test
 from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder, levy

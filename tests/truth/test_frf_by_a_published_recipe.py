@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.core.errors import WrongUseError
-from loopshape.data.run import Run
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import WINDOWS, Settings
-from loopshape.io.frfs import read_frfs
-from loopshape.io.run_folder import write_run
+from loopshape.io.run.run_folder import write_run
+from loopshape.io.write.frfs import read_frfs
 
 N = 4000
 

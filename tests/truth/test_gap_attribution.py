@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from examiner import make_run
 
-from loopshape.diagnose import attribute, decide, fitting, shrink
-from loopshape.diagnose.diagnose import attribute_effect
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.hypothesis import Hypothesis
-from loopshape.model.arm.arm1 import Arm1
-from loopshape.model.arm.effects import FORMS
+from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.gap.diagnose import attribute, decide, fitting, shrink
+from loopshape.toolbox.gap.diagnose.diagnose import attribute_effect
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 
 CATALOGUE = ("payload", "gas_law", "joint_friction", "valve_delay", "angle_sensor_lag")
 

@@ -10,14 +10,14 @@ from scipy.integrate import solve_ivp
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.effect import fix_of
-from loopshape.data.machine import Mechanism
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.model.own import mapping
-from loopshape.model.own.fix import in_files
-from loopshape.model.own.mechanism import machine
-from loopshape.model.own.plant import OwnMachine
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.mechanism.fix import in_files
+from loopshape.toolbox.gap.mechanism.mechanism import machine
+from loopshape.toolbox.gap.nouns.effect import fix_of
+from loopshape.toolbox.gap.nouns.machine import Mechanism
+from loopshape.toolbox.gap.own import mapping
+from loopshape.toolbox.gap.own.plant import OwnMachine
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 

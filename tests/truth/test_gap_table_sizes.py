@@ -7,11 +7,11 @@ import known_loops as known
 import numpy as np
 import pytest
 
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.diagnose.table import compare
-from loopshape.diagnose.table_paths import bands_hz
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.two_runs.table import compare
+from loopshape.toolbox.gap.two_runs.table_paths import bands_hz
 
 SAMPLES = 12_000
 PERIOD_S = 10.0

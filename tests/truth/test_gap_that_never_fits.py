@@ -12,14 +12,14 @@ from own_machine import MODEL, RATE_HZ, STEP_RAD, recorded, run_of
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.gap_report import BudgetPart, missing_csv
-from loopshape.data.run import Run
-from loopshape.diagnose import attribute
-from loopshape.diagnose.ceiling import nameless
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.suitable import comparable
-from loopshape.diagnose.windows import against
-from loopshape.model.own.plant import OwnMachine
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.diagnose import attribute
+from loopshape.toolbox.gap.diagnose.ceiling import nameless
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.windows import against
+from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, missing_csv
+from loopshape.toolbox.gap.own.plant import OwnMachine
+from loopshape.toolbox.gap.recordings.suitable import comparable
 
 
 def missing(run):

@@ -10,11 +10,11 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import series_response
-from loopshape.design.contained import neutral
+from loopshape.data.control.controller import series_response
 from loopshape.design.growth import Stage
-from loopshape.design.measures import measure
-from loopshape.design.rows import DIP
+from loopshape.design.problem.measures import measure
+from loopshape.design.problem.rows import DIP
+from loopshape.design.search.contained import neutral
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check
 
@@ -113,7 +113,7 @@ def test_a_complex_lead_of_damping_one_is_two_leads():
 
 
 def test_growth_of_several_loops_at_once_is_refused(tmp_path):
-    from loopshape.cli.tune import refuse_growth
+    from loopshape.cli.design.tune import refuse_growth
 
     refuse_growth(0)
     with pytest.raises(WrongUseError, match="one loop at a time"):

@@ -5,9 +5,9 @@ import pytest
 from h1_h2 import h1_h2
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.excitation import BandNoise
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.signal.excitation import BandNoise
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
-from loopshape.data.frf import FRF
-from loopshape.identify.decoupling import octaves
-from loopshape.identify.interaction import interaction
+from loopshape.data.response.frf import FRF
+from loopshape.identify.matrix.decoupling import octaves
+from loopshape.identify.matrix.interaction import interaction
 
 WIDE = ((0.1, 8.0),)
 

@@ -8,10 +8,10 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import RecordingInfo
-from loopshape.data.verdict import Outcome
-from loopshape.verbs.tracking import setpoint_of
+from loopshape.data.result.verdict import Outcome
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import RecordingInfo
+from loopshape.toolbox.learning.verbs import setpoint_of
 
 RATE = 500.0
 NUM = np.array([0.0, 0.0, 0.0, 4e-4])

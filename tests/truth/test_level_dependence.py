@@ -8,10 +8,10 @@ import pytest
 from level_machine import HZ, run_of
 
 import loopshape as ls
-from loopshape.data.level_dependence import Bend
-from loopshape.diagnose.levels import level_dependences
-from loopshape.diagnose.table import compare
-from loopshape.identify.resonances import resonances
+from loopshape.data.response.level_dependence import Bend
+from loopshape.identify.smooth.resonances import resonances
+from loopshape.toolbox.gap.two_runs.levels import level_dependences
+from loopshape.toolbox.gap.two_runs.table import compare
 
 LEVELS = (1.0, 4.0)
 

@@ -10,12 +10,12 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import TWO_PI
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.local_fits import Window, fit_lines, predicted
-from loopshape.identify.matrix import estimate_matrix
+from loopshape.identify.local.local_fits import Window, fit_lines, predicted
+from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
 
 RATE, LOCAL = known.RATE, Settings(method="local")

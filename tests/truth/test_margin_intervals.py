@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.identify.smoothing import smoothed
-from loopshape.loop.margins import margins
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
 
 RATE = 1000.0

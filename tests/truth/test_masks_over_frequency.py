@@ -13,9 +13,9 @@ import pytest
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular, db
-from loopshape.data.controller import Block, Controller
-from loopshape.data.limits_over import AtPoints, Mask
-from loopshape.data.requirements import LIMIT_OF, Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.limits_over import AtPoints, Mask
+from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Requirements
-from loopshape.loop.several_margins import several_margins
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.loop.matrix.several_margins import several_margins
 from loopshape.loop.verdict import check
 
 RATE = 20_000.0

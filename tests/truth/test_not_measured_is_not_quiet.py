@@ -10,10 +10,10 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.data.requirements import Requirements
-from loopshape.loop.margins import margins
-from loopshape.loop.several_margins import FIELDS, several_margins
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.loop.margin.margins import margins
+from loopshape.loop.matrix.several_margins import FIELDS, several_margins
 from loopshape.loop.verdict import loops_of
 
 MODE = TWO_PI * 32.0

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI, angular, rad
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.diagnose.nu_gap import kappa, nu_gap, order_of, shaped
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.frf import FRF
+from loopshape.toolbox.gap.two_runs.nu_gap import kappa, nu_gap, order_of, shaped
 
 F_HZ = np.geomspace(1e-4, 1e3, 3000)
 

@@ -9,9 +9,9 @@ from known_loops import run_loop
 from scipy.signal import chirp, cont2discrete, lfilter, max_len_seq
 
 import loopshape as ls
-from loopshape.data.tones import Growth
-from loopshape.identify.quality import loop_feedback
-from loopshape.io.draft_roles import find_roles
+from loopshape.identify.quality.quality import loop_feedback
+from loopshape.toolbox.formats.drafts.draft_roles import find_roles
+from loopshape.toolbox.planning.tone.nouns import Growth
 
 RATE, N = 500.0, 20_000
 T = np.arange(N) / RATE

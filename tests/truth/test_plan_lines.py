@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.excitation import Multisine
-from loopshape.identify.plan_lines import (
+from loopshape.data.signal.excitation import Multisine
+from loopshape.toolbox.planning.plan_lines import (
     chosen_lines,
     crossovers_hz,
     levels_of,

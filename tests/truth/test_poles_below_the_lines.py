@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.data.model import TransferFunction
-from loopshape.loop.low_end import is_large, is_told
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.loop.stability.low_end import is_large, is_told
+from loopshape.loop.stability.stability import closed_loop_stability
 
 FIRST_HZ = 0.1
 GRID = np.arange(1, 601) * FIRST_HZ

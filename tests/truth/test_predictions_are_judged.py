@@ -6,14 +6,14 @@ from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
 from scipy.stats import binom
 
 from loopshape.data.algebra import regrid
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.frf import FRF
-from loopshape.data.prediction import Comparison
-from loopshape.data.valid_band import trusted_lines
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.result.prediction import Comparison
+from loopshape.data.signal.experiment import LoopSetup
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.sensitivity import estimate_sensitivity
-from loopshape.loop.agreement import combined, on_common_lines, paired
-from loopshape.loop.prediction import compare, compare_plants, plant_behind, sensitivity_of
+from loopshape.loop.predict.agreement import combined, on_common_lines, paired
+from loopshape.loop.predict.prediction import compare, compare_plants, plant_behind, sensitivity_of
 
 LINES = 0.1 * np.arange(1, 151)
 #: line overlap, averages behind each variance (0: it is known), lines that a variance is pooled over

@@ -9,7 +9,7 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.profile import zone_sentence, zone_shares
+from loopshape.data.requirement.profile import zone_sentence, zone_shares
 from loopshape.io.profiles import OWN, profile_of, read_profiles
 
 DOCS = Path(__file__).parents[2] / "docs" / "profiles.md"
@@ -94,10 +94,10 @@ def test_the_table_of_the_docs_is_that_of_the_file():
 
 
 def test_check_under_a_profile_says_zone_and_clause(tmp_path, capsys):
-    from loopshape.cli.check import check_run
     from loopshape.cli.output import Output
-    from loopshape.io.controllers import write_controllers
-    from loopshape.io.frfs import write_frfs
+    from loopshape.cli.verify.check import check_run
+    from loopshape.io.write.controllers import write_controllers
+    from loopshape.io.write.frfs import write_frfs
 
     P = ls.FRF.from_arrays(
         F, 1.0 / (1j * F / 5.0 * (1.0 + 1j * F / 10.0)), relative_std=0.01, rate_hz=1000.0, loop="x", recording="r",

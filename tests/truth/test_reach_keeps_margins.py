@@ -12,9 +12,9 @@ import itertools
 from bound_cases import limits, loop_of
 
 from loopshape.core.units import db
-from loopshape.data.model import TransferFunction
-from loopshape.design.bound_nodes import nodes
-from loopshape.design.bound_reach import half_planes, reached_at
+from loopshape.data.response.model import TransferFunction
+from loopshape.toolbox.limits.bound_nodes import nodes
+from loopshape.toolbox.limits.bound_reach import half_planes, reached_at
 
 MODEL = TransferFunction([3.0], np.polymul([1.0, 0.0], [1 / 900.0, 0.1 / 30.0, 1.0]), 0.01)
 

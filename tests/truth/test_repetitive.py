@@ -7,7 +7,7 @@ import pytest
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import angular
-from loopshape.loop.diagram_run import states
+from loopshape.toolbox.diagrams.diagram_run import states
 
 RATE, N = 1000.0, 200
 F = np.arange(0.25, 450.0, 0.5)

@@ -11,10 +11,10 @@ from tune_plants import DELAYED
 from tune_plants import frf as delayed
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.loop import Loop
-from loopshape.loop.crowded import crowd_of, stretches
-from loopshape.loop.stability import closed_loop_stability
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.loop.stability.crowded import crowd_of, stretches
+from loopshape.loop.stability.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]
 GAP = 0.1

@@ -10,11 +10,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from bound_cases import frf_of, gain
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.design.bound import bound
-from loopshape.design.schedule import schedule
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.model import TransferFunction
 from loopshape.design.tune import tune
+from loopshape.toolbox.limits.bound import bound
+from loopshape.toolbox.schedules.schedule import schedule
 
 DELAY = 0.02
 GAINS = (1.0, 4.0)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.data.excitation import Multisine
-from loopshape.data.experiment import Experiment
-from loopshape.data.run import Run
-from loopshape.diagnose import attribute
-from loopshape.diagnose.evidence import Evidence
-from loopshape.diagnose.hypothesis import candidates
-from loopshape.model.servo_axis.axis import ServoAxis
-from loopshape.model.servo_axis.effects import USUAL, forms
+from loopshape.data.signal.excitation import Multisine
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.diagnose import attribute
+from loopshape.toolbox.gap.diagnose.evidence import Evidence
+from loopshape.toolbox.gap.diagnose.hypothesis import candidates
+from loopshape.toolbox.servo.axis import ServoAxis
+from loopshape.toolbox.servo.effects import USUAL, forms
 
 RATE_HZ, SECONDS = 1000.0, 7
 GIVEN = {"mass_kg": 100.0, "viscous_ns_m": 200.0}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from loopshape.data.experiment import Experiment
-from loopshape.data.run import Run
-from loopshape.model.servo_axis import following
-from loopshape.model.servo_axis.axis import ServoAxis
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.servo import following
+from loopshape.toolbox.servo.axis import ServoAxis
 
 QUIET = {"position_noise_m": 0.0}
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.run import Run
-from loopshape.model.own.composed import Composed
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.own.composed import Composed
 
 J, D, WEIGHT, SPRING, LOAD, LOAD_D, STIFF, COUPLING_D = 0.010, 0.03, 0.40, 0.5, 0.015, 0.02, 30.0, 0.03
 ARM = {"inertia": J, "damping": D, "gravity": WEIGHT, "spring": SPRING}
@@ -110,7 +110,7 @@ MODEL_TOML = next(words for words in re.findall(r"```toml\n(.*?)```", PAGE, re.S
 
 def written(folder, old="", new=""):
     (folder / "model.toml").write_text(MODEL_TOML.replace(old, new) if old else MODEL_TOML)
-    from loopshape.io.machine import read_model
+    from loopshape.toolbox.gap.own.file import read_model
 
     return read_model(folder / "model.toml")
 

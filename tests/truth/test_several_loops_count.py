@@ -17,9 +17,9 @@ from several_cases import (
 )
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.loop.determinant import closed_loops_stability, count_from_held
-from loopshape.loop.obstacles import Obstacle
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.loop.matrix.determinant import closed_loops_stability, count_from_held
+from loopshape.loop.stability.obstacles import Obstacle
 
 
 def random_case(rng, n, low, high, lines=600):

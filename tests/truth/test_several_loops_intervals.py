@@ -6,10 +6,10 @@ from several_cases import frf_of, gain, loops, noisy
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.closed_loop import controller_frf, feedback
-from loopshape.data.loop_matrix import LoopMatrix
-from loopshape.identify.smoothing_matrix import smoothed_matrix
-from loopshape.loop.determinant import determinant_variance
-from loopshape.loop.several_margins import several_margins
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.identify.smooth.smoothing_matrix import smoothed_matrix
+from loopshape.loop.matrix.determinant import determinant_variance
+from loopshape.loop.matrix.several_margins import several_margins
 
 F = np.arange(0.1, 12.0, 0.1)
 S = 1j * TWO_PI * F

@@ -7,15 +7,15 @@ from scipy.signal import cont2discrete, lfilter, sosfilt
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.model import Estimate, Fit, TransferFunction
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.response.model import Estimate, Fit, TransferFunction
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Integrator, ThirdOrder
-from loopshape.loop.indicators import indicators, recorded_steps, tracking
-from loopshape.loop.prediction import predict
-from loopshape.loop.step_response import closed_loop, predict_step, step_from_lines
+from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
+from loopshape.loop.predict.prediction import predict
+from loopshape.loop.predict.step_response import closed_loop, predict_step, step_from_lines
 
 GAIN = Controller("a", (Block("gain", {"gain": 2.0}),), RATE_HZ)
 

@@ -9,7 +9,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import TWO_PI
-from loopshape.data.recording import Recording
+from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 

@@ -27,12 +27,12 @@ from loopshape.core import stretches
 from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import LongColumns
 from loopshape.core.units import TWO_PI
-from loopshape.data.excitation_parts import is_sweep
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.identify import long_sweeps
+from loopshape.data.signal.excitation_parts import is_sweep
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.local import long_sweeps
+from loopshape.identify.local.sweeps import swept_band
 from loopshape.identify.settings import Settings
-from loopshape.identify.sweeps import swept_band
 
 RATE = 1000.0
 PLACES = ("controller_input", "plant_input")

@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
-from loopshape.data.tones import Growth
-from loopshape.identify.tones import Period, tones_of
-from loopshape.io.run_folder import write_run
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.io.run.run_folder import write_run
+from loopshape.toolbox.planning.tone.nouns import Growth
+from loopshape.toolbox.planning.tone.tones import Period, tones_of
 
 RATE, N = 1000.0, 8192
 T = np.arange(N) / RATE
@@ -154,7 +154,7 @@ def test_long_signals_are_read_in_parts(monkeypatch):
     rng = np.random.default_rng(8)
     y = rng.standard_normal(N) + 0.5 * np.sin(2.0 * np.pi * 58.8 * T)
     whole = tones_of(y, RATE)
-    monkeypatch.setattr("loopshape.identify.tones.LONGEST", N // 4)
+    monkeypatch.setattr("loopshape.toolbox.planning.tone.tones.LONGEST", N // 4)
     parts = tones_of(y, RATE)
     assert parts.rms == pytest.approx(whole.rms, rel=1e-12)
     assert parts.rms_interval == pytest.approx(whole.rms_interval, rel=0.01)

@@ -5,8 +5,8 @@ import pytest
 from tune_plants import GAIN, LOW_PASS, PI, frf
 
 from loopshape.core.units import angular
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.model import TransferFunction
 from loopshape.design.tune import tune
 
 WIDE = {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 1000.0}, "f2_hz": {"min": 1.0, "max": 1000.0}}

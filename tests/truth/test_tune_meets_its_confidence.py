@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.design.measures import measure
-from loopshape.design.search import Goal, begin, search
+from loopshape.design.problem.measures import measure
+from loopshape.design.search.search import Goal, begin, search
 from loopshape.design.settle import allowances, settle
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check

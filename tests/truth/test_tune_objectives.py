@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.data.controller import Block, Controller
-from loopshape.data.objective import Objective
-from loopshape.data.requirements import Requirements
-from loopshape.design.measures import measure
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.objective import Objective
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.design.problem.measures import measure
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check
 

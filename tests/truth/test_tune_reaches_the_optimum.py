@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from source_controllers import angle_controller
 
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
-from loopshape.design.measures import measure
-from loopshape.design.problem import problem
-from loopshape.design.search import LARGEST, begin, search
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.data.result.verdict import Verdict
+from loopshape.design.problem.measures import measure
+from loopshape.design.problem.problem import problem
+from loopshape.design.search.search import LARGEST, begin, search
 from loopshape.design.settle import settle
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of, verdict_on

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loopshape.design import relax
-from loopshape.design.measures import measure
+from loopshape.design.problem.measures import measure
 from loopshape.design.tune import tune
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -84,7 +84,7 @@ def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
 
 def test_a_point_that_is_not_the_best_gets_no_certificate():
     from loopshape.design.relax import _certificate
-    from loopshape.design.search import Goal, begin
+    from loopshape.design.search.search import Goal, begin
 
     p = problem_of([PLANT], APART)
     away = begin(p, np.log([10.0]), Goal(objective=False, soft=None))
@@ -123,8 +123,8 @@ def test_noise_counts_in_what_is_to_be_relaxed():
 
 
 def test_what_to_relax_is_printed_with_numbers_alone(capsys):
+    from loopshape.cli.design.tune import _report_shortfall
     from loopshape.cli.output import Output
-    from loopshape.cli.tune import _report_shortfall
     from loopshape.design.relax import Relaxation, Shortfall
 
     relaxed = Relaxation("phase_margin_deg", "deg", 45.0, 32.4, True, 8.0)

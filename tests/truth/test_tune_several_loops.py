@@ -7,12 +7,12 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements, SeveralRequirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
 from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
-from loopshape.loop.several import check_several
+from loopshape.loop.matrix.several import check_several
 
 RATE = 1000.0
 F = np.geomspace(0.2, 200.0, 200)

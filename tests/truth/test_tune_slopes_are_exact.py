@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.data import requirements
-from loopshape.data.controller import Block, Controller
-from loopshape.data.disturbance import Disturbance
-from loopshape.design.measures import measure
-from loopshape.design.problem import problem
-from loopshape.design.rms import opened
-from loopshape.loop.error_rms import error_rms
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement import requirements
+from loopshape.data.signal.disturbance import Disturbance
+from loopshape.design.problem.measures import measure
+from loopshape.design.problem.problem import problem
+from loopshape.design.problem.rms import opened
+from loopshape.loop.margin.error_rms import error_rms
 from loopshape.loop.verdict import loops_of
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.design.search import begin
+from loopshape.data.control.controller import Block, Controller
+from loopshape.design.search.search import begin
+from loopshape.design.search.warm import warm_start
 from loopshape.design.settle import Settled
 from loopshape.design.tune import _no_worse, tune
-from loopshape.design.warm import warm_start
 from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -7,9 +7,9 @@ import pytest
 from drawn_loops import LINES, PLANTS, RATE, by_roots, errors, limit_gain
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import Requirements
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
 from loopshape.loop.verdict import check
 
 PLANT = PLANTS["one integrator"]

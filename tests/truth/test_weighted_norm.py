@@ -19,14 +19,14 @@ import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
-from loopshape.data.controller import Block, Controller
-from loopshape.data.model import TransferFunction
-from loopshape.data.objective import Objective
-from loopshape.data.requirements import Requirements
-from loopshape.design.search import LARGEST, begin, search
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.objective import Objective
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.model import TransferFunction
+from loopshape.design.problem.shifts import judged
+from loopshape.design.search.search import LARGEST, begin, search
 from loopshape.design.settle import settle
-from loopshape.design.shifts import judged
-from loopshape.io.frfs import write_frfs
+from loopshape.io.write.frfs import write_frfs
 from loopshape.loop.verdict import check, loops_of
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -5,11 +5,11 @@ import pytest
 from scipy.signal import cont2discrete, freqz, lfilter
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import Recording, RecordingInfo
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
-from loopshape.identify.welch import by_welch
+from loopshape.identify.spectra.welch import by_welch
 
 RATE, RECORDS = 250.0, 25
 LOOP = LoopSetup("axis", None, None, "u_v", "y_m", None)

@@ -7,11 +7,11 @@ from scipy.signal import chirp, lfilter, tf2zpk
 
 import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.controller import step
+from loopshape.data.control.controller import step
 from loopshape.identify.signals import sum_was_logged
-from loopshape.io.import_file import import_file
-from loopshape.io.made_columns import answered, read_terms
-from loopshape.io.run_folder import read_run, write_run
+from loopshape.io.read.import_file import import_file
+from loopshape.io.read.made_columns import answered, read_terms
+from loopshape.io.run.run_folder import read_run, write_run
 
 RATE_HZ, N = 100.0, 12_000
 CONTROLLER = (

@@ -3,11 +3,11 @@
 import numpy as np
 
 from loopshape.core.units import angular
-from loopshape.data.controller import Block, Controller
-from loopshape.data.frf import FRF
-from loopshape.data.model import TransferFunction
-from loopshape.data.requirements import Requirements
-from loopshape.design.problem import problem
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import TransferFunction
+from loopshape.design.problem.problem import problem
 from loopshape.loop.verdict import loops_of
 
 RATE = 10_000.0

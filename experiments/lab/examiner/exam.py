@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, rad
-from loopshape.data.recording import Recording
-from loopshape.data.run import Run
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
 
 from .arm import BAR, PERIOD_S, TICK_S, Arm
 from .forms import build

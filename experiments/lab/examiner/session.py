@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import Array, rad
-from loopshape.data.controller import Block, Controller
-from loopshape.data.experiment import LoopSetup
-from loopshape.data.recording import RecordingInfo
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import RecordingInfo
 
 from .excitations import multisine, profile, pulses, sweep
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.io.files import write_bytes_whole
-from loopshape.model.arm.source import number
+from loopshape.toolbox.arm.source import number
 
 HERE = Path(__file__).parent
 STUDIES = HERE.parents[1]

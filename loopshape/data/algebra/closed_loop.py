@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.algebra.propagation import Term, channel_order, check_operands, eye, invert, pick, result
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.frf import FRF
 
 #: what may stand where a controller is asked for: a FRF, or controllers, each on its own channel
 Feedback = FRF | Controller | Sequence[Controller]
@@ -36,7 +36,7 @@ class ClosedLoop:
 
 
 def feedback(P: FRF, K: Feedback, *, connect: str = "names") -> ClosedLoop:
-    """The closed loop of a plant and a controller, with the signs of the picture in `loopshape.data.loop`.
+    """The closed loop of a plant and a controller, with the signs of the picture in `loopshape.data.control.loop`.
 
     K's inputs are P's outputs (as errors), its outputs P's inputs. Discrete controllers go with a plant from logged z
     to sampled y, which holds hold and computation; a plant measured as continuous goes through `held` first.

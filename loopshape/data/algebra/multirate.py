@@ -10,8 +10,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.sampling import regrid
 from loopshape.data.arrays import rate
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.frf import FRF
 
 
 def multirate(P: FRF, fast: Controller, rate_hz: float) -> FRF:

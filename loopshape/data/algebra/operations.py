@@ -9,8 +9,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.propagation import Term, channel_order, check_operands, eye, invert, pick, result
-from loopshape.data.controller import Controller
-from loopshape.data.frf import FRF
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.frf import FRF
 
 
 def product(A: FRF, B: FRF, *, connect: str = "names", independent: bool = False) -> FRF:

@@ -11,7 +11,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.frf import FRF, Hold
+from loopshape.data.response.frf import FRF, Hold
 
 CONNECT = ("names", "order")
 #: what a measurement says of itself and its channels, and no operation carries on

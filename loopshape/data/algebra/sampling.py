@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.propagation import MEASURED
-from loopshape.data.controller import hold_and_delay
-from loopshape.data.frf import FRF, Hold
+from loopshape.data.control.controller import hold_and_delay
+from loopshape.data.response.frf import FRF, Hold
 
 _LINEWISE = ("response", "covariance", "noise_covariance", *MEASURED)
 

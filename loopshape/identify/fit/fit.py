@@ -10,9 +10,9 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
-from loopshape.data.channel import unit_of
-from loopshape.data.frf import FRF
-from loopshape.data.model import Estimate, Fit
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Estimate, Fit
+from loopshape.data.signal.channel import unit_of
 from loopshape.identify.fit.least_squares import Data, Solution, solve
 from loopshape.identify.fit.structures import Integrator, Rational, Structure, ThirdOrder
 

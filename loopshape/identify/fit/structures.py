@@ -10,7 +10,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.gate import pass_fields
 from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, hz
-from loopshape.data.model import TransferFunction
+from loopshape.data.response.model import TransferFunction
 
 MAX_DELAY_S = 0.2
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopshape.data.controller import Controller
-from loopshape.data.model import Estimate, Fit
-from loopshape.data.run_report import FittedModel
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.model import Estimate, Fit
+from loopshape.data.result.run_report import FittedModel
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, details, figure, table
 from loopshape.view.html.words import DASH, badge, named, number, point
 
-#: formulas of the controller's blocks, as `loopshape.data.controller` defines them (w = 2 pi f)
+#: formulas of the controller's blocks, as `loopshape.data.control.controller` defines them (w = 2 pi f)
 FORMULAS = {
     "gain": "gain",
     "lead_lag": "(s/w1 + 1)/(s/w2 + 1)",

@@ -7,11 +7,12 @@ from importlib.resources import files
 from typing import Any
 
 from loopshape.core.json_ready import json_ready
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMIT_OF, LIMITS
-from loopshape.data.run_report import CheckedLoop, RunReport
-from loopshape.data.verdict import Verdict
-from loopshape.view.html import diagram_parts, model_parts, run_parts, source_parts, verdict_parts
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.run_report import CheckedLoop, RunReport
+from loopshape.data.result.verdict import Verdict
+from loopshape.toolbox.diagrams import report_parts as diagram_parts
+from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces

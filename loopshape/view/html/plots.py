@@ -6,17 +6,17 @@ from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any
 
-from loopshape.data.frf import FRF
-from loopshape.data.requirements import LIMIT_OF, Requirements
-from loopshape.data.run_report import CheckedLoop
-from loopshape.data.verdict import Line
+from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.run_report import CheckedLoop
+from loopshape.data.result.verdict import Line
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.traces import Trace, embedded
 from loopshape.view.html.words import count, number
 from loopshape.view.labels import decibel, ratio, units_of
-from loopshape.view.nichols import nichols
-from loopshape.view.nichols_guides import closest_db
 from loopshape.view.page.payload import requirement_words
+from loopshape.view.plots.nichols import nichols
+from loopshape.view.plots.nichols_guides import closest_db
 from loopshape.view.style import figure_of, png
 
 #: of more operating points than these the script shows one band at a time

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from loopshape.core.units import db
-from loopshape.data.frf import FRF
-from loopshape.data.method import by_loop
-from loopshape.data.run_report import Envelope, Missing, RecordingSheet
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.method import by_loop
+from loopshape.data.result.run_report import Envelope, Missing, RecordingSheet
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, details, figure, table, together
 from loopshape.view.html.words import DASH, count, named, number, point

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 
-from loopshape.data.run_report import RunReport, StoredFigure
+from loopshape.data.result.run_report import RunReport, StoredFigure
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, definitions, details, figure, table
 from loopshape.view.html.words import count

@@ -10,12 +10,12 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
-from loopshape.data.frf import FRF
-from loopshape.data.loop import Loop
-from loopshape.view.curves import NORMAL_95, thinned, unwrapped_deg
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
 from loopshape.view.html.markup import packed
 from loopshape.view.html.words import point
 from loopshape.view.key import key_of
+from loopshape.view.plots.curves import NORMAL_95, thinned, unwrapped_deg
 from loopshape.view.style import MARKERS
 
 #: lines that one operating point's curves keep, and all of them together

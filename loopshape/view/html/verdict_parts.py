@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.data.detuning import Reach
-from loopshape.data.loop import Loop
-from loopshape.data.requirements import LIMIT_OF, LIMITS, Limit, Margins
-from loopshape.data.run_report import CheckedLoop, RunReport
-from loopshape.data.verdict import Line, Verdict
-from loopshape.data.verdict_words import reach_text
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit, Margins
+from loopshape.data.result.detuning import Reach
+from loopshape.data.result.run_report import CheckedLoop, RunReport
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict_words import reach_text
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.tables import Cell, figure, table, together
 from loopshape.view.html.words import (

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import isfinite, isinf, isnan
 
-from loopshape.data.requirements import LIMIT_OF, Limit
-from loopshape.data.verdict import Line
-from loopshape.data.verdict_words import WORDS as OUTCOME_WORDS
+from loopshape.data.requirement.requirements import LIMIT_OF, Limit
+from loopshape.data.result.verdict import Line
+from loopshape.data.result.verdict_words import WORDS as OUTCOME_WORDS
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.labels import split_unit
 

@@ -14,39 +14,31 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.json_ready import json_ready
-from loopshape.core.kernels import margins as kernel
+from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data import smoothed as dense
-from loopshape.data.block import BLOCK_KINDS, Block
-from loopshape.data.controller import Controller
-from loopshape.data.detuning import SEARCHED_PERCENT, WARNED_PERCENT
-from loopshape.data.frf import FRF
-from loopshape.data.limits_over import MASKED, AtPoints
-from loopshape.data.loop import Loop, known_above, reach_above
-from loopshape.data.model import Fit
-from loopshape.data.objective import Objective
-from loopshape.data.requirements import LIMITS, Requirements
-from loopshape.data.verdict import Verdict
-from loopshape.identify import smoothing
-from loopshape.identify.pole_terms import PLACES
-from loopshape.identify.resonances import Phase, Resonance, resonances
-from loopshape.identify.smoothing import Recipe, recipe_of
-from loopshape.loop import (
-    between,
-    detuning,
-    holes,
-    low_end,
-    margins,
-    obstacles,
-    sampling,
-    shifted,
-    stability,
-    step_response,
-)
-from loopshape.loop.crowded import Left, Stretch
-from loopshape.loop.low_end import low_hz, low_models
-from loopshape.loop.low_frequency import LowModel
-from loopshape.loop.prediction import fit_of
+from loopshape.data.control.block import BLOCK_KINDS, Block
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop, known_above, reach_above
+from loopshape.data.requirement.limits_over import MASKED, AtPoints
+from loopshape.data.requirement.objective import Objective
+from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.response import smoothed as dense
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.detuning import SEARCHED_PERCENT, WARNED_PERCENT
+from loopshape.data.result.verdict import Verdict
+from loopshape.identify.smooth import smoothing
+from loopshape.identify.smooth.pole_terms import PLACES
+from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
+from loopshape.identify.smooth.smoothing import Recipe, recipe_of
+from loopshape.loop.margin import between, margins
+from loopshape.loop.margin.low_frequency import LowModel
+from loopshape.loop.predict import step_response
+from loopshape.loop.predict.prediction import fit_of
+from loopshape.loop.shift import detuning, shifted
+from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
+from loopshape.loop.stability.crowded import Left, Stretch
+from loopshape.loop.stability.low_end import low_hz, low_models
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 

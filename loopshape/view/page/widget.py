@@ -12,9 +12,9 @@ import anywidget
 import traitlets
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.controller import Controller
-from loopshape.data.requirements import Requirements
-from loopshape.data.verdict import Verdict
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import SCRIPT, STYLE, resource
 from loopshape.view.page.payload import (

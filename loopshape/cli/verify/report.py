@@ -1,0 +1,48 @@
+"""`loopshape report`: one page of HTML that holds all of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from loopshape.cli.output import AsJson, DiagramFile, Output, Quiet, RunFolder
+
+
+def report(
+    run: RunFolder,
+    controller: Annotated[
+        Path | None, typer.Option(help="A controller file (TOML): draws and checks its loops.")
+    ] = None,
+    require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is compared with.")] = None,
+    diagram: DiagramFile = None,
+    out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
+    date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
+    figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = 0.7,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a run's report as one HTML file. It opens offline; exit code 0 whatever the verdict."""
+    from loopshape.data.result.verdict_words import WORDS
+    from loopshape.io.files import write_bytes_whole
+    from loopshape.verbs.files import figure_bytes, report_page
+
+    output, path = Output(as_json, quiet), out or run / "report.html"
+    made, data = report_page(run, controller, require, diagram, date, figure_bytes(figures_mb))
+    write_bytes_whole(path, data)
+    output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
+    for one in made.missing:
+        output.say(f"missing: {one.what} {one.command}".rstrip())
+    word = WORDS.get(made.outcome, "no requirement")
+    output.say(f"verdict: {word}")
+    output.say(f"report: {path} ({len(data) / 1e6:.1f} MB)")
+    output.json(
+        {
+            "report": str(path),
+            "bytes": len(data),
+            "outcome": made.outcome,
+            "missing": made.missing,
+            "figures_left_out": made.figures_left_out,
+        }
+    )

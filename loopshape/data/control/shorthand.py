@@ -1,0 +1,198 @@
+"""Blocks of a controller in short, for scripts: `gain(2.2)`, `notch(58.8, 0.01, 0.7)`, `lead_lag((3, 20), (30, 200))`.
+
+A number fixes a parameter, a pair (low, high) leaves it to tuning within these bounds, and None leaves it to tuning
+within bounds that follow from the plants (`bounded`). Formulas are those of `loopshape.data.control.block`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.control.block import Block, BlockTemplate, Free
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.frf import FRF
+
+Parameter = float | tuple[float, float] | None
+#: a parameter that tuning may move as far as the plants' frequencies and gains make sense
+OPEN = Free(0.0, float("inf"))
+#: bounds of dampings and ratios that follow from no plant, by name
+DAMPINGS = {"damping": (0.2, 2.0), "damping1": (0.005, 1.0), "damping2": (0.1, 2.0)}
+#: bounds of a resonator's dampings and of a complex lead's, where none are given
+RESONATOR, COMPLEX = ((0.01, 2.0), (0.005, 1.0)), (0.1, 1.0)
+#: decades about 1/|P| in the valid band that an open gain may reach
+GAIN_DECADES = 3.0
+
+
+def _block(kind: str, tie: dict[str, str] | None = None, **parameters: Parameter) -> BlockTemplate:
+    made: dict[str, float | Free] = {}
+    for name, value in parameters.items():
+        if value is None:
+            made[name] = OPEN
+        elif isinstance(value, tuple | list):
+            if len(value) != 2 or not 0.0 < value[0] < value[1] < np.inf:
+                raise WrongUseError(f"bounds of {name} of a {kind} block are (low, high), 0 < low < high", f"{value!r}")
+            made[name] = Free(float(value[0]), float(value[1]))
+        else:
+            made[name] = float(value)
+    return BlockTemplate(kind, made, tie or {})
+
+
+def gain(gain: Parameter = None) -> BlockTemplate:
+    """A gain, dimensionless (control unit over output unit).
+
+    >>> import loopshape as ls
+    >>> ls.gain(2.2).kind
+    'gain'
+    """
+    return _block("gain", gain=gain)
+
+
+def lead_lag(f1_hz: Parameter = None, f2_hz: Parameter = None) -> BlockTemplate:
+    """(1 + s/w1)/(1 + s/w2): a lead where f1 < f2, a lag where f1 > f2; corners in Hz.
+
+    >>> import loopshape as ls
+    >>> ls.lead_lag(8.0, 150.0).parameters["f1_hz"]
+    8.0
+    """
+    return _block("lead_lag", f1_hz=f1_hz, f2_hz=f2_hz)
+
+
+def notch(
+    f_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None, f2_hz: Parameter = None
+) -> BlockTemplate:
+    """A notch at `f_hz`: damping of its zeros over that of its poles; `f2_hz` moves its poles (a skewed notch).
+
+    >>> import loopshape as ls
+    >>> ls.notch(58.8, 0.05, 0.7).tie
+    {'f2_hz': 'f1_hz'}
+    """
+    if f2_hz is None:
+        return _block("notch", {"f2_hz": "f1_hz"}, f1_hz=f_hz, damping1=damping1, damping2=damping2)
+    return _block("notch", f1_hz=f_hz, f2_hz=f2_hz, damping1=damping1, damping2=damping2)
+
+
+def biquad(
+    f1_hz: Parameter = None, f2_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None
+) -> BlockTemplate:
+    """A free biquad: zeros at `f1_hz` with `damping1` over poles at `f2_hz` with `damping2`, 1 at low frequency.
+
+    A notch whose zeros and poles lie apart; with a damping above 1 a pair is two real roots.
+
+    >>> import loopshape as ls
+    >>> sorted(ls.biquad((5.0, 50.0), (5.0, 50.0)).parameters)
+    ['damping1', 'damping2', 'f1_hz', 'f2_hz']
+    """
+    return _block("notch", f1_hz=f1_hz, f2_hz=f2_hz, damping1=damping1, damping2=damping2)
+
+
+def resonator(f_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None) -> BlockTemplate:
+    """A peak filter, damping1/damping2 high at `f_hz` and 1 elsewhere: the dampings of its zeros over its poles.
+
+    >>> import loopshape as ls
+    >>> block = ls.resonator(50.0, 0.5, 0.05).block({})
+    >>> round(abs(block.parameters["damping1"] / block.parameters["damping2"]))
+    10
+    """
+    wide, narrow = RESONATOR
+    return _block("notch", {"f2_hz": "f1_hz"}, f1_hz=f_hz, damping1=damping1 or wide, damping2=damping2 or narrow)
+
+
+def complex_lead(f1_hz: Parameter = None, f2_hz: Parameter = None, damping: Parameter = None) -> BlockTemplate:
+    """Lead of a complex pair of zeros at `f1_hz` and of poles at `f2_hz` with one damping; a lag where f1 > f2.
+
+    It turns the phase by more in a narrower band than two equal lead-lags in series, which it is with damping 1
+    (Messner, Bedillion, Xia and Karns, Lead and lag compensators with complex poles and zeros, IEEE Control Systems
+    Magazine 27(1), 2007).
+
+    >>> import loopshape as ls
+    >>> ls.complex_lead(20.0, 60.0, 0.4).tie
+    {'damping2': 'damping1'}
+    """
+    return _block("notch", {"damping2": "damping1"}, f1_hz=f1_hz, f2_hz=f2_hz, damping1=damping or COMPLEX)
+
+
+def low_pass(f_hz: Parameter = None, damping: Parameter = None, *, order: int = 2) -> BlockTemplate:
+    """A low-pass of first or second order with its corner in Hz; `damping` for the second order alone.
+
+    >>> import loopshape as ls
+    >>> ls.low_pass(120.0, order=1).kind
+    'low_pass_1'
+    """
+    if order == 1 and damping is None:
+        return _block("low_pass_1", f_hz=f_hz)
+    if order != 2:
+        raise WrongUseError("a low-pass has order 1, without damping, or 2", f"order {order}, damping {damping!r}")
+    return _block("low_pass_2", f_hz=f_hz, damping=damping)
+
+
+def pi(f_hz: Parameter = None) -> BlockTemplate:
+    """(s + w)/s: an integrator up to the corner `f_hz`.
+
+    >>> import loopshape as ls
+    >>> ls.pi(0.5).kind
+    'pi'
+    """
+    return _block("pi", f_hz=f_hz)
+
+
+def pid(
+    gain: Parameter = None, fi_hz: Parameter = None, fd_hz: Parameter = None, ff_hz: Parameter = None
+) -> BlockTemplate:
+    """A PID with a tame derivative, gain (1 + wi/s + (s/wd)/(s/wf + 1)); corners in Hz, `ff_hz` that of the filter.
+
+    >>> import loopshape as ls
+    >>> ls.controller(ls.pid(2.0, 0.5, 8.0, 200.0), rate_hz=1000.0).integrators()
+    1
+    """
+    return _block("pid", gain=gain, fi_hz=fi_hz, fd_hz=fd_hz, ff_hz=ff_hz)
+
+
+def controller(
+    *blocks: BlockTemplate,
+    rate_hz: float,
+    loop: str = "",
+    prewarp_hz: float | None = None,
+    computation_delay_s: float = 0.0,
+    added_hold: bool = False,
+    precision: str = "double",
+) -> Controller:
+    """A controller of blocks in series with all parameters given, as it runs at `rate_hz` after Tustin's rule.
+
+    Keywords are those of `Controller`. Raises WrongUseError where a parameter is left to tuning.
+
+    >>> import loopshape as ls
+    >>> ls.controller(ls.gain(2.0), ls.lead_lag(8.0, 150.0), rate_hz=1000.0)
+    Controller: gain, lead_lag at 1000 Hz
+    """
+    for one in blocks:
+        if free := [name for name, value in one.parameters.items() if isinstance(value, Free)]:
+            raise WrongUseError(f"a {one.kind} block of a controller needs numbers", ", ".join(free), "or use tune")
+    made: tuple[Block, ...] = tuple(one.block({}) for one in blocks)
+    return Controller(
+        loop, made, rate_hz, prewarp_hz=prewarp_hz, computation_delay_s=computation_delay_s, added_hold=added_hold,
+        precision=precision,
+    )  # fmt: skip
+
+
+def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[BlockTemplate, ...]:
+    """The structure with bounds for what was open: frequencies in the plants' valid bands, gains about 1/|P|."""
+    bands = np.array([frf.trusted_band_hz for frf in plants])
+    low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
+    sizes = np.concatenate([np.abs(frf.siso[frf.trusted]) for frf in plants])
+    usual, reach = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
+
+    def closed(name: str, value: float | Free) -> float | Free:
+        if value is not OPEN:
+            return value
+        if name == "gain":
+            return Free(usual / reach, usual * reach)
+        return Free(*DAMPINGS[name]) if name in DAMPINGS else Free(low, high)
+
+    return tuple(
+        replace(block, parameters={name: closed(name, value) for name, value in block.parameters.items()})
+        for block in structure
+    )

@@ -1,0 +1,1 @@
+"""What is asked of a loop: requirements, masks, weights, profiles of standards, objectives."""

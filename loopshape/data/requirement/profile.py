@@ -1,0 +1,115 @@
+"""A profile: the limits of a standard or of a trade's practice, with clause, edition, and who has to confirm them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from math import erf, inf, sqrt
+from typing import Any
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
+from loopshape.data.result.verdict import Verdict
+
+_WIDTH = 2.0 * 1.959963984540054  # of a 95 % interval, in standard deviations
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A range of peak |S| up to `up_to_db`, which the standard names; of the last one inf."""
+
+    name: str
+    up_to_db: float
+    means: str
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Limits by the name of a quantity in `Requirements`, and the words that go with them.
+
+    `unread` names the limits that were not read in the standard's own text: `source` says where they come from.
+    `confirm` is a sentence that says who has to confirm them. `zones` are those of peak |S|, in rising order.
+    """
+
+    name: str
+    title: str
+    standard: str
+    edition: str
+    clause: str
+    source: str
+    confirm: str
+    limits: Mapping[str, float]
+    unread: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    zones: tuple[Zone, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if unknown := sorted(set(self.limits) - {limit.name for limit in LIMITS}):
+            raise WrongUseError(
+                f"profile {self.name!r} limits quantities that are not known", ", ".join(unknown),
+                f"use {', '.join(limit.name for limit in LIMITS)}",
+            )  # fmt: skip
+        limits: dict[str, Any] = dict(self.limits)
+        Requirements(**limits)
+        edges = [zone.up_to_db for zone in self.zones]
+        if edges and not (all(a < b for a, b in pairwise(edges)) and edges[-1] == inf):
+            raise WrongUseError(f"the zones of profile {self.name!r} rise, and the last has no end", f"{edges}")
+
+    def __repr__(self) -> str:
+        """One line: its name, standard and limits."""
+        asked = ", ".join(f"{name} {LIMIT_OF[name].sense.replace('_', ' ')} {v:g}" for name, v in self.limits.items())
+        return f"Profile {self.name} ({self.standard}): {asked}"
+
+    def joined(self, requirements: Requirements) -> Requirements:
+        """Requirements under which both hold: of each quantity the stricter limit."""
+        stricter = {"at_least": max, "at_most": min}
+        made: dict[str, Any] = {}
+        for name, limit in self.limits.items():
+            own = getattr(requirements, name)
+            made[name] = limit if own is None else stricter[LIMIT_OF[name].sense](own, limit)
+        return replace(requirements, **made)
+
+    def sentences(self) -> tuple[str, ...]:
+        """What a verdict under this profile has to carry: standard and clause, what was not read, who confirms."""
+        said = [f"Profile {self.name}: {self.standard}, {self.edition}, {self.clause}."]
+        if self.unread:
+            said.append(
+                f"Not read in the standard's own text: {', '.join(self.unread)} (taken from {self.source})."
+            )  # fmt: skip
+        return (*said, *self.remarks, self.confirm)
+
+
+def zone_shares(verdict: Verdict, profile: Profile) -> dict[str, float]:
+    """Probability of each zone of a profile for the largest peak |S| over all operating points.
+
+    From each point's 95 % interval, taken as that of a normal error in dB, independent between points; without an
+    interval the estimate is taken as exact. Empty for a profile without zones and for a loop that is not surely stable:
+    there peak |S| says nothing. Misleads as far as the intervals leave out what was not measured.
+    """
+    if not profile.zones or verdict.unstable or not verdict.margins:
+        return {}
+    below = [1.0 if zone.up_to_db == inf else _all_below(verdict, zone.up_to_db) for zone in profile.zones]
+    return {
+        zone.name: up - low for zone, up, low in zip(profile.zones, below, [0.0, *below[:-1]], strict=True)
+    }  # fmt: skip
+
+
+def _all_below(verdict: Verdict, limit_db: float) -> float:
+    share = 1.0
+    for found in verdict.margins.values():
+        low, high = found.intervals.get("sensitivity_peak_db", (0.0, 0.0))
+        std, room = (high - low) / _WIDTH, limit_db - found.sensitivity_peak_db
+        share *= 0.5 * (1.0 + erf(room / (std * sqrt(2.0)))) if std > 0.0 else float(room >= 0.0)
+    return share
+
+
+def zone_sentence(verdict: Verdict, profile: Profile) -> str:
+    """The likeliest zone of a loop with its probability, and what it means; "" where there is none."""
+    shares = zone_shares(verdict, profile)
+    if not shares:
+        return ""
+    best = max(profile.zones, key=lambda zone: shares[zone.name])
+    worst = max(m.sensitivity_peak_db for m in verdict.margins.values())
+    rest = ", ".join(f"{name} {100.0 * p:.1f} %" for name, p in shares.items() if p >= 5e-4)
+    return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."

@@ -1,0 +1,401 @@
+"""What is required of a loop or of several at once, and the margins that are compared with it.
+
+`Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError, meant
+from loopshape.core.gate import pass_fields
+from loopshape.core.json_ready import Plain
+from loopshape.data.control.block import BlockTemplate
+from loopshape.data.requirement.limits_over import MASKED, AtPoints, Mask
+from loopshape.data.requirement.objective import Objective, is_number
+from loopshape.data.requirement.weight import Weight
+from loopshape.data.result.detuning import SEARCHED_PERCENT, Detuning
+
+NEVER = "no loop whose |L| falls off has more"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A row of the table that check, tune, tables, report and JSON loop over: a quantity and how it is limited.
+
+    `sense` is `at_least` or `at_most`; `label` is its name for people. A value asked for is finite, `positive` or not
+    below `least`, and at most `most`, for the reason `why_most`. `plot` is the response (S, T, CS, PS, L, L phase) on
+    which its worst place is marked, and its limit drawn where that is a ceiling in dB. `margin` puts it in the report's
+    table of margins, not of peaks. `closeness` ranks, from 1, what says how close L comes to -1; 0 says nothing of it.
+    `keeps_off` marks what alone is enough to keep L off -1: a tuning needs one.
+    """
+
+    name: str
+    sense: str
+    unit: str
+    label: str
+    plot: str = ""
+    positive: bool = False
+    least: float = -np.inf
+    most: float = np.inf
+    why_most: str = NEVER
+    margin: bool = False
+    closeness: int = 0
+    keeps_off: bool = False
+
+    @property
+    def short(self) -> str:
+        """Its name for people without the explanation in brackets."""
+        return self.label.split(" (")[0]
+
+    def refuse(self, value: float | None, whose: str) -> None:
+        """Refuse a value that makes no sense."""
+        of = f"{self.name} of {whose}"
+        if value is None:
+            return
+        if self.positive:
+            refuse_not_positive(of, value)
+        if not np.isfinite(value):
+            raise WrongUseError(f"{of} must be finite", f"{value!r}")
+        if value < self.least:
+            raise WrongUseError(f"{of} must not be {_below(self.least)}", f"{value!r}")
+        if value > self.most:
+            raise WrongUseError(f"{of} must not exceed {self.most:g}", f"{value!r}", self.why_most)
+
+
+def refuse_not_positive(what: str, value: float) -> None:
+    """Refuse a number that is not positive and finite."""
+    if not 0.0 < value < np.inf:
+        raise WrongUseError(f"{what} must be positive and finite", f"{value!r}")
+
+
+def _below(least: float) -> str:
+    return "negative" if least == 0.0 else f"below {least:g}"
+
+
+_SEARCHED = "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states"
+LIMITS: tuple[Limit, ...] = (
+    Limit("gain_margin_db", "at_least", "dB", "gain margin",
+          plot="L", least=0.0, margin=True, closeness=5, keeps_off=True),
+    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin",
+          plot="L", least=0.0, margin=True, closeness=6),
+    Limit("phase_margin_deg", "at_least", "deg", "phase margin",
+          plot="L phase", least=0.0, most=180.0, margin=True, closeness=4, keeps_off=True),
+    Limit("modulus_margin", "at_least", "1", "modulus margin",
+          plot="S", positive=True, most=1.0, margin=True, closeness=1, keeps_off=True),
+    Limit("delay_margin_s", "at_least", "s", "delay margin",
+          plot="L phase", positive=True, margin=True, closeness=7, keeps_off=True),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|", plot="S", closeness=2, keeps_off=True),
+    Limit("complementary_peak_db", "at_most", "dB", "peak |T|", plot="T", closeness=8),
+    Limit("control_peak_db", "at_most", "dB", "peak |CS|", plot="CS"),
+    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency", plot="CS"),
+    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)",
+          plot="L", positive=True, margin=True),
+    Limit("disk_margin", "at_least", "1", "disk margin",
+          positive=True, most=2.0, margin=True, closeness=3, keeps_off=True),
+    Limit("process_peak_db", "at_most", "dB", "peak |PS|", plot="PS"),
+    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)", positive=True),
+    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)", positive=True),
+    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)", positive=True),
+    Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)",
+          positive=True, most=SEARCHED_PERCENT, why_most=_SEARCHED, margin=True),
+    Limit("sensitivity_mask_db", "at_most", "dB", "|S| over its mask", plot="S"),
+    Limit("complementary_mask_db", "at_most", "dB", "|T| over its mask", plot="T"),
+    Limit("control_mask_db", "at_most", "dB", "|CS| over its mask", plot="CS"),
+    Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS"),
+    Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
+    Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
+    Limit("weighted_norm", "at_most", "1", "norm of the weighted loop", positive=True),
+    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True),
+)  # fmt: skip
+#: what all loops of a plant keep at once
+SEVERAL_LIMITS: tuple[Limit, ...] = (
+    Limit("disk_margin", "at_least", "1", "disk margin, all loops at once", positive=True, most=2.0),
+    Limit("input_output_disk_margin", "at_least", "1", "disk margin, inputs and outputs at once",
+          positive=True, most=2.0),
+    Limit("modulus_margin", "at_least", "1", "modulus margin, all loops at once", positive=True, most=1.0),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak singular value of S"),
+    Limit("complementary_peak_db", "at_most", "dB", "peak singular value of T"),
+)  # fmt: skip
+LIMIT_OF = {limit.name: limit for limit in (*SEVERAL_LIMITS, *LIMITS)}
+#: limits that hold for all operating points alike
+OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
+
+
+@dataclass(frozen=True)
+class Margins(Plain):
+    """Margins of one loop at one operating point, by definition from L = C P on the FRF's lines.
+
+    All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
+    `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
+    `stable` is "stable", "unstable" or "undecided", with `stability_reason`, and where it is undecided
+    `stability_band_hz`, the band to measure. Frequencies of the peaks and of the worst margins stand beside them in
+    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
+    those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
+    `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
+    `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
+    the number found is the worst that may be, and `bounds` holds the best. `missing_hz` are holes between the
+    frequencies, in which a reading is a guess. `last_hz` is that frequency, `last_gain`
+    |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
+    `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
+    it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
+    where there is no mask. `weighted_norm` is the largest root of the sum of squared weighted responses, nan without
+    weights. `error_rms` is in the output's unit, nan where nothing tells what disturbs the loop.
+    """
+
+    gain_margin_db: float
+    gain_reduction_margin_db: float
+    phase_margin_deg: float
+    modulus_margin: float
+    delay_margin_s: float
+    sensitivity_peak_db: float
+    complementary_peak_db: float
+    control_peak_db: float
+    control_high_frequency_db: float
+    bandwidth_hz: float
+    crossings_hz: tuple[float, ...]
+    phase_crossings_hz: tuple[float, ...]
+    at_hz: Mapping[str, float]
+    stable: str
+    stability_reason: str
+    disk_margin: float = float("nan")
+    process_peak_db: float = float("nan")
+    sensitivity_bandwidth_hz: float = float("nan")
+    complementary_bandwidth_hz: float = float("nan")
+    controller_bandwidth_hz: float = float("nan")
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    stability_band_hz: tuple[float, float] | None = None
+    crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
+    bounds: Mapping[str, float] = field(default_factory=dict)
+    missing_hz: tuple[tuple[float, float], ...] = ()
+    last_hz: float = float("nan")
+    last_gain: float = float("nan")
+    last_slope: float = float("nan")
+    detuning_percent: float = float("nan")
+    detuning: Detuning | None = None
+    sensitivity_mask_db: float = float("nan")
+    complementary_mask_db: float = float("nan")
+    control_mask_db: float = float("nan")
+    process_mask_db: float = float("nan")
+    loop_mask_db: float = float("nan")
+    loop_floor_db: float = float("nan")
+    weighted_norm: float = float("nan")
+    error_rms: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Requirements:
+    """What one loop must keep at every operating point; None requires nothing.
+
+    `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
+    the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
+    are looked at, and None takes the FRF's valid band. `integrators` and `unstable_poles` declare the
+    plant's; None leaves them to its fit or its lowest lines. `objective` is what `tune` makes large within them all.
+    `masks` limit responses over frequency; each sets the allowance that belongs to it (`sensitivity_mask_db`: by how
+    much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
+    same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
+    rms of the error, in the output's unit, under what disturbs the loop: `check` and `tune` need a recording of that.
+    Where several of `at` hold at an operating point the last has its way.
+    Refuses values that make no sense.
+    """
+
+    loop: str = ""
+    gain_margin_db: float | None = None
+    gain_reduction_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    modulus_margin: float | None = None
+    delay_margin_s: float | None = None
+    sensitivity_peak_db: float | None = None
+    complementary_peak_db: float | None = None
+    control_peak_db: float | None = None
+    control_high_frequency_db: float | None = None
+    control_high_frequency_from_hz: float | None = None
+    bandwidth_hz: float | None = None
+    disk_margin: float | None = None
+    process_peak_db: float | None = None
+    sensitivity_bandwidth_hz: float | None = None
+    complementary_bandwidth_hz: float | None = None
+    controller_bandwidth_hz: float | None = None
+    detuning_percent: float | None = None
+    sensitivity_mask_db: float | None = None
+    complementary_mask_db: float | None = None
+    control_mask_db: float | None = None
+    process_mask_db: float | None = None
+    loop_mask_db: float | None = None
+    loop_floor_db: float | None = None
+    weighted_norm: float | None = None
+    error_rms: float | None = None
+    masks: tuple[Mask, ...] = ()
+    weights: tuple[Weight, ...] = ()
+    at: tuple[AtPoints, ...] = ()
+    band_hz: tuple[float, float] | None = None
+    structure: tuple[BlockTemplate, ...] = ()
+    integrators: int | None = None
+    unstable_poles: int | None = None
+    objective: Objective = Objective()  # noqa: RUF009 (frozen)
+    limits: ClassVar[tuple[Limit, ...]] = LIMITS
+    _least_integrators: ClassVar[int] = -2
+
+    @property
+    def _whose(self) -> str:
+        return f"loop {self.loop!r}"
+
+    def __repr__(self) -> str:
+        """One line: its loop and each limit that is given."""
+        asked = [(limit, getattr(self, limit.name)) for limit in self.limits if getattr(self, limit.name) is not None]
+        words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
+        words += [f"others at {len(self.at)} ranges of operating points"] if self.at else []
+        return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
+
+    def __post_init__(self) -> None:
+        pass_fields(self)
+        self._check_values()
+        self._allow_nothing_over_masks()
+        for one in self.at:
+            self._check_at(one)
+        if not self.weights and (self.weighted_norm is not None or self.objective.weighted_norm):
+            raise WrongUseError(
+                f"a weighted norm of loop {self.loop!r} needs weights", "none", "give weights = (ls.Weight(...), ...)"
+            )
+        if (self.control_high_frequency_db is None) != (self.control_high_frequency_from_hz is None):
+            raise WrongUseError(
+                f"loop {self.loop!r}: control_high_frequency_db and control_high_frequency_from_hz go together",
+                "one of them",
+                "give both or none",
+            )
+
+    def _check_values(self) -> None:
+        for limit in self.limits:
+            limit.refuse(getattr(self, limit.name), self._whose)
+        if self.control_high_frequency_from_hz is not None:
+            what = f"control_high_frequency_from_hz of loop {self.loop!r}"
+            refuse_not_positive(what, self.control_high_frequency_from_hz)
+        if self.band_hz is not None and not _rising_pair(self.band_hz):
+            raise WrongUseError("band_hz is two rising frequencies", f"{self.band_hz!r}")
+        for name, least in (("integrators", self._least_integrators), ("unstable_poles", 0)):
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise WrongUseError(f"{name} of {self._whose} is a whole number from {least}", f"{value!r}")
+
+    def _allow_nothing_over_masks(self) -> None:
+        masked = {mask.quantity for mask in self.masks}
+        for name in MASKED:
+            if name in masked and getattr(self, name) is None:
+                object.__setattr__(self, name, 0.0)
+            if name not in masked and getattr(self, name) is not None:
+                raise WrongUseError(
+                    f"{name} of loop {self.loop!r} needs a mask", f"{getattr(self, name)!r}", "give one"
+                )
+
+    def _check_at(self, one: AtPoints) -> None:
+        """Refuse limits at operating points that are none of one operating point, or make no sense."""
+        known = {limit.name for limit in self.limits} - set(OF_ALL_POINTS) - set(MASKED)
+        if unknown := sorted(set(one.limits) - known):
+            raise WrongUseError(
+                f"at operating points of loop {self.loop!r} cannot be limited", ", ".join(unknown),
+                f"known are {', '.join(sorted(known))} and masks",
+            )  # fmt: skip
+        for name, value in one.limits.items():
+            if not is_number(value):
+                raise WrongUseError(f"{name} of loop {self.loop!r} must be a number", f"{value!r}")
+        self._with(one)
+
+    def _with(self, one: AtPoints) -> Requirements:
+        replaced = {mask.quantity for mask in one.masks}
+        kept = tuple(mask for mask in self.masks if mask.quantity not in replaced)
+        changes: dict[str, Any] = {name: float(value) for name, value in one.limits.items()}
+        return replace(self, at=(), masks=(*kept, *one.masks), **changes)
+
+    def of(self, point: Mapping[str, float]) -> Requirements:
+        """What is required at an operating point."""
+        made = self
+        for one in self.at:
+            made = made._with(one) if one.holds_at(point) else made
+        return replace(made, at=()) if self.at else self
+
+    def limited(self) -> tuple[str, ...]:
+        """Names of the quantities that are limited, at some operating point at least, in the order of `LIMITS`."""
+        every = (self, *(self._with(one) for one in self.at))
+        return tuple(x.name for x in self.limits if any(getattr(one, x.name) is not None for one in every))
+
+    def moved(self, by: Mapping[str, float]) -> Requirements:
+        """The same with limits moved by these amounts, at all operating points."""
+        at = tuple(replace(one, limits={k: v + by.get(k, 0.0) for k, v in one.limits.items()}) for one in self.at)
+        own = {name: getattr(self, name) for name in by}
+        changes: dict[str, Any] = {name: now + by[name] for name, now in own.items() if now is not None}
+        return replace(self, at=at, **changes)
+
+    def masks_on(self, plot: str) -> tuple[Mask, ...]:
+        """Masks of a response, those of some operating points alone included."""
+        every = (*self.masks, *(mask for one in self.at for mask in one.masks))
+        return tuple(mask for mask in every if mask.response == plot)
+
+    def ceilings_db(self, plot: str) -> list[tuple[float, float | None]]:
+        """Upper limits of a response in dB that are asked for, each with the frequency it begins at (None: all)."""
+        begins = {"control_high_frequency_db": self.control_high_frequency_from_hz}
+        drawn = [x for x in LIMITS if (x.plot, x.sense, x.unit) == (plot, "at_most", "dB") and x.name not in MASKED]
+        asked = ((getattr(self, x.name), begins.get(x.name)) for x in drawn)
+        return [(limit, from_hz) for limit, from_hz in asked if limit is not None]
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
+        """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
+        known = {f.name for f in fields(cls)} | {"disturbance_below_hz"}
+        given = dict(table)
+        if "name" not in given:
+            raise WrongUseError("a [[loop]] of a requirements file needs a name", f"{given!r}")
+        given["loop"] = given.pop("name")
+        if unknown := set(given) - known:
+            raise WrongUseError(
+                f"unknown key in the requirements of loop {given['loop']!r}",
+                ", ".join(sorted(unknown)),
+                f"{meant(min(unknown), known)}known are name, {', '.join(sorted(known - {'loop'}))}",
+            )
+        structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
+        band = given.pop("band_hz", None)
+        masks = tuple(Mask.from_table(t) for t in given.pop("masks", ()))
+        weights = tuple(Weight.from_table(t) for t in given.pop("weights", ()))
+        at = tuple(AtPoints.from_table(t) for t in given.pop("at", ()))
+        objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
+        for name, value in given.items():
+            if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
+                bare = value.split()[0] if isinstance(value, str) and value.split() else ""
+                cure = f"leave the unit out: {name} = {bare}" if bare[-1:].isdigit() else ""
+                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}", cure)
+        band = tuple(band) if isinstance(band, list) else band
+        return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, weights=weights, at=at)
+
+
+@dataclass(frozen=True, repr=False)
+class SeveralRequirements(Requirements):
+    """What all loops of a plant must keep together, of `limits` alone; None requires nothing.
+
+    `integrators` and `unstable_poles` declare those of the whole plant (`LoopMatrix`); None leaves them to its lowest
+    lines, and to the loops that were recorded and stood. Refuses values that make no sense.
+    """
+
+    input_output_disk_margin: float | None = None
+    limits: ClassVar[tuple[Limit, ...]] = SEVERAL_LIMITS
+    _least_integrators: ClassVar[int] = 0
+
+    @property
+    def _whose(self) -> str:
+        return "several loops"
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
+        """Requirements of the table `[several]` of a requirements file; an unknown key is refused."""
+        known = [*(limit.name for limit in cls.limits), "integrators", "unstable_poles", "band_hz"]
+        if unknown := [key for key in table if key not in known]:
+            raise WrongUseError("unknown key", ", ".join(map(repr, unknown)), f"known are {', '.join(known)}")
+        return super().from_table({"name": "", **table})
+
+
+def _rising_pair(band: Any) -> bool:
+    numbers = isinstance(band, (list, tuple)) and all(isinstance(x, (int, float)) for x in band)
+    return numbers and len(band) == 2 and 0.0 < band[0] < band[1] < np.inf

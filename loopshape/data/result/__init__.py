@@ -1,0 +1,1 @@
+"""What is found: verdicts and their words, baselines, detuning margins, predictions, what a report says."""

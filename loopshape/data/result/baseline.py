@@ -1,0 +1,143 @@
+"""A verdict that is kept, and what became of it: which outcomes changed, which margins, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from loopshape.core.json_ready import Plain, keys
+from loopshape.data.control.controller import Controller
+from loopshape.data.result.verdict import Line, Verdict
+
+#: outcomes of lines and of stability, best first
+RANK = {"passed": 0, "stable": 0, "undecided": 1, "failed": 2, "unstable": 2}
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A verdict and what it was made from: the controller, and by recording a mark of the data behind the FRF.
+
+    Equal marks mean the same lines and responses, so that two verdicts have their errors in common.
+    """
+
+    verdict: Verdict
+    controller: Controller
+    data: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class LineChange(Plain):
+    """A requirement whose outcome or limit is not that of the baseline; None where one of them does not ask for it."""
+
+    ALSO = keys("worse")
+
+    loop: str
+    quantity: str
+    before: Line | None
+    now: Line | None
+
+    @property
+    def worse(self) -> bool:
+        """Whether the outcome is worse than before; a requirement that came or went is reported without verdict."""
+        return self._step > 0
+
+    @property
+    def better(self) -> bool:
+        """Whether the outcome is better than before."""
+        return self._step < 0
+
+    @property
+    def _step(self) -> int:
+        if self.before is None or self.now is None:
+            return 0
+        return RANK[self.now.outcome] - RANK[self.before.outcome]
+
+
+@dataclass(frozen=True)
+class StabilityChange(Plain):
+    """An operating point whose closed loop is judged otherwise than in the baseline, and the reason now."""
+
+    ALSO = keys("worse")
+
+    loop: str
+    recording: str
+    before: str
+    now: str
+    reason: str
+
+    @property
+    def worse(self) -> bool:
+        """Whether less is known to be stable than before."""
+        return RANK[self.now] > RANK[self.before]
+
+    @property
+    def better(self) -> bool:
+        """Whether more is known to be stable than before."""
+        return RANK[self.now] < RANK[self.before]
+
+
+@dataclass(frozen=True)
+class MarginChange(Plain):
+    """One margin at one operating point: before, now, and whether the change is more than chance.
+
+    `interval` holds the change with 95 %, jointly with all other changes of the comparison; None where the change has
+    no error (`common`: the same data, or no intervals) or is infinite. `outcome` is "better", "worse" or "unchanged".
+    """
+
+    ALSO = keys("change")
+
+    loop: str
+    recording: str
+    quantity: str
+    unit: str
+    before: float
+    now: float
+    interval: tuple[float, float] | None
+    common: bool
+    outcome: str
+
+    @property
+    def change(self) -> float:
+        """now - before, in the quantity's unit; 0 where both are the same infinity."""
+        return 0.0 if self.now == self.before else self.now - self.before
+
+
+@dataclass(frozen=True)
+class Comparison(Plain):
+    """What became of a baseline: outcomes first, then margins, then what came or went.
+
+    `margins` holds every margin that both know, at every operating point that both have. `gone` and `new` are loops and
+    operating points that only the baseline, or only the present check, has. `notes` say what differs underneath
+    (controller, data) and what could not be compared.
+    """
+
+    IN_JSON = keys("outcome", "lines", "stabilities", "margins", "gone", "new", "notes")
+
+    lines: tuple[LineChange, ...]
+    stabilities: tuple[StabilityChange, ...]
+    margins: tuple[MarginChange, ...]
+    gone: tuple[str, ...] = ()
+    new: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def outcome(self) -> str:
+        """Worse where anything is (an operating point that is gone is no longer verified), else better or unchanged."""
+        if self.gone or self.of("worse") or any(x.worse for x in self.lines) or any(x.worse for x in self.stabilities):
+            return "worse"
+        moved = any(x.better for x in self.lines) or any(x.better for x in self.stabilities)
+        return "better" if moved or self.of("better") else "unchanged"
+
+    def of(self, outcome: str) -> tuple[MarginChange, ...]:
+        """The margins of one outcome."""
+        return tuple(change for change in self.margins if change.outcome == outcome)
+
+    def largest(self) -> tuple[tuple[MarginChange, int], ...]:
+        """The largest change of each loop, quantity and direction, and at how many operating points it is so.
+
+        Those for the worse come first; changes within their intervals are left out.
+        """
+        kept: dict[tuple[str, str, str], list[MarginChange]] = {}
+        for change in (*self.of("worse"), *self.of("better")):
+            kept.setdefault((change.outcome, change.loop, change.quantity), []).append(change)
+        return tuple((max(group, key=lambda c: abs(c.change)), len(group)) for group in kept.values())

@@ -1,0 +1,203 @@
+"""What a new controller is predicted to do, and how a later measurement compares with it.
+
+A `Prediction` is one loop at one operating point: its sensitivity from a measured FRF, its step from a fit.
+`Comparison` and `StepComparison` say whether a run under that controller bears it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
+from loopshape.core.units import Array
+from loopshape.data.control.controller import Controller
+from loopshape.data.response.frf import FRF
+
+
+@dataclass(frozen=True)
+class Indicators:
+    """What is read off a step of the setpoint from r0 to r1, with y0 the output before it and y1 where it ends.
+
+    - `rise_time_s`: from 10 % to 90 % of the way from y0 to y1, between samples by straight lines;
+    - `settling_time_s`, `settling_time_5_s`: from the step until y stays within 2 % (5 %) of |y1 - y0| of y1;
+    - `overshoot`: how far y goes beyond y1, over |y1 - y0|; 0 where it does not;
+    - `steady_state_error`: (r1 - y1)/(r1 - r0).
+
+    `outcome` is "settled", or "not settled" where y does not stay within 2 % for the last fifth of what was seen: then
+    y1 is no final value, and the numbers describe the time seen only. A time that is not reached by then is nan.
+    `intervals` are 95 % intervals by field name, empty where the spread is not known.
+    """
+
+    rise_time_s: float
+    settling_time_s: float
+    settling_time_5_s: float
+    overshoot: float
+    steady_state_error: float
+    outcome: str = "settled"
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+#: fields of `Indicators` with their units, in the order of tables
+INDICATORS = {
+    "rise_time_s": "s", "settling_time_s": "s", "settling_time_5_s": "s", "overshoot": "1", "steady_state_error": "1",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Step(Plain):
+    """Answer (n,) to a unit step of the setpoint at time 0, with its pointwise 95 % band (n,), and what is read off it.
+
+    `source` says what it rests on ("fit" or "FRF"); the band is that source's spread and nothing else: it does not
+    know how wrong a model's structure is. `unsettled` is the share of draws that did not settle.
+    """
+
+    IN_JSON = keys("source", "unsettled", "notes", "indicators")
+
+    time_s: Array
+    response: Array
+    low: Array
+    high: Array
+    indicators: Indicators
+    source: str
+    unsettled: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "response", "low", "high"):
+            copy = np.array(getattr(self, name), dtype=float)
+            copy.setflags(write=False)
+            object.__setattr__(self, name, copy)
+        shapes = {np.shape(getattr(self, name)) for name in ("time_s", "response", "low", "high")}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+            raise WrongUseError("a step has a time, a value and both ends of its band at each sample", f"{shapes}")
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Error r - y while a setpoint moves: largest and rms, in the loop's unit, and the predicted ones or nan."""
+
+    largest_error: float
+    rms_error: float
+    predicted_largest_error: float = float("nan")
+    predicted_rms_error: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(Plain):
+    """What one controller will make of one loop at one operating point.
+
+    `sensitivity` is S as a 1 x 1 FRF on the plant's valid lines, with the plant's covariance carried through
+    (|dS| = |C S²| |dP|, to first order) and `held_by` the controller. `stability` is the count's word on the same
+    lines: where it is not "stable" the rest says little. `step` is None without a usable fit.
+    """
+
+    IN_JSON = keys(
+        "loop", "recording", operating_point="sensitivity.operating_point", parameters="sensitivity.parameters",
+        stability="stability", step="step", notes="notes",
+    )  # fmt: skip
+
+    sensitivity: FRF
+    stability: str
+    step: Step | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def controller(self) -> Controller:
+        """The controller that is predicted."""
+        if self.sensitivity.held_by is None:
+            raise WrongUseError("a prediction names its controller", "none")
+        return self.sensitivity.held_by
+
+    @property
+    def complementary(self) -> FRF:
+        """T = 1 - S, of the same covariance."""
+        return replace(self.sensitivity, response=1.0 - self.sensitivity.response)
+
+    @property
+    def loop(self) -> str:
+        """Name of the loop."""
+        return self.sensitivity.loop
+
+    @property
+    def recording(self) -> str:
+        """The recording that it was predicted from."""
+        return self.sensitivity.recording
+
+
+@dataclass(frozen=True)
+class Band:
+    """A band of a comparison: its p-value, and by how much S and T came out larger than predicted, in dB.
+
+    The decibels are of the mean ratio over the lines, weighted by what they are known to; `std_db` is the standard
+    deviation of that of S. Of two plants `sensitivity_db` is that of |P|.
+    """
+
+    low_hz: float
+    high_hz: float
+    lines: int
+    p_value: float
+    sensitivity_db: float
+    complementary_db: float
+    std_db: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A prediction against a measurement under its controller, or a plant's FRF against another, over common lines.
+
+    `outcome` is "held", "did not hold" (p-value below `level`) or "cannot tell" (the data are too few or too noisy
+    to contradict: they would not notice a change of the plant's gain by `noticed_db` four times in five, or less).
+    `worst` is the band that differs most. Peaks of |S|, of two plants of |P|, are over the common lines, at face value.
+    """
+
+    loop: str
+    predicted_from: str
+    measured_from: str
+    operating_point: Mapping[str, float]
+    outcome: str
+    p_value: float
+    level: float
+    lines: int
+    bands: tuple[Band, ...]
+    noticed_db: float
+    tolerance_db: float = 0.0
+    predicted_peak_db: float = float("nan")
+    measured_peak_db: float = float("nan")
+    notes: tuple[str, ...] = ()
+
+    @property
+    def worst(self) -> Band | None:
+        """The band of the smallest p-value; None where there is no line."""
+        return min(self.bands, key=lambda band: band.p_value, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class StepComparison(Plain):
+    """One measured step against the predicted one, both as of a unit step.
+
+    `outside` is the share of samples outside the predicted band, widened by what the sensor's noise leaves;
+    `largest_miss` the largest distance from the predicted response itself, of a unit step, `miss_at_s` when.
+    """
+
+    IN_JSON = keys(
+        "recording", "at_s", "size", "measured", predicted="predicted.indicators", largest_miss="largest_miss",
+        miss_at_s="miss_at_s", outside="outside", notes="notes",
+    )  # fmt: skip
+
+    recording: str
+    loop: str
+    operating_point: Mapping[str, float]
+    at_s: float
+    size: float
+    measured: Indicators
+    time_s: Array
+    response: Array
+    predicted: Step | None = None
+    outside: float = float("nan")
+    largest_miss: float = float("nan")
+    miss_at_s: float = float("nan")
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,244 @@
+"""What a check finds: each requirement's worst line, the verdict, and the margins of several loops at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from html import escape
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from loopshape.core.json_ready import Plain, keys
+from loopshape.core.units import db, deg
+from loopshape.data.requirement.requirements import Margins
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Outcome(StrEnum):
+    """What data say of a controller under requirements: each is also its word."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    UNDECIDED = "undecided"
+
+
+class SettledBy(StrEnum):
+    """What settles an undecided operating point: a measurement, a word in the requirements, or neither."""
+
+    MEASUREMENT = "measurement"
+    DECLARATION = "declaration"
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True)
+class Order(Plain):
+    """What would settle an undecided operating point; where that is a measurement its band, spacing and length.
+
+    `low_hz` to `high_hz` is the band, `resolution_hz` the distance of its lines, `seconds` the length at the signal to
+    noise ratio per Hz of `recording`; None where `by` is no measurement. Frequencies of one recording may need several.
+    """
+
+    ALSO = keys("command")
+
+    recording: str
+    by: SettledBy
+    low_hz: float | None = None
+    high_hz: float | None = None
+    resolution_hz: float | None = None
+    seconds: float | None = None
+
+    @property
+    def command(self) -> str | None:
+        """The measurement as a command, for the run in place of RUN; None where measuring does not settle it."""
+        return self.command_for("RUN") if self.by is SettledBy.MEASUREMENT else None
+
+    def command_for(self, run: str) -> str:
+        """The same for a run's folder."""
+        numbers = zip(
+            ("--from-hz", "--to-hz", "--resolution-hz", "--seconds"),
+            (self.low_hz, self.high_hz, self.resolution_hz, self.seconds),
+            strict=True,
+        )
+        asked = " ".join(f"{name} {value:.6g}" for name, value in numbers)
+        of = f" --recording {quote(self.recording)}" if self.recording else ""
+        return f"loopshape plan {quote(run)}{of} --lines all {asked}"
+
+
+@dataclass(frozen=True)
+class SeveralMargins(Margins):
+    """Margins of all loops of one plant at one operating point, from its matrix; nan what is of single loops alone.
+
+    - `disk_margin`: the largest a such that every loop may be multiplied by its own (1 + d/2)/(1 - d/2), |d| < a
+      complex, all at once (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced); 2 at most, and the
+      same at the plant's inputs and outputs. `disk_margin_reached` is the size of changes known to destabilise: nothing
+      is known between the two (they are one for three loops or fewer), and its interval goes from one to the other.
+      `input_output_disk_margin`: both ends at once.
+    - `gain_margin_db`, `phase_margin_deg`: what every loop may vary by either way, all at once, by the disk margin.
+    - `modulus_margin`: the largest m such that every loop's L may move by less than m, all at once.
+    - `sensitivity_peak_db`, `complementary_peak_db`: largest singular value of S_o and T_o; nan where the outputs have
+      different units, on which they would depend.
+
+    `worst_changes` are the factors (complex, one a loop) that bring the loops to their limit, at
+    `at_hz["disk_margin"]`. Margins mean room only where `stable` is "stable".
+    """
+
+    loops: tuple[str, ...] = ()
+    disk_margin_reached: float = float("nan")
+    input_output_disk_margin: float = float("nan")
+    worst_changes: tuple[complex, ...] = ()
+    unstable_poles: int | None = None
+    notes: tuple[str, ...] = ()
+
+    ALSO = keys(worst_changes="changes")
+
+    @property
+    def changes(self) -> dict[str, dict[str, float]]:
+        """`worst_changes` by loop, in gain and phase."""
+        found = zip(self.loops, self.worst_changes, strict=True)
+        return {name: {"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for name, x in found}
+
+
+@dataclass(frozen=True)
+class Line(Plain):
+    """A requirement at its worst operating point: required, found with its 95 % interval, slack, and the outcome.
+
+    `spare` is the room between what is required and the interval's end on the bad side (positive: room left).
+    `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
+    then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
+    A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
+    to which frequency to measure, as |L| falls on over the highest lines (None: not known).
+    `beyond` tells that `found` is a bound, the largest that was searched.
+    """
+
+    ALSO = keys("passed")
+
+    quantity: str
+    unit: str
+    wished: float
+    found: float
+    spare: float
+    outcome: str
+    recording: str
+    at_hz: float | None
+    interval: tuple[float, float] | None = None
+    longer: float | None = None
+    bound: float | None = None
+    measure_to_hz: float | None = None
+    beyond: bool = False
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Ends between which the value lies in 95 %: its interval, of a bound on to the best that may be."""
+        if self.bound is None:
+            return self.interval
+        low, high = self.interval or (self.found, self.found)
+        return min(low, self.bound), max(high, self.bound)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the requirement holds, as far as these data are sure."""
+        return self.outcome == "passed"
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict(Plain):
+    """A check's outcome for one loop, or for several at once: the worst line of each requirement over all points.
+
+    `margins` holds every operating point's margins by recording; `passed` needs every line to pass and
+    every operating point to be stable. A loop whose stability the data cannot decide does not pass.
+    `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
+
+    Of several loops `margins` are those of all together (`SeveralMargins`), and `each` holds a verdict a loop, with the
+    others closed; the outcome needs them too. An undecided verdict on single loops says in `orders` what would settle
+    it.
+    """
+
+    IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "orders", "each")
+
+    loop: str
+    lines: tuple[Line, ...]
+    margins: Mapping[str, Margins]
+    warnings: tuple[str, ...] = ()
+    each: tuple[Verdict, ...] = ()
+    orders: tuple[Order, ...] = ()
+
+    @property
+    def parts(self) -> tuple[Verdict, ...]:
+        """This verdict, or of several loops that of each and then that of all together, by itself."""
+        return (*self.each, replace(self, each=())) if self.each else (self,)
+
+    @property
+    def together(self) -> dict[str, SeveralMargins]:
+        """Margins of several loops at once by recording; empty for a single loop."""
+        return {name: m for name, m in self.margins.items() if isinstance(m, SeveralMargins)}
+
+    @property
+    def unstable(self) -> tuple[str, ...]:
+        """Recordings whose loop is unstable or undecided."""
+        return tuple(name for name, m in self.margins.items() if m.stable != "stable")
+
+    @property
+    def outcome(self) -> Outcome:
+        """What these data say of the controller."""
+        stable = {m.stable for m in self.margins.values()}
+        lines = {line.outcome for line in self.lines} | {one.outcome.value for one in self.each}
+        if "unstable" in stable or "failed" in lines:
+            return Outcome.FAILED
+        return Outcome.UNDECIDED if "undecided" in stable | lines else Outcome.PASSED
+
+    def __repr__(self) -> str:
+        """One line: the outcome, and each requirement that does not hold."""
+        missed = [f"{one.loop} {one.outcome}" for one in self.each if not one.passed]
+        missed += [f"{line.quantity} {line.outcome}" for line in self.lines if not line.passed]
+        missed += [f"{self.margins[name].stable} at {name}" for name in self.unstable]
+        of, why = f" {self.loop}" if self.loop else "", f" ({', '.join(missed)})" if missed else ""
+        return f"Verdict{of}: {self.outcome}{why}"
+
+    def __str__(self) -> str:
+        """The verdict in one sentence and a table of the requirements in 80 columns, as `loopshape check` prints it."""
+        from loopshape.data.result.verdict_words import folded, page_text
+
+        parts = [part for part in self.parts if part.margins or part.lines]
+        return "\n".join([page_text(parts), *(folded(f"warning: {warning}") for warning in self.warnings)])
+
+    def table(self) -> pd.DataFrame:
+        """A row a requirement at its worst operating point: limit, worst case, 95 % interval, slack, where, outcome."""
+        import pandas as pd
+
+        rows: list[dict[str, Any]] = [
+            ({"loop": part.loop} if self.each else {})
+            | {
+                "requirement": line.quantity,
+                "unit": line.unit,
+                "required": line.wished,
+                "worst case": line.found,
+                "low": line.span[0] if line.span else None,
+                "high": line.span[1] if line.span else None,
+                "slack": line.spare,
+                "at [Hz]": line.at_hz,
+                "operating point": line.recording,
+                "outcome": line.outcome,
+            }
+            for part in self.parts
+            for line in part.lines
+        ]
+        return pd.DataFrame(rows)
+
+    def _repr_html_(self) -> str:
+        """The table in a notebook, under the outcome."""
+        return f"<p>{escape(repr(self))}</p>{self.table().to_html(index=False, float_format='{:.4g}'.format)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict as plain values for JSON; what was not found is None. A single loop has no `each`."""
+        made = super().to_dict()
+        return made if self.each else {key: value for key, value in made.items() if key != "each"}
+
+    @property
+    def passed(self) -> bool:
+        """Whether these data verify the controller."""
+        return self.outcome == "passed"

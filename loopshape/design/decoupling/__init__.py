@@ -1,0 +1,1 @@
+"""What stands between several controllers and one plant: a matrix or filters that decouple."""

@@ -1,0 +1,170 @@
+"""Rooms under the limits on magnitudes: |S|, |T|, |CS|, |PS|, the disk, the reach of L, and C's own bandwidth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from loopshape.core.kernels.loops import tuning_rows as kernel
+from loopshape.core.units import Array, rad
+from loopshape.design.problem.evaluation import Evaluation
+from loopshape.design.problem.norms import EVERY, FAR, NORM, PLATEAU, norm_above
+from loopshape.design.problem.problem import Problem
+from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
+from loopshape.loop.margin.controller_bandwidth import HALF_POWER
+from loopshape.loop.stability.stability import FIT_DEG
+
+_OF_C = "controller_bandwidth_hz"
+
+
+#: quantity -> magnitude
+_KINDS = {
+    "sensitivity_peak_db": kernel.S,
+    "modulus_margin": kernel.S,
+    "complementary_peak_db": kernel.T,
+    "control_peak_db": kernel.CS,
+    "control_high_frequency_db": kernel.CS,
+    "process_peak_db": kernel.PS,
+    "disk_margin": kernel.DISK,
+    "sensitivity_mask_db": kernel.S,
+    "complementary_mask_db": kernel.T,
+    "control_mask_db": kernel.CS,
+    "process_mask_db": kernel.PS,
+    "loop_mask_db": kernel.LOOP,
+    "loop_floor_db": kernel.FLOOR,
+    NORM: kernel.NORM,
+    SURE: kernel.SURE,
+}
+#: quantities that go on above the last line, where |L| stays below its last value
+_STAY = (
+    "sensitivity_peak_db", "modulus_margin", "complementary_peak_db", "disk_margin", "control_peak_db",
+    "control_high_frequency_db",
+)  # fmt: skip
+#: above the last line, where |L| <= l, a masked response is at most |C|^own l^share (1/(1 - l))^worst
+_ABOVE = {
+    "sensitivity_mask_db": (0.0, 0.0, 1.0),
+    "complementary_mask_db": (0.0, 1.0, 1.0),
+    "control_mask_db": (1.0, 0.0, 1.0),
+    "process_mask_db": (-1.0, 1.0, 1.0),
+    "loop_mask_db": (0.0, 1.0, 0.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What the kernel is told of a problem's limits on magnitudes."""
+
+    names: tuple[str, ...]
+    kinds: np.ndarray
+    from_hz: Array
+    above: np.ndarray
+    masks: Array
+    masked: np.ndarray
+
+
+_ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
+
+
+def _asked(p: Problem) -> _Asked:
+    """The limits on magnitudes of a problem, made once."""
+    if p not in _ASKED:
+        names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.reach.any()))
+        masks = [x for x in names if x in p.masks]
+        _ASKED[p] = _Asked(
+            names=names,
+            kinds=np.array([_KINDS[x] for x in names], dtype=np.int64),
+            from_hz=np.array([_from_hz(p, x) for x in names], dtype=float),
+            above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
+            masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
+            masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
+        )
+    return _ASKED[p]
+
+
+@once
+def _levels(p: Problem, tighten: Tighten) -> Array:
+    """ln of the largest magnitudes allowed (names, points)."""
+    names = _asked(p).names
+    return np.array([_level(p, x, tighten) for x in names]).reshape(len(names), p.points)
+
+
+def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
+    """Rows of every limit on a magnitude that the requirements make, and of what keeps stability countable.
+
+    They lie at local peaks and beside them, at the highest of each operating point, and on plateaus.
+    """
+    p, asked = e.p, _asked(e.p)
+    level = _levels(p, tighten)
+    made = kernel.magnitude_rows(
+        e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, FAR, FAR - PLATEAU, EVERY
+    )
+    yield from of_kernel(asked.names, *made)
+    for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
+        if name in _ABOVE:
+            yield _mask_above(e, name, mine)
+        if name == NORM:
+            yield from norm_above(e, mine)
+    yield from _beyond(e)
+    blind = np.diff(p.first_below) == 0
+    ends = kernel.end_rows(e.flat, 0, blind, ~p.fitted, p.integrators, p.unstable, float(rad(FIT_DEG)))
+    yield from of_kernel((SURE,), *ends)
+    if p.f_wide.size:
+        yield _controller_bandwidth(e, tighten)
+
+
+def _level(p: Problem, name: str, tighten: Tighten) -> Array:
+    """ln of the largest magnitude allowed (points,)."""
+    if name == SURE:
+        return -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), p.points)
+    limit = wished(p, name, tighten)
+    if name == "modulus_margin":
+        return -scaled(name, limit)
+    return np.log(2.0) - scaled(name, limit) if name == "disk_margin" else scaled(name, limit)
+
+
+def _from_hz(p: Problem, name: str) -> float:
+    return (p.requirements.control_high_frequency_from_hz or 0.0) if name == "control_high_frequency_db" else 0.0
+
+
+def _mask_above(e: Evaluation, name: str, level: Array) -> Rows:
+    """Rows of a masked response above the last lines, one for each point where it has least room there."""
+    p, (own, share, worst) = e.p, _ABOVE[name]
+    ln_share, ln_worst = np.log(e.share_above), -np.log1p(-e.share_above)
+    size = own * e.ln_C[p.above] + (share * ln_share + worst * ln_worst)[:, None] - p.masks_above[name]
+    k = size.argmax(axis=1)
+    point = np.flatnonzero(np.isfinite(size.max(axis=1)))
+    k, slope = k[point], share + worst * (e.share_above / (1.0 - e.share_above))[point]
+    a, b = np.full(point.size, -own, dtype=complex), np.asarray(-slope, dtype=complex)
+    room = level[point] - size[point, k]
+    return Rows(name, room, p.f.size + k, point, p.above.start + k, a, p.line[e.last[point]], b)
+
+
+def _beyond(e: Evaluation) -> Iterator[Rows]:
+    """Rows that keep |L| below 1 on the less sure lines above those that are judged."""
+    p = e.p
+    if p.f_beyond.size:
+        size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
+        k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
+        column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
+        at = p.f.size + p.f_above.size + k
+        yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
+
+
+def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
+    """Rows of |C| at and above its bandwidth's limit, 3 dB and what is tightened (ln) below the largest under it."""
+    p, size = e.p, e.ln_C[e.p.wide]
+    limit, lower = float(wished(p, _OF_C, {})[0]), float(np.max(tighten.get(_OF_C, 0.0)))
+    split = int(np.searchsorted(p.f_wide, limit * (1.0 - 1e-12)))
+    top, rest = int(np.argmax(size[: split + 1])), size[split:]
+    peak = np.ones(rest.size, dtype=bool)
+    peak[1:] &= rest[1:] >= rest[:-1]
+    peak[:-1] &= rest[:-1] >= rest[1:]
+    peak[0] = True
+    k = split + np.flatnonzero(peak)
+    one, start = np.full(k.size, 1.0 + 0.0j), p.wide.start
+    at, every = p.f.size + p.f_above.size + p.f_beyond.size + k, np.full(k.size, -1)
+    room = size[top] + HALF_POWER - lower - size[k]
+    return Rows(_OF_C, room, at, every, np.full(k.size, start + top), one, start + k, -one)

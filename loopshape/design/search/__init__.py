@@ -1,0 +1,1 @@
+"""Where a tuning begins and how it climbs."""

@@ -1,1 +1,0 @@
-"""Two runs, or a run and a plant, to what parts them."""

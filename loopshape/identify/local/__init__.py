@@ -1,0 +1,1 @@
+"""Local models of a whole record over its lines, sweeps included."""

@@ -1,0 +1,210 @@
+"""Sweeps, one way or both ways: local models of a whole record's transform, each line with a window of its own.
+
+A sweep passes a frequency once or twice, so segments see each line too seldom to average. The transform of the whole
+record sees it all: X(k) = H(k) R(k) + T(k) + V(k), and over neighbouring lines H and the transient T of start, end and
+drift are smooth (Pintelon, Schoukens, Vandersteen, Barbe, MSSP 24, 2010). What is left over is noise, wherever in the
+record it lies: what is heard while the sweep passes, and just before and after, counts where it is louder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loopshape.core.errors import BadSignalError
+from loopshape.core.stretches import AT_ONCE, Signal
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.signal.excitation_parts import zero_crossings
+from loopshape.data.signal.recording import Recording
+from loopshape.identify.answers import Answers
+from loopshape.identify.local.local_models import Fits, influences, solve, window_moments
+from loopshape.identify.local.sweep_harmonics import Harmonics, harmonics
+from loopshape.identify.local.sweep_windows import HALVES, HEARD, POLYNOMIAL, RATIONAL, Chosen, Transient, choose
+from loopshape.identify.settings import Settings
+from loopshape.identify.spectra.averages import smoothed
+from loopshape.identify.spectra.long_transforms import low_lines
+from loopshape.identify.spectra.transforms import FLOOR, fast_length
+
+#: lines lie this share of their frequency apart, or are the record's own
+DENSE = 150
+#: lines on each side over which a line's noise is pooled
+POOL = 5
+#: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
+OVERLAP = 0.7
+
+
+def by_sweep(
+    recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
+) -> Answers:
+    """Answers of signals (n,), the first `outputs` of them plant outputs, to a sweep (n,), within the band it crosses.
+
+    Lines are the record's own, thinned out to `DENSE` a frequency or to the resolution asked for. Signals are read one
+    after the other, and their lines above the band are left out. Refuses a record whose band holds fewer lines than the
+    narrowest window. Misleads where the plant changes while the sweep passes:
+    one direction alone cannot show it.
+    """
+    return fitted(recording, signals, instrument, outputs, settings)[0]
+
+
+def fitted(
+    recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
+) -> tuple[Answers, Harmonics]:
+    """As `by_sweep`, and the harmonics that were taken out."""
+    n = fast_length(instrument.size)
+    unit = recording.rate_hz / n
+    low_hz, high_hz = swept_band(instrument, recording.rate_hz)
+    low, high = max(2, int(0.5 * low_hz / unit)), min(n // 2 - 1, int(1.3 * high_hz / unit))
+    lines = _grid(max(low, int(np.ceil(low_hz / unit))), min(high, int(high_hz / unit)), unit, settings)
+    if high - low < 2 * HALVES[0] + 2 or lines.size < 2:
+        raise BadSignalError(
+            f"the sweep of recording {recording.info.file} crosses too few lines",
+            f"{low_hz:.3g} to {high_hz:.3g} Hz with lines {unit:.3g} Hz apart",
+            "record longer, or sweep a wider band",
+        )
+    z, scale = _transforms(signals, instrument, n, high)
+    nonlinear = harmonics(z, np.array(instrument[:n]), low, high, low_hz / unit)
+    z[low : high + 1, 2:] -= nonlinear.added
+    chosen, transient = choose(z, lines, low, high, outputs)
+    response, covariance, power, freedom = _estimated(z, lines, chosen, transient, 1.0 - nonlinear.share[lines - low])
+    to_unit, width = scale[2:] / scale[0], chosen.right - chosen.left + 1
+    order = [*range(2, z.shape[1]), 0]
+    density = 2.0 / (recording.rate_hz * recording.rate_hz / unit)
+    share, fed = float(np.mean(chosen.rational)), power[:, 0, 0].real
+    answers = Answers(
+        frequency_hz=lines * unit,
+        response=(response * to_unit)[:, :, None],
+        covariance=covariance * (to_unit[:, None] * to_unit),
+        power=(power * (scale[:, None] * scale))[:, order][:, :, order] * density,
+        excited=fed > FLOOR * fed.max(),
+        averages=float(np.median(width)),
+        power_per="Hz",
+        line_overlap=max(1.0, float(np.median(0.5 * OVERLAP * width / np.gradient(lines.astype(float))))),
+        freedom=freedom,
+        pooled=2 * POOL + 1,
+        method=f"local fits of a sweep of {1.0 / unit:.4g} s, windows of {width.min() * unit:.3g} to"
+        f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals"
+        f"{nonlinear}",
+        method_numbers={"sweep_s": 1.0 / unit, "rationals_percent": 100.0 * share},
+    )
+    return answers, nonlinear
+
+
+def _transforms(signals: Sequence[Signal], instrument: Signal, n: int, high: int) -> tuple[ComplexArray, Array]:
+    """Transforms up to line `high` (high + 1, 2 + m) of instrument, 1 and signals without their trends, each to unit
+    power, and by what they were divided."""
+    z, scale = np.ones((high + 1, 2 + len(signals)), dtype=complex), np.ones(2 + len(signals))
+    for k, signal in ((0, instrument), *enumerate(signals, start=2)):
+        x = _without_trend(np.asarray(signal[:n]))
+        scale[k] = np.sqrt(_line_power(x))
+        z[:, k] = low_lines(x, high) / scale[k]
+    return z, scale
+
+
+def _line_power(x: Array) -> float:
+    """Mean square of the lines 0 to n // 2 of the transform of x (n,), by Parseval."""
+    nyquist = x[::2].sum() - x[1::2].sum() if x.size % 2 == 0 else 0.0
+    return float(0.5 * (x.size * (x @ x) + x.sum() ** 2 + nyquist**2) / (x.size // 2 + 1))
+
+
+def _without_trend(x: Array) -> Array:
+    """x (n,) without its mean and straight trend: what this takes from the sweep's own answer is smooth over lines."""
+    x = x - x.mean()
+    middle = 0.5 * (x.size - 1)
+    parts = [slice(start, min(start + AT_ONCE, x.size)) for start in range(0, x.size, AT_ONCE)]
+    moment = sum(float((np.arange(part.start, part.stop) - middle) @ x[part]) for part in parts)
+    slope = moment / (middle * (middle + 1.0) * x.size / 3.0)  # the sum of squared distances from the middle
+    for part in parts:
+        x[part] -= slope * (np.arange(part.start, part.stop) - middle)
+    return np.asarray(x)
+
+
+def swept_band(instrument: Signal, rate_hz: float) -> tuple[float, float]:
+    """Lowest and highest frequency in Hz that a sweep (n,) crosses: by its zero crossings, and one more at each end.
+
+    Refuses a signal of fewer than four cycles.
+    """
+    at = _crossings(instrument) / rate_hz
+    if at.size < 8:
+        raise BadSignalError("a sweep has four cycles at least", f"{0.5 * at.size:g} of them", "record longer")
+    f, t = 1.0 / (at[2:] - at[:-2]), 0.5 * (at[2:] + at[:-2])  # whole cycles: an offset moves every second crossing
+    logarithmic = _straighter(np.log(f), t, f)
+    reverse = instrument.size / rate_hz - t[::-1]
+    ends = _before_first(f, t, logarithmic), _before_first(f[::-1], reverse, logarithmic)
+    return float(min(f.min(), *ends)), float(min(max(f.max(), *ends), 0.5 * rate_hz))
+
+
+def _crossings(x: Signal) -> Array:
+    """Zero crossings of a sweep (n,) in samples: all of them, but of one with noise those that are clear."""
+    clear, values = zero_crossings(x), np.asarray(x)
+    values = values - values.mean()
+    k = np.flatnonzero(np.diff(np.signbit(values)))
+    return clear if k.size > clear.size + 2 else np.asarray(k + values[k] / (values[k] - values[k + 1]))
+
+
+def _straighter(one: Array, at: Array, other: Array) -> bool:
+    """Whether `one` (k,) is straighter over `at` than `other`, up to the latter's peak or from there on."""
+    peak = int(np.argmax(other))
+    part = slice(0, peak + 1) if peak >= at.size // 2 - 1 else slice(peak, None)
+    return bool(abs(np.corrcoef(one[part], at[part])[0, 1]) > abs(np.corrcoef(other[part], at[part])[0, 1]))
+
+
+def _before_first(f_hz: Array, at_s: Array, logarithmic: bool) -> float:
+    """Frequency at time 0, or one and a half half-cycles earlier than the first of those of `f_hz` (k,) at `at_s`."""
+    k = min(8, f_hz.size // 4)
+    share = min(at_s[0], 1.5 / f_hz[0]) / (at_s[k] - at_s[0])
+    found = f_hz[0] * (f_hz[0] / f_hz[k]) ** share if logarithmic else f_hz[0] - (f_hz[k] - f_hz[0]) * share
+    return float(np.clip(found, 0.5 * f_hz[0], 2.0 * f_hz[0]))
+
+
+def _grid(first: int, last: int, unit: float, settings: Settings) -> np.ndarray:
+    """Lines from `first` to `last`: of the resolution asked for, else ever further apart; records of one length share
+    them."""
+    if settings.resolution_hz is not None:
+        step = max(1, round(settings.resolution_hz / unit))
+        return np.arange(-(-first // step) * step, last + 1, step)
+    lines, k = [], 1
+    while k <= last:
+        lines.append(k)
+        k += max(1, k // DENSE)
+    found = np.array(lines, dtype=int)
+    return found[found >= first]
+
+
+def _estimated(
+    z: ComplexArray, lines: np.ndarray, chosen: Chosen, transient: Transient, left_of_noise: Array
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, float]:
+    """Responses (n, m), their covariance, cross-powers of z over each window, and degrees of freedom of a variance.
+
+    `left_of_noise` (n,) is the share of the noise that z still holds.
+    """
+    n, m = lines.size, z.shape[1] - 2
+    response, total = np.empty((n, m), dtype=complex), np.zeros((n, m, m), dtype=complex)
+    held, gain, effective = np.empty_like(total), np.empty(n), np.empty(n)
+    power = np.empty((n, m + 2, m + 2), dtype=complex)
+    for shape, rows in ((POLYNOMIAL, np.flatnonzero(~chosen.rational)), (RATIONAL, np.flatnonzero(chosen.rational))):
+        if not rows.size:
+            continue
+        left, right, expected = chosen.left[rows], chosen.right[rows], transient.select(rows)
+        M = window_moments(z, lines[rows], left[:, None], right[:, None], shape.powers)[:, 0]
+        count, ridge = (right - left + 1).astype(float), expected.ridge(left, right)
+        fits = solve(M, count, shape, ridge)
+        response[rows], gain[rows] = fits.response, fits.inverse[:, 0, 0].real
+        power[rows] = M[:, 0].conj() / count[:, None, None]
+        held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
+        total[rows], effective[rows] = influences(z, lines[rows], left, right, shape.order, fits)
+    noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
+    passing = np.einsum("nxx->n", chosen.passing).real > 0.0
+    noise[passing] = chosen.passing[passing]
+    gain = gain / left_of_noise
+    width = chosen.right - chosen.left + 1.0
+    freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
+    freedom = np.where(passing, np.minimum(freedom, HEARD), freedom)
+    return response, np.asarray(noise * gain[:, None, None] + held), power, float(np.median(freedom))
+
+
+def _held(fits: Fits, ridge: Array, transient: Transient, half: Array) -> ComplexArray:
+    """Covariance (n, m, m) of what a transient held to its expected size may still leave in the responses."""
+    terms = np.arange(ridge.shape[1])
+    share = np.abs(fits.inverse[:, 0, -terms.size :] * ridge) ** 2 * half[:, None] ** (2.0 * terms)
+    return np.asarray(np.einsum("ns,nsxy->nxy", share, transient.covariance))

@@ -1,0 +1,1 @@
+"""Several inputs and outputs: the matrix FRF, equivalent plants, interaction and its intervals."""

@@ -1,0 +1,1 @@
+"""Whether a recording is fit for an estimate: feedback, faults, distortion, who plays which part."""

@@ -1,0 +1,1 @@
+"""Signals to spectra: transforms, segments, periods, their averages and coherence."""

@@ -1,0 +1,78 @@
+"""From transforms to responses with their covariance, one instrument at a time.
+
+With Y, U, N the transforms of output, plant input and instrument, G = sum(Y N*)/sum(U N*): what N did not
+cause averages out, in closed loop too (van den Hof and Schrama 1993; the source's 4.9 and H.6). The error
+is sum(E N*)/sum(U N*) with E = Y - G U, and its variance follows from the E that the segments show.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray
+from loopshape.identify.spectra.transforms import Transforms
+
+
+def against_instrument(t: Transforms) -> ComplexArray:
+    """Response (nf, signals) of each signal to the instrument, sum(X N*)/sum(N N*)."""
+    power = (np.abs(t.instrument) ** 2).sum(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.einsum("skf,kf->fs", t.signals, t.instrument.conj()) / power[:, None])
+
+
+#: degrees of freedom wanted of a variance; with fewer periods it is pooled over neighbouring lines
+POOLED = 40
+
+
+def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArray, float, int]:
+    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf), its degrees of freedom, and over how
+    many lines it is pooled.
+
+    Where every segment carries the same excitation (noise, periods) the noise is pooled over all, and with
+    few periods over neighbouring excited lines too: noise that stands on one line alone is then underrated.
+    Where a sweep passes, each segment's residual counts with its own excitation, which follows disturbances
+    that come with the sweep; the number of averages is then per line, and a line carried by less than about
+    one and a half gets an infinite variance.
+    """
+    nn = np.abs(t.instrument) ** 2
+    k = nn.shape[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if t.stationary:
+            averages = np.full(nn.shape[1], k * t.independent)
+            noise = np.einsum("akf,bkf->fab", residual, residual.conj()) / k
+            each = 2.0 * max(k * t.independent - 1.0, 0.5)
+            width = int(np.ceil(POOLED / each)) if t.power_per == "line" else 1
+            noise[t.excited] = smoothed(noise[t.excited], width // 2)
+            pooled = 2 * (width // 2) + 1
+            scatter, freedom = noise * nn.sum(0)[:, None, None], each * pooled
+        else:
+            averages = t.independent * nn.sum(0) ** 2 / (nn**2).sum(0)
+            scatter = smoothed(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
+            squared = t.independent * nn.sum(0) ** 2
+            return line_covariance(scatter, averages, squared, t.excited, t.line_overlap)
+        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
+        scale = unbiased / (t.independent * nn.sum(0) ** 2)
+        return np.asarray(scatter * scale[:, None, None]), freedom, pooled
+
+
+def line_covariance(
+    scatter: ComplexArray, averages: Array, squared: Array, excited: np.ndarray, overlap: float
+) -> tuple[ComplexArray, float, int]:
+    """Covariance (nf, m, m) of a passing sweep's answers, its degrees of freedom, and over how many lines it is pooled.
+
+    `scatter` (nf, m, m) is the sum of |N|² E E^H, smoothed over five lines, `averages` (nf,) the effective number of
+    segments that carry a line, `squared` (nf,) the squared sum of |N|² times the averages a segment counts for.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        median = float(np.median(averages[excited])) if excited.any() else 1.5
+        freedom = 2.0 * max(median - 1.0, 0.5) * 5 / overlap
+        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
+        return np.asarray(scatter * (unbiased / squared)[:, None, None]), freedom, 5
+
+
+def smoothed(power: ComplexArray, half: int) -> ComplexArray:
+    """Moving mean over `half` neighbouring lines on each side."""
+    if half == 0 or power.shape[0] < 2:
+        return power
+    padded = np.pad(power, ((half, half), (0, 0), (0, 0)), mode="reflect" if power.shape[0] > half else "edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(-1))

@@ -1,0 +1,246 @@
+"""Transforms of a recording's signals: by whole periods where the excitation repeats, else by Welch's segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import next_fast_len
+from scipy.signal import get_window
+
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.kernels.lines.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.signal.recording import Recording
+from loopshape.identify.settings import Settings
+
+#: lines whose excitation lies this far below the strongest are not the excitation's (leakage, rounding)
+FLOOR = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Transforms:
+    """Transforms (signals, k, nf) and of the instrument (k, nf) over k segments or periods.
+
+    `independent` averages a segment; `stationary` where each segment carries the same excitation;
+    `density` turns |.|² into power per Hz (segments) or into the power of a line (periods), as `power_per`
+    says; `line_overlap` is the FRF's; `excited` (nf,) marks the lines that the instrument feeds.
+    """
+
+    frequency_hz: Array
+    signals: ComplexArray
+    instrument: ComplexArray
+    independent: float
+    stationary: bool
+    density: float
+    power_per: str
+    line_overlap: float
+    excited: np.ndarray
+    method: str
+    notes: tuple[str, ...] = ()
+
+
+def transform(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
+    """Transforms of signals (n,) and their instrument (n,) of one recording; refuses one that is too short."""
+    if recording.info.period_s is not None:
+        if settings.resolution_hz is not None:
+            raise WrongUseError(
+                "a resolution is for records without a period",
+                f"{settings.resolution_hz:g} Hz for {recording.info.file} with period {recording.info.period_s:g} s",
+                "leave it out, or take period_s out of run.toml",
+            )
+        return _by_periods(recording, signals, instrument)
+    return _by_segments(recording, signals, instrument, settings)
+
+
+def fast_length(n: int) -> int:
+    """Longest length up to n that transforms fast; at most a few per mille are cut off."""
+    for length in range(n, max(n - n // 20, 1), -1):
+        if next_fast_len(length, real=True) == length:
+            return length
+    return n
+
+
+def _by_periods(recording: Recording, signals: Sequence[Array], instrument: Array) -> Transforms:
+    rate = recording.rate_hz
+    length, start, periods, notes = _periods(recording, instrument)
+    part = slice(start, start + periods * length)
+    N = period_spectra(instrument[part], length)
+    X = np.stack([period_spectra(x[part], length) for x in signals])
+    _check_period(recording, N)
+    dropped = periods > 2 and any(_first_differs(x) for x in X)
+    if dropped:
+        X, N = X[:, 1:], N[1:]
+    note = ", the first left out (not settled)" if dropped else ""
+    return Transforms(
+        frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
+        signals=X,
+        instrument=N,
+        independent=1.0,
+        stationary=True,
+        density=2.0,
+        power_per="line",
+        line_overlap=1.0,
+        excited=_periodic_lines(N),
+        method=f"{N.shape[0]} periods of {length / rate:g} s{note}",
+        notes=notes,
+    )
+
+
+def _periods(recording: Recording, instrument: Array) -> tuple[int, int, int, tuple[str, ...]]:
+    """Samples of a period as the excitation shows it, first sample, number of whole periods, and what was found.
+
+    Refuses fewer than two periods.
+    """
+    info, rate, n = recording.info, recording.rate_hz, instrument.size
+    samples = (info.period_s or 0.0) * rate
+    if abs(samples - round(samples)) > 1e-6 * samples or samples < 2:
+        raise BadSignalError(
+            f"the period of recording {info.file} is no whole number of samples", f"{info.period_s} s at {rate:g} Hz"
+        )
+    stated, start = round(samples), round((info.periodic_from_s or 0.0) * rate)
+    length = measured_period(instrument[start:], stated)
+    periods = max(0, (n - start) // length)
+    if periods < 2:
+        raise BadSignalError(
+            f"recording {info.file} holds {periods} whole period{'s' * (periods != 1)} of {info.period_s:g} s",
+            f"{n / rate:g} s, periodic from {start / rate:g} s",
+            "at least two are needed to separate noise from response",
+        )
+    notes = () if length == stated else (_other_period(stated, length, rate),)
+    return length, start, periods, notes
+
+
+def _other_period(stated: int, found: int, rate_hz: float) -> str:
+    return (
+        f"the excitation repeats every {found} samples ({found / rate_hz:.9g} s), not every {stated} as stated: the"
+        " measured period was used; correct period_s"
+    )
+
+
+def measured_period(instrument: Array, stated: int, reach: int = 5) -> int:
+    """Samples after which an excitation (n,) repeats, looked for within `reach` samples of the stated number.
+
+    Another length counts where it leaves less than half of what the stated one leaves unrepeated, and that was more
+    than noise: an excitation that repeats nowhere keeps the stated length, and is refused for it.
+    """
+    if instrument.size < 2 * stated + reach or stated <= 2 * reach:
+        return stated
+    lengths = range(stated - reach, stated + reach + 1)
+    kept = min(instrument.size - stated - reach, 8 * stated)
+    first = instrument[:kept]
+    left = [float(np.mean((instrument[k : k + kept] - first) ** 2)) for k in lengths]
+    best = int(np.argmin(left))
+    return lengths[best] if left[best] < 0.5 * left[reach] else stated
+
+
+def _check_period(recording: Recording, N: ComplexArray) -> None:
+    """Refuse a period with which the excitation does not repeat."""
+    later = N[1:] if N.shape[0] > 2 else N
+    power = float((np.abs(later[:, 1:]) ** 2).mean(0).sum())
+    scatter = float((np.abs(later[:, 1:] - later[:, 1:].mean(0)) ** 2).mean(0).sum())
+    exact = recording.info.injection != "control"  # what was injected is known; a measured input has noise
+    if scatter > (1e-3 if exact else 0.05) * power:
+        raise BadSignalError(
+            f"the excitation of recording {recording.info.file} does not repeat every {recording.info.period_s:g} s",
+            f"{100.0 * scatter / power:.0f} % of its power differs between periods",
+            "correct period_s or periodic_from_s, or leave them out",
+        )
+
+
+def _periodic_lines(N: ComplexArray) -> np.ndarray:
+    """Lines that the instrument's mean period feeds, clear of its own scatter between periods."""
+    mean = N.mean(0)
+    power = np.abs(mean) ** 2
+    scatter = (np.abs(N - mean) ** 2).sum(0) / max(N.shape[0] - 1, 1) / N.shape[0]
+    excited = (power > FLOOR * power[1:].max()) & (power > 10.0 * scatter)
+    excited[0] = excited[-1] = False
+    return np.asarray(excited)
+
+
+def _first_differs(X: ComplexArray) -> bool:
+    """Whether the first period lies clearly outside the scatter of the others."""
+    rest = X[1:, 1:]
+    scatter = (np.abs(rest - rest.mean(0)) ** 2).sum() / (rest.shape[0] - 1)
+    distance = (np.abs(X[0, 1:] - rest.mean(0)) ** 2).sum()
+    return bool(distance > 2.0 * scatter * (1.0 + 1.0 / rest.shape[0]))
+
+
+def _by_segments(recording: Recording, signals: Sequence[Array], instrument: Array, settings: Settings) -> Transforms:
+    rate, n = recording.rate_hz, instrument.size
+    length, step, segments = segments_of(recording, n, settings)
+    window = hann(length)
+    share = independent_share(segments, length, step, window)
+    N = segment_spectra(instrument, length, step, window)
+    excited = excited_lines((np.abs(N) ** 2).mean(0))
+    text = f"Welch, Hann window, {length / rate:g} s segments, {100 * settings.overlap:.0f} % overlap"
+    return Transforms(
+        frequency_hz=np.arange(length // 2 + 1, dtype=np.float64) * (rate / length),
+        signals=np.stack([segment_spectra(x, length, step, window) for x in signals]),
+        instrument=N,
+        independent=share,
+        stationary=recording.info.kind != "sweep",
+        density=2.0 / (rate * float(window @ window)),
+        power_per="Hz",
+        line_overlap=line_overlap(window),
+        excited=excited,
+        method=f"{text}, {segments * share:.1f} averages, {rate / length:.3g} Hz resolution",
+    )
+
+
+def excited_lines(power: Array) -> np.ndarray:
+    """Lines (nf,) that an instrument of this power feeds by more than a window's leakage."""
+    fed = power > FLOOR * power[2:].max()
+    fed[:2] = fed[-1] = False  # the window smears the mean into the first line
+    return clear_of_edges(fed, power)
+
+
+def clear_of_edges(fed: np.ndarray, power: Array, steep: float = 0.3) -> np.ndarray:
+    """Fed lines without the ends of each stretch where the power falls steeply outwards.
+
+    Such lines are fed by the window's side lobes from one side, and what they show belongs to that side.
+    """
+    excited = fed.copy()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], fed.astype(int), [0]])))
+    for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        low, high = start, end - 1
+        while low < high and power[low - 1] < steep * power[low]:
+            low += 1
+        while high > low and power[min(high + 1, power.size - 1)] < steep * power[high]:
+            high -= 1
+        excited[start:low] = excited[high + 1 : end] = False
+    return np.asarray(excited)
+
+
+def window_of(settings: Settings, length: int) -> Array:
+    """The window (length,) that settings ask for."""
+    if settings.window == "hann" and not settings.symmetric:
+        return hann(length)
+    return np.asarray(get_window(settings.window, length, fftbins=not settings.symmetric), dtype=float)
+
+
+def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
+    """Length, step and number of segments; refuses a record with fewer than three averages."""
+    rate = recording.rate_hz
+    wished = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))
+    wished = float(settings.segment_samples or wished)
+    length = round(min(wished, 2.0 * n + 4.0))  # longer than the record is too long, however long
+    step = max(1, round(length * (1.0 - settings.overlap)))
+    if settings.segment_samples is not None:
+        step = max(1, length - int(length * settings.overlap + 1e-9))
+    segments = (n - length) // step + 1 if n >= length else 0
+    window = window_of(settings, length)
+    averages = segments * independent_share(max(segments, 1), length, step, window) if length > 3 else 0.0
+    if averages < 3.0:
+        raise BadSignalError(
+            f"recording {recording.info.file} is too short for a resolution of {rate / max(length, 1):.3g} Hz",
+            f"{n / rate:g} s, which gives {averages:.1f} averages and three are needed",
+            f"ask for {5.0 * rate / n:.2g} Hz or coarser, or record longer",
+        )
+    return length, step, segments
+
+
+def _default_length(n: int, rate_hz: float) -> int:
+    """A tenth of the record, at most 20 s or 512 samples: averages for a variance, lines for resonances."""
+    return min(n // 10, max(round(20.0 * rate_hz), 512))

@@ -1,0 +1,1 @@
+"""Tables of others into columns: text, stamps, maps, and the door that chooses a reader."""

@@ -1,0 +1,1 @@
+"""A run on disk: its folder, tables, journal, and what is gathered from it for a report."""

@@ -1,0 +1,206 @@
+"""All that is known of a run, for its report: recordings, FRFs, fits, the verdict, and what is missing."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from loopshape import __version__
+from loopshape.core.errors import LoopshapeError, UnreadableInputError
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.identify.fit.fit import modes
+from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
+from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
+from loopshape.io.write.check_files import fits_of
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
+from loopshape.io.write.requirements import read_requirements
+from loopshape.loop.verdict import check_loops
+from loopshape.toolbox.diagrams.equivalent import Equivalent, equivalent
+from loopshape.toolbox.diagrams.files import read_diagram
+
+FIGURES_BYTES = 700_000  # of the pictures that a report carries, together
+
+
+def gather(
+    folder: Path,
+    controller: Path | None,
+    require: Path | None,
+    date: str,
+    figures_bytes: int = FIGURES_BYTES,
+    diagram: Path | None = None,
+) -> RunReport:
+    """All that is known of a run and of a controller checked on its FRFs, or on what a diagram's tuned block meets.
+
+    Refuses a folder without recordings and FRFs, FRFs that are not those of the recordings, damaged files, and what
+    `read_diagram` and `equivalent` refuse.
+    """
+    run, frfs, matrices = _measured(folder)
+    fits = fits_of(folder)
+    controllers = read_controllers(controller) if controller is not None else ()
+    requirements = read_requirements(require) if require is not None else ()
+    drawn = read_diagram(diagram, folder) if diagram is not None else None
+    met = None if drawn is None else equivalent(drawn)
+    checked = _checked(frfs, controllers, requirements, fits, met)
+    done = {one.verdict.loop for one in checked}
+    sheets = _sheets(run) if run is not None else ()
+    pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
+    figures, left = stored_figures(folder, figures_bytes, lambda name: name.rsplit(".", 1)[0] in pages)
+    given = [("controller", controller), ("requirements", require), ("diagram", diagram)]
+    further = [path for _, path in given if path is not None]
+    given += [("run", folder / "run.toml")] if run is not None else []
+    return RunReport(
+        name=folder.resolve().name,
+        date=date,
+        versions=_versions(),
+        run=run,
+        recordings=sheets,
+        notes=tuple(str(note) for note in run.extra.get("notes", ())) if run is not None else (),
+        frfs=frfs,
+        matrices=matrices,
+        fits=_with_modes(fits),
+        checked=checked,
+        unchecked=tuple(required.loop for required in requirements if required.loop not in done),
+        controllers=controllers,
+        missing=_missing(run, frfs if met is None else met.plants, matrices, fits, controllers, requirements),
+        figures=figures,
+        figures_left_out=left,
+        files=input_files(folder, further),
+        texts=tuple(given_text(what, path) for what, path in given if path is not None),
+        diagram=drawn,
+        inner={} if met is None else met.inner,
+    )
+
+
+def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:
+    """Run, FRFs and matrices, as far as they are there."""
+    frfs = read_frfs(folder) if has_any(folder, FOLDER) else ()
+    matrices = read_matrices(folder) if has_any(folder, MATRICES) else ()
+    if not (folder / RUN_TOML).exists() and not (frfs or matrices):
+        raise UnreadableInputError(
+            "a report needs recordings or frequency responses",
+            f"{folder}, which holds neither",
+            "name a run's folder: measure, import or import-frf make one",
+        )
+    return (read_run(folder) if (folder / RUN_TOML).exists() else None), frfs, matrices
+
+
+def _checked(
+    frfs: Sequence[FRF],
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+    fits: Sequence[Fit],
+    met: Equivalent | None = None,
+) -> tuple[CheckedLoop, ...]:
+    """Each controller whose loop was measured, compared with its requirements (against none where none are given).
+
+    With a diagram (`met`) that is the tuned block's.
+    """
+    found = []
+    frfs, fits = (frfs, fits) if met is None else (met.plants, ())
+    for own in controllers:
+        mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
+        if not mine:
+            continue
+        required = next((w for w in requirements if w.loop == own.loop), None)
+        asked = required or Requirements(own.loop)
+        asked = asked if met is None else met.asked(asked)
+        verdict, loops = check_loops(mine, own, asked, fits)
+        found.append(CheckedLoop(mine, loops, own, required, verdict))
+    return tuple(found)
+
+
+def _with_modes(fits: Sequence[Fit]) -> tuple[FittedModel, ...]:
+    return tuple(FittedModel(one, modes(one) if one.structure.startswith("rational") else ()) for one in fits)
+
+
+def _sheets(run: Run) -> tuple[RecordingSheet, ...]:
+    """Each recording with its faults; a signal that cannot be read is a fault and not an error."""
+    sheets = []
+    for one in run.recordings:
+        try:
+            faults = tuple(check_recordings(replace(run, recordings=(one,))))
+        except LoopshapeError as error:
+            faults = (str(error),)
+        sheets.append(RecordingSheet(one.info, one.rate_hz, _samples(one), _envelopes(run, one), faults))
+    return tuple(sheets)
+
+
+def _samples(recording: Recording) -> int:
+    try:
+        return recording.stored(next(iter(recording.columns))).size if recording.columns else 0
+    except LoopshapeError:
+        return 0
+
+
+def _envelopes(run: Run, recording: Recording) -> tuple[Envelope, ...]:
+    """Shapes of what was injected, commanded and measured in the excited loops, in all loops where none was."""
+    info = recording.info
+    loops = [run.loop(name) for name in info.excited] or list(run.loops)
+    names = [
+        name
+        for loop in loops
+        for name in (loop.reference if info.injection == "reference" else loop.injected, loop.control, loop.output)
+        if name is not None
+    ]
+    found = []
+    for name in dict.fromkeys(names):
+        try:
+            values = recording.signal(name)
+        except LoopshapeError:
+            continue
+        found += [Envelope.of(name, values)] if values.size else []
+    return tuple(found)
+
+
+def _missing(
+    run: Run | None,
+    frfs: Sequence[FRF],
+    matrices: Sequence[FRF],
+    fits: Sequence[Fit],
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+) -> tuple[Missing, ...]:
+    """What would be there after the whole chain and is not, each with its command."""
+    judged = "loopshape report RUN --controller controller.toml --require requirements.toml"
+    found = []
+    if run is None:
+        found.append(Missing("The recordings: these frequency responses came from elsewhere."))
+    if not frfs:
+        more = "No frequency response of a single loop:" if matrices else "No frequency responses yet:"
+        found.append(Missing(more, "loopshape frf RUN"))
+    if frfs and not fits:
+        found.append(Missing("No fitted models:", "loopshape fit RUN"))
+    if frfs and not controllers:
+        tune = "loopshape tune RUN --require requirements.toml --out controller.toml"
+        found.append(Missing("No controller was given, so there are no loops, margins and verdict; make one:", tune))
+        found.append(Missing("and name it:", judged))
+    if controllers and not requirements:
+        found.append(Missing("No requirements were given, so margins are reported without verdict:", judged))
+    measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
+    found += [
+        Missing(f"Loop {c.loop} of the controller file has no frequency response.")
+        for c in controllers
+        if c.loop not in measured
+    ]
+    for required in requirements if controllers else ():
+        if required.loop not in measured:
+            found.append(Missing(f"Requirements name loop {required.loop}, which has no frequency response."))
+        elif required.loop not in governed:
+            found.append(Missing(f"Requirements name loop {required.loop}, for which the controller file has none."))
+    return tuple(found)
+
+
+def _versions() -> dict[str, str]:
+    """Versions of what computed."""
+    names = ("numpy", "scipy", "control", "matplotlib", "numba")
+    return {"loopshape": __version__, "Python": platform.python_version()} | {name: version(name) for name in names}

@@ -1,0 +1,1 @@
+"""Study files: which experiments to do to which rig."""

@@ -1,0 +1,268 @@
+"""A run, a controller's file and a requirements' file -> what a check says of each loop: the command's and pytest's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.json_ready import Plain, keys
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.requirement.profile import Profile
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.baseline import Checked, Comparison
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.run import Run
+from loopshape.identify.disturbance import disturbances_in
+from loopshape.io.run.run_folder import RUN_TOML, read_run
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.fits import read_fits
+from loopshape.io.write.frfs import read_frfs, read_several_loops
+from loopshape.io.write.requirements import read_required
+from loopshape.io.write.verdicts import read_verdicts
+from loopshape.loop.baseline import bridge, checked, compare
+from loopshape.loop.matrix.several import loop_matrices, verdict_on_matrices
+from loopshape.loop.verdict import check_loops
+from loopshape.toolbox.diagrams.diagram import Diagram
+from loopshape.toolbox.diagrams.equivalent import Equivalent, equivalent
+from loopshape.toolbox.diagrams.files import read_diagram
+
+
+@dataclass(frozen=True, eq=False)
+class LoopCheck:
+    """One loop of a requirements file: what was checked, the loops that were built for it, and what came out."""
+
+    frfs: tuple[FRF, ...]
+    requirements: Requirements
+    fits: tuple[Fit, ...]
+    checked: Checked
+    loops: tuple[Loop, ...]
+
+    @property
+    def controller(self) -> Controller:
+        """The controller that was checked."""
+        return self.checked.controller
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the check says."""
+        return self.checked.verdict
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixCheck:
+    """Several loops of one plant: the loops by operating point, what all must keep together, and what came out."""
+
+    matrices: Mapping[str, LoopMatrix]
+    several: SeveralRequirements
+    verdict: Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Checks:
+    """What was checked, loop by loop or as one matrix, with the verdict on each loop and then on all together."""
+
+    verdicts: tuple[Verdict, ...]
+    loops: tuple[LoopCheck, ...] = ()
+    matrix: MatrixCheck | None = None
+    diagram: Diagram | None = None
+
+    @property
+    def single(self) -> tuple[LoopCheck, ...]:
+        """The single loops, of which alone a verdict is kept and compared; refuses several at once."""
+        if self.matrix is not None:
+            raise WrongUseError(
+                "several loops were checked at once, and a kept verdict is of single loops",
+                self.verdicts[-1].loop,
+                "leave out --baseline and --save-verdict, or [several] and --matrix",
+            )
+        return self.loops
+
+
+@dataclass(frozen=True)
+class Baseline(Plain):
+    """What became of a baseline: in all, and where controller and data both changed, the part of each.
+
+    `by_controller` compares both controllers on the present data, `by_plant` the baseline's controller on both data.
+    """
+
+    IN_JSON = {"worse": "worse", **{key: f"whole.{key}" for key in Comparison.IN_JSON}} | keys(
+        "by_controller", "by_plant"
+    )
+
+    whole: Comparison
+    by_controller: Comparison | None = None
+    by_plant: Comparison | None = None
+
+    @property
+    def parts(self) -> dict[str, Comparison]:
+        """The comparisons by their titles, the whole first."""
+        named = {
+            "Against the baseline": self.whole,
+            "Of this, by the controller (both on the present data)": self.by_controller,
+            "Of this, by the plant (the baseline's controller on both data)": self.by_plant,
+        }
+        return {title: one for title, one in named.items() if one is not None}
+
+    @property
+    def worse(self) -> bool:
+        """Whether something got worse, in all or by the controller, which other data do not hide."""
+        return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
+
+
+def check_files(
+    run: Path, controller: Path, require: Path | None, profile: Profile | None = None
+) -> tuple[LoopCheck, ...]:
+    """`check_all` of single loops; refuses requirements of several at once."""
+    return check_all(run, controller, require, profile).single
+
+
+def check_all(
+    run: Path,
+    controller: Path,
+    require: Path | None,
+    profile: Profile | None = None,
+    *,
+    matrix: bool = False,
+    closed: Sequence[str] | None = None,
+    disturbance: Path | None = None,
+    diagram: Path | None = None,
+) -> Checks:
+    """Check each loop of a requirements file on a run's FRFs; without one, each loop that has a controller and an FRF.
+
+    Several loops are checked at once, on the run's matrices, where `matrix` or the table [several] of the requirements
+    asks for it; `closed` are then those that are closed, all by default. With a `profile` its limits hold too.
+    `disturbance` is the folder of a run that shows what disturbs the single loops; a `diagram` is checked at its tuned
+    block.
+
+    Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
+    has FRFs of single loops only.
+    """
+    requirements, several = (None, None) if require is None else read_required(require)
+    controllers = read_controllers(controller)
+    if not matrix and several is None:
+        drawn = None if diagram is None else read_diagram(diagram, run)
+        met = None if drawn is None else equivalent(drawn)
+        loops = _single_loops(run, controllers, requirements, profile, disturbance, met)
+        inner = () if met is None else tuple(met.inner.values())
+        return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
+    if diagram is not None:
+        raise WrongUseError("a diagram is checked at its tuned block", "several loops at once", "leave --matrix out")
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is predicted for single loops", "several at once", "check one alone")
+    together = several or SeveralRequirements()
+    one = _several_loops(run, controllers, requirements or (), together, profile, closed)
+    return Checks(one.verdict.parts, matrix=one)
+
+
+def _single_loops(
+    run: Path,
+    controllers: Sequence[Controller],
+    requirements: tuple[Requirements, ...] | None,
+    profile: Profile | None,
+    disturbance: Path | None,
+    met: Equivalent | None = None,
+) -> tuple[LoopCheck, ...]:
+    frfs, fits = (read_frfs(run), fits_of(run)) if met is None else (met.plants, ())
+    measured = {one.loop for one in frfs}
+    if requirements is None:
+        requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
+    if not requirements:
+        raise WrongUseError(
+            "no loop has both a controller and an FRF",
+            f"controllers of {', '.join(c.loop for c in controllers)}; FRFs of {', '.join(sorted(measured))}",
+            "give a controller file of this run's loops",
+        )
+    asked = requirements if profile is None else tuple(map(profile.joined, requirements))
+    asked = asked if met is None else tuple(map(met.asked, asked))
+    shaken = None if disturbance is None else read_run(disturbance)
+    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, shaken) for required in asked)
+
+
+def _several_loops(
+    run: Path,
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+    several: SeveralRequirements,
+    profile: Profile | None,
+    closed: Sequence[str] | None,
+) -> MatrixCheck:
+    matrices, notes = loop_matrices(
+        read_several_loops(run), controllers, several, loops=closed, held=recorded_under(run)
+    )
+    if profile is not None:
+        given = {one.loop: one for one in requirements}
+        names = next(iter(matrices.values())).names
+        requirements = [profile.joined(given.get(name, Requirements(name))) for name in names]
+    return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
+
+
+def _check(
+    frfs: Sequence[FRF],
+    controller: Controller,
+    required: Requirements,
+    fits: tuple[Fit, ...],
+    disturbance: Run | None = None,
+) -> LoopCheck:
+    mine = tuple(one for one in frfs if one.loop == required.loop)
+    disturbances = () if disturbance is None else disturbances_in(disturbance, required.loop)
+    verdict, loops = check_loops(mine, controller, required, fits, disturbances=disturbances)
+    return LoopCheck(mine, required, fits, checked(verdict, controller, mine), loops)
+
+
+def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
+    """Compare with a stored verdict.
+
+    Where a loop's controller and data have both changed, the baseline's controller is checked on the present data too:
+    what the controller did and what the plant did are told apart. Where that check cannot be made, as at another
+    rate, a note says so instead.
+    """
+    before, now = read_verdicts(baseline), [loop.checked for loop in loops]
+    whole, old = compare(before, now), {c.verdict.loop: c.controller for c in before}
+    bridges, notes = [], []
+    for x in _of(loops, set(bridge(before, now))):
+        try:
+            bridges.append(_check(x.frfs, old[x.verdict.loop], x.requirements, x.fits).checked)
+        except LoopshapeError as error:
+            why = f"{error.what} ({error.received})" if error.received else error.what
+            notes.append(
+                f"loop {x.verdict.loop}: the baseline's controller cannot be checked on the present data, so what the"
+                f" controller did and what the plant did are not told apart: {why}"
+            )
+    whole, across = replace(whole, notes=(*whole.notes, *notes)), {c.verdict.loop for c in bridges}
+    if not across:
+        return Baseline(whole)
+    return Baseline(
+        whole,
+        by_controller=compare(bridges, [x.checked for x in _of(loops, across)]),
+        by_plant=compare([c for c in before if c.verdict.loop in across], bridges),
+    )
+
+
+def _of(loops: Sequence[LoopCheck], names: set[str]) -> list[LoopCheck]:
+    return [loop for loop in loops if loop.verdict.loop in names]
+
+
+def fits_of(run: Path) -> tuple[Fit, ...]:
+    """The run's fits, none where nothing was fitted yet."""
+    return read_fits(run) if (run / "fits.json").exists() else ()
+
+
+def recorded_under(run: Path) -> tuple[Controller, ...]:
+    """Controllers under which a run was recorded, as far as it knows them."""
+    if not (run / RUN_TOML).exists():
+        return ()
+    return tuple(loop.controller for loop in read_run(run).loops if loop.controller is not None)
+
+
+def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:
+    """The controller of a loop; refuses a file without it."""
+    for one in controllers:
+        if one.loop == loop:
+            return one
+    raise WrongUseError(f"the controller file has no loop {loop!r}", f"loops {', '.join(c.loop for c in controllers)}")

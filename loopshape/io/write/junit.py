@@ -1,0 +1,93 @@
+"""Verdicts as JUnit XML, so that a build server shows a margin that is gone as a failed test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from loopshape.data.result.baseline import Comparison
+from loopshape.data.result.verdict import Verdict
+from loopshape.data.result.verdict_words import change_text, line_change_words, line_text, stability_text
+from loopshape.io.files import make_folder, write_text_whole
+
+#: a failure's type by outcome
+_TYPES = {"failed": "missed", "unstable": "missed", "undecided": "undecided", "worse": "worse"}
+
+
+def write_junit(
+    path: Path, verdicts: Sequence[Verdict], comparison: Comparison | None = None, *, allow_worse: bool = False
+) -> None:
+    """Write one suite a loop: a case for each requirement and for each operating point's stability.
+
+    A case fails where its line does not pass, or where the loop is unstable or undecided; the failure's type is
+    "missed" or "undecided". With a comparison there is one more suite, a case for each margin and operating point,
+    whose failures are of type "worse"; with `allow_worse` they are reported and do not fail.
+    """
+    suites = ET.Element("testsuites", name="loopshape check")
+    for verdict in verdicts:
+        _add_verdict(suites, verdict)
+    if comparison is not None:
+        _add_comparison(suites, comparison, allow_worse)
+    for suite in suites:
+        _count(suite)
+    ET.indent(suites)
+    text = ET.tostring(suites, encoding="unicode")
+    make_folder(path.parent)
+    write_text_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
+
+
+def _add_verdict(suites: ET.Element, verdict: Verdict) -> None:
+    suite = ET.SubElement(suites, "testsuite", name=_clean(verdict.loop))
+    name = f"loopshape.{verdict.loop}"
+    for line in verdict.lines:
+        _add_case(suite, name, line.quantity, line_text(line), _TYPES.get(line.outcome))
+    for recording, margins in verdict.margins.items():
+        _add_case(suite, name, f"stability in {recording}", stability_text(margins), _TYPES.get(margins.stable))
+    if verdict.warnings:
+        ET.SubElement(suite, "system-out").text = _clean("\n".join(verdict.warnings))
+
+
+def _add_comparison(suites: ET.Element, comparison: Comparison, allow_worse: bool) -> None:
+    suite = ET.SubElement(suites, "testsuite", name="baseline")
+    fails = None if allow_worse else "worse"
+    for line in comparison.lines:
+        was, wished, now, wishes = line_change_words(line)
+        text = f"{was} ({wished}) to {now} ({wishes})"
+        _add_case(suite, f"baseline.{line.loop}", f"outcome of {line.quantity}", text, fails if line.worse else None)
+    for s in comparison.stabilities:
+        text = f"{s.before} to {s.now}: {s.reason}"
+        name = f"stability in {s.recording}"
+        _add_case(suite, f"baseline.{s.loop}", name, text, fails if s.worse else None)
+    for name in comparison.gone:
+        _add_case(suite, "baseline", f"{name} is there", "the baseline has it, this check does not", fails)
+    for change in comparison.margins:
+        failure = fails if change.outcome == "worse" else None
+        name = f"{change.quantity} in {change.recording}"
+        _add_case(suite, f"baseline.{change.loop}", name, change_text(change), failure)
+    ET.SubElement(suite, "system-out").text = _clean("\n".join([*comparison.notes, *_new(comparison)]))
+
+
+def _new(comparison: Comparison) -> list[str]:
+    return [f"new: {name}" for name in comparison.new]
+
+
+def _add_case(suite: ET.Element, where: str, name: str, text: str, failure: str | None) -> None:
+    case = ET.SubElement(suite, "testcase", classname=_clean(where), name=_clean(name))
+    if failure is None:
+        ET.SubElement(case, "system-out").text = _clean(text)
+    else:
+        ET.SubElement(case, "failure", message=_clean(text), type=failure).text = _clean(text)
+
+
+def _count(suite: ET.Element) -> None:
+    cases = suite.findall("testcase")
+    failures = sum(case.find("failure") is not None for case in cases)
+    suite.attrib |= {"tests": str(len(cases)), "failures": str(failures), "errors": "0"}
+
+
+def _clean(text: str) -> str:
+    """The text without characters that XML cannot hold."""
+    return "".join(
+        c for c in text if c in "\t\n\r" or (c >= " " and c not in "\ufffe\uffff" and not "\ud800" <= c <= "\udfff")
+    )

@@ -1,0 +1,119 @@
+"""Verdicts in a file of their own, for a later check to be compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
+
+from loopshape import __version__
+from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.data.requirement.requirements import Margins
+from loopshape.data.result.baseline import RANK, Checked
+from loopshape.data.result.verdict import Line, Verdict
+from loopshape.io.files import make_folder, read_json, reading, write_json
+from loopshape.io.run.run_tables import controller_table, read_controller
+from loopshape.io.words import Words, refuse_doubles
+
+FORMAT = "loopshape-verdict/1"
+_KEYS = {"loop", "outcome", "controller", "data", "lines", "margins", "warnings"}
+_AGAIN = "write it again: loopshape check ... --save-verdict"
+
+
+def write_verdicts(path: Path, found: Sequence[Checked]) -> None:
+    """Write the verdicts of all loops whole, with their controllers and a mark of the data of each operating point.
+
+    Nothing in it depends on when or where it was written. NaN and infinite numbers stand as "nan", "inf" and "-inf".
+    Refuses no verdict, and two of one loop.
+    """
+    if not found:
+        raise WrongUseError("a file of verdicts holds at least one", "none", "check a loop first")
+    refuse_doubles((one.verdict.loop for one in found), path.name, "verdicts")
+    make_folder(path.parent)
+    write_json(path, {"format": FORMAT, "loopshape": __version__, "loops": [_table(one) for one in found]})
+
+
+def _table(one: Checked) -> dict[str, Any]:
+    verdict, controller = one.verdict, one.controller
+    return {
+        "loop": verdict.loop,
+        "outcome": verdict.outcome,
+        "controller": {"name": controller.loop, "rate_hz": controller.rate_hz, **controller_table(controller)},
+        "data": one.data,
+        "lines": list(verdict.lines),
+        "margins": verdict.margins,
+        "warnings": list(verdict.warnings),
+    }
+
+
+def read_verdicts(path: Path) -> tuple[Checked, ...]:
+    """The verdicts of a file.
+
+    Refuses a file that is missing, of another kind or another version, damaged, or whose outcomes are not those of its
+    own lines: such a file was changed by hand.
+    """
+    data = read_json(path)
+    found = data.get("format") if isinstance(data, dict) else None
+    if found != FORMAT:
+        later = isinstance(found, str) and found.startswith("loopshape-verdict/")
+        raise UnreadableInputError(
+            f"{path} is not of the format {FORMAT}",
+            f"format = {found!r}" if found is not None else "another file",
+            f"it was written by another version of loopshape: {_AGAIN}" if later else _AGAIN,
+        )
+    with reading(path, "verdicts", WrongUseError):
+        verdicts = tuple(_read(table, path.name) for table in data["loops"])
+        refuse_doubles((one.verdict.loop for one in verdicts), path.name, "verdicts")
+    if not verdicts:
+        raise UnreadableInputError(f"{path} holds no verdict", "an empty list", _AGAIN)
+    return verdicts
+
+
+def _read(table: Mapping[str, Any], where: str) -> Checked:
+    _only(table, _KEYS)
+    margins = {str(name): _noun(Margins, one) for name, one in table["margins"].items()}
+    lines = tuple(_noun(Line, one) for one in table["lines"])
+    for word in (*(line.outcome for line in lines), *(m.stable for m in margins.values())):
+        if word not in RANK:
+            raise ValueError(f"{word!r} is no outcome")
+    verdict = Verdict(str(table["loop"]), lines, margins, tuple(map(str, table["warnings"])))
+    if verdict.outcome != table["outcome"]:
+        raise ValueError(f"outcome {table['outcome']!r}, and its lines say {str(verdict.outcome)!r}")
+    words = Words(table["controller"], where)
+    controller = read_controller(words, words.positive("rate_hz"))
+    data = {str(name): str(mark) for name, mark in table["data"].items()}
+    if set(data) != set(margins) or not margins:
+        raise ValueError("the operating points of data and margins differ")
+    return Checked(verdict, controller, data)
+
+
+def _only(table: Mapping[str, Any], known: set[str]) -> None:
+    if unknown := set(table) - known:
+        raise ValueError(f"unknown keys {', '.join(sorted(unknown))}")
+
+
+def _noun(kind: type, table: Mapping[str, Any]) -> Any:
+    """A dataclass from its table, each field as its type says; fields that it may lack keep their defaults."""
+    _only(table, {f.name for f in fields(kind)})
+    hints = get_type_hints(kind)
+    return kind(**{name: _typed(hints[name], value) for name, value in table.items()})
+
+
+def _typed(hint: Any, value: Any) -> Any:
+    """A value from JSON as a type says; refuses one of another kind."""
+    origin, args = get_origin(hint), get_args(hint)
+    if is_dataclass(hint):
+        return _noun(cast(type, hint), value)
+    if origin in (Union, UnionType):
+        (inner,) = (x for x in args if x is not type(None))
+        return None if value is None else _typed(inner, value)
+    if origin is tuple:
+        inners = [args[0]] * len(value) if args[-1] is Ellipsis else list(args)
+        return tuple(_typed(inner, one) for inner, one in zip(inners, value, strict=True))
+    if origin is not None:  # Mapping[str, inner]
+        return {str(name): _typed(args[1], one) for name, one in value.items()}
+    if isinstance(value, bool) != (hint is bool) or not isinstance(value, (str, int, float) if hint is float else hint):
+        raise TypeError(f"{value!r} is no {hint.__name__}")
+    return hint(value)

@@ -1,0 +1,1 @@
+"""Loop to margins: crossings, peaks, bandwidths, the rms of an error, with intervals."""

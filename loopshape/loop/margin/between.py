@@ -1,0 +1,255 @@
+"""How 1 + L runs between its lines: along the smoothed plant, its narrow resonances and the controller as it is.
+
+Where a resonance lies between lines that none of them resolves, all poles that they allow are followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from loopshape.core.kernels.loops.encirclements import turns
+from loopshape.core.units import TWO_PI, Array, ComplexArray, hz
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.smoothed import Dense, Scatter
+from loopshape.identify.smooth.pole_terms import PLACES
+from loopshape.identify.smooth.smoothing import SEED, drawn_errors
+from loopshape.loop.margin.crossings import chords_to_minus_one
+from loopshape.loop.stability.crowded import Crowd
+from loopshape.loop.stability.sampling import SHARPEST, HiddenPole
+
+#: draws of the errors of lines that were not smoothed
+DRAWN = 50
+#: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
+STEP, SMALL, MOST = 0.05, 0.05, 12
+#: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
+_CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
+ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
+#: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
+BULGE = 0.5
+#: the path past a pole is followed over this many lines more on either side, where its tails bend
+ASIDE = 2
+#: steps past crowded resonances are halved where 1 + L turns by more than this in rad, so many times
+FAR, ROUNDS = 1.0, 8
+#: resonances of the controller as wide as this many lines need no places of their own
+WIDE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """L (n,) at f (n,) in Hz, on lines and on places between them where 1 + L moves far.
+
+    `std` (n,) is the deviation sqrt E|d|² of its error, `alike` (n - 1,) the correlation of neighbours' errors.
+    `line` (n,) is true on lines.
+    """
+
+    f: Array
+    L: ComplexArray
+    std: Array
+    alike: Array
+    line: np.ndarray
+
+
+_DONE: WeakKeyDictionary[Loop, tuple[Dense, ComplexArray]] = WeakKeyDictionary()
+_RESTS: WeakKeyDictionary[FRF, tuple[Scatter, ComplexArray]] = WeakKeyDictionary()
+
+
+def path_of(loop: Loop) -> Path:
+    """L of a loop between its lines."""
+    dense, C = followed(loop)
+    f, (rms, _, alike) = dense.frequency_hz, dense.spread
+    return Path(f, C * dense.response, np.abs(C) * rms, alike, np.isin(f, loop.frequency_hz))
+
+
+def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far.
+
+    The same loop, the same answer.
+    """
+    if loop not in _DONE:
+        _DONE[loop] = _followed(loop)
+    return _DONE[loop]
+
+
+def _followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+    dense = between_lines(loop)
+    own = _controller_places(loop.controller, dense.frequency_hz)
+    if own.size:
+        dense = dense.at(np.union1d(dense.frequency_hz, own))
+    C = loop.controller.response(dense.frequency_hz)
+    L = C * dense.response
+    nearest = np.minimum(np.abs(1.0 + L[1:]), np.abs(1.0 + L[:-1]))
+    small = np.maximum(np.abs(L[1:]), np.abs(L[:-1])) < SMALL
+    more = dense.between(np.where(small, 0.0, np.abs(np.diff(L))), nearest, STEP, MOST)
+    return more, C if more is dense else loop.controller.response(more.frequency_hz)
+
+
+def between_lines(loop: Loop) -> Dense:
+    """The plant where its smoothing tells it; on its lines as they are, with draws of their errors, without that."""
+    f, P, scatter = loop.frequency_hz, loop.plant.siso, loop.scatter
+    if scatter is not None:
+        return scatter.dense or Dense(f, P, scatter.reference, scatter.deviations)
+    variance = loop.plant.variance[:, 0, 0]
+    if not variance.any():
+        return Dense(f, P, P, np.zeros((1, f.size), dtype=complex))
+    return Dense(f, P, P, drawn_errors(np.random.default_rng(SEED), variance, loop.plant.line_overlap, DRAWN))
+
+
+def _controller_places(controller: Controller, f: Array) -> Array:
+    """Frequencies in Hz over the narrow resonances of the controller as it runs, within lines f (nf,)."""
+    places = [np.zeros(0)]
+    for *_, a1, a2 in controller.biquads():
+        square = a2 - 0.25 * a1**2
+        if not square > 0.0:  # real poles
+            continue
+        s = controller.rate_hz * np.log(complex(-0.5 * a1, np.sqrt(square)))
+        centre, width = hz(s.imag), max(hz(abs(s.real)), SHARPEST * hz(s.imag))
+        k = int(np.searchsorted(f, centre))
+        if 0 < k < f.size and width < WIDE * (f[k] - f[k - 1]):
+            places.append(centre + width * PLACES)
+    every = np.concatenate(places)
+    return every[(every > f[0]) & (every < f[-1])]
+
+
+def measured(loop: Loop) -> FRF:
+    """The lines as they were measured: what is smoothed over frequency does not show what lies between them."""
+    return loop.plant if loop.raw is None else loop.raw
+
+
+def without_narrow(loop: Loop) -> ComplexArray:
+    """The measured lines (nf,) without the resonances that the path follows."""
+    return _rest(measured(loop), loop.scatter)
+
+
+def _rest(lines: FRF, scatter: Scatter | None) -> ComplexArray:
+    if scatter is None or not scatter.pole_hz.size:
+        return lines.siso
+    known = _RESTS.get(lines)
+    if known is None or known[0] is not scatter:
+        known = _RESTS[lines] = scatter, lines.siso - scatter.narrow(lines.frequency_hz)
+    return known[1]
+
+
+def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int, int, bool]:
+    """Lines `first`, `last` about a hidden pole, least and most whole turns that 1 + L turns more than the path there.
+
+    Of all the poles that the loop's lines allow. What is smooth of P runs straight between lines, and where it bends so
+    much that the likeliest path might pass -1 on the other side the last answer is False.
+    """
+    first, last, at, P, smooth = _past(pole, measured(loop), loop.scatter)
+    own = loop.frequency_hz[first : last + 1]
+    past = 1.0 + loop.controller.response(at) * P
+    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
+    turns = np.rint((turn(past) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
+    gap = np.clip(np.searchsorted(own, at[0, :-1], side="right") - 1, 0, own.size - 2)
+    bulge = bulges(own, loop.controller.response(own) * smooth)[gap]
+    sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
+    return first, last, int(turns.min()), int(turns.max()), sure
+
+
+@lru_cache(maxsize=64)
+def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, int, Array, ComplexArray, ComplexArray]:
+    """Lines `first`, `last` about a hidden pole, frequencies (nz, n) in Hz along them and P there, of no controller.
+
+    One for each of the poles that the lines allow; last what is smooth of P on the lines, for the likeliest.
+    """
+    f, P = lines.frequency_hz, _rest(lines, scatter)
+    first, last = _lines_about(f, pole.low_hz, pole.high_hz)
+    first, last = max(first - ASIDE, 0), min(last + ASIDE, f.size - 1)
+    own, P_own = f[first : last + 1], P[first : last + 1]
+    z, r = (pole.centre_hz + 1j * pole.half_width_hz)[:, None], pole.residue[:, None]
+    at = _places(own, z)
+    smooth = P_own - r / (1j * (own - z))
+    made = r / (1j * (at - z)) + _straight(at, own, smooth) + (0.0 if scatter is None else scatter.narrow(at))
+    for kept in (at, made):
+        kept.setflags(write=False)
+    return first, last, at, made, smooth[0]
+
+
+def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
+    """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
+
+    Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,); the last
+    answer is False where L turns too fast about -1 to be followed.
+    """
+    own = crowd.window.around[0]
+    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
+    at, P = _along(crowd)
+    turns, ways, L = np.zeros(len(at)), np.arange(len(at)), loop.controller.response(at) * P
+    near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
+    for k in range(ROUNDS):
+        steps = _steps(1.0 + L)
+        turns[ways] = steps.sum(axis=1)
+        far = np.abs(steps) > FAR
+        coarse = far.any(axis=1)
+        if not coarse.any() or k == ROUNDS - 1:
+            break
+        ways, at, L, far = ways[coarse], at[coarse], L[coarse], far[coarse]
+        most = int(far.sum(axis=1).max())
+        middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0]), axis=1)[:, -most:]
+        at = np.concatenate([at, middles], axis=1)
+        L = np.concatenate([L, loop.controller.response(middles) * crowd.response(middles, ways)], axis=1)
+        rising = np.argsort(at, axis=1, kind="stable")
+        at, L = np.take_along_axis(at, rising, axis=1), np.take_along_axis(L, rising, axis=1)
+    more = np.rint((turns - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
+    return int(more.min()), int(more.max()), near, not coarse.any()
+
+
+@lru_cache(maxsize=16)
+def _along(crowd: Crowd) -> tuple[Array, ComplexArray]:
+    """Frequencies (ways, n) in Hz along the lines of a crowd, dense about its poles, and P there: of no controller."""
+    at = _places(crowd.window.around[0], crowd.pole_hz)
+    P = crowd.response(at, np.arange(len(at)))
+    for made in (at, P):
+        made.setflags(write=False)
+    return at, P
+
+
+def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
+    first = int(np.clip(np.searchsorted(f, low_hz, side="right") - 1, 0, f.size - 2))
+    return first, int(np.clip(np.searchsorted(f, high_hz, side="left"), first + 1, f.size - 1))
+
+
+def _places(own: Array, z: ComplexArray) -> Array:
+    """Frequencies (nz, n) in Hz along lines `own`, dense about each of the poles z (nz, m)."""
+    even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
+    dense = (z.real[:, :, None] + np.abs(z.imag)[:, :, None] * ALONG).reshape(len(z), -1)
+    every = np.concatenate([dense, np.broadcast_to(even, (len(z), even.size))], axis=1)
+    return np.sort(np.clip(every, own[0], own[-1]), axis=1)
+
+
+def _straight(at: Array, own: Array, values: ComplexArray) -> ComplexArray:
+    """Values (nz, lines) at lines `own`, straight between them, at (nz, n)."""
+    k = np.clip(np.searchsorted(own, at, side="right") - 1, 0, own.size - 2)
+    slope = np.diff(values) / np.diff(own)
+    row = np.arange(len(values))[:, None]
+    return np.asarray(values[row, k] + (at - own[k]) * slope[row, k])
+
+
+def turn(path: ComplexArray) -> Array:
+    """Angle in rad that a path (..., n) turns about zero, at most half a turn a step."""
+    rows = np.ascontiguousarray(path).reshape(-1, path.shape[-1])
+    return np.asarray(turns(rows).reshape(path.shape[:-1]))
+
+
+def _steps(path: ComplexArray) -> Array:
+    """Angles in rad (..., n - 1) that each step of a path turns about zero; nothing where it meets it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])))
+
+
+def bulges(f: Array, L: ComplexArray) -> Array:
+    """How far L may leave such curves between lines, (nf - 1,), by how far lines leave those of their neighbours."""
+    if f.size < 3:
+        return np.zeros(f.size - 1)
+    ln_f = np.log(f)
+    share = (ln_f[1:-1] - ln_f[:-2]) / (ln_f[2:] - ln_f[:-2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.abs(L[1:-1] - L[:-2] * (L[2:] / L[:-2]) ** share)
+    off = np.nan_to_num(np.concatenate([off[:1], off, off[-1:]]), posinf=0.0)
+    return np.asarray(BULGE * np.maximum(off[1:], off[:-1]))

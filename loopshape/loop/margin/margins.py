@@ -1,0 +1,360 @@
+"""Loop -> Margins, by definition, from a measured plant's lines; with intervals where it knows its scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from loopshape.core.kernels.loops import margins as kernel
+from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.limits_over import MASKED, Mask
+from loopshape.data.requirement.requirements import Margins
+from loopshape.data.requirement.weight import Weight
+from loopshape.data.response.smoothed import by_draw, spread
+from loopshape.loop.margin.between import followed
+from loopshape.loop.margin.controller_bandwidth import controller_bandwidth_hz
+from loopshape.loop.margin.crossings import axis_crossings, unit_crossings
+from loopshape.loop.margin.low_frequency import LowModel
+from loopshape.loop.margin.reading import Reader
+from loopshape.loop.stability.holes import gaps_of
+from loopshape.loop.stability.low_end import DOWN, in_sight, is_large, low_models, poles_at_0
+from loopshape.loop.stability.obstacles import slope_at_end
+from loopshape.loop.stability.stability import closed_loop_stability
+
+#: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
+#: from the same lines, which the draws do not repeat (measured in experiments/margin_coverage)
+REACH = 1.04 * 1.972
+Interval = tuple[float, float]
+
+#: fields of `Margins` read as they are, and those read as logarithms
+PLAIN = {
+    "gain_margin_db": kernel.GAIN_DB,
+    "gain_reduction_margin_db": kernel.REDUCTION_DB,
+    "phase_margin_deg": kernel.PHASE_DEG,
+    "complementary_peak_db": kernel.COMPLEMENTARY_DB,
+    "control_peak_db": kernel.CONTROL_DB,
+    "control_high_frequency_db": kernel.CONTROL_HIGH_DB,
+    "process_peak_db": kernel.PROCESS_DB,
+    "sensitivity_mask_db": kernel.MASK_S,
+    "complementary_mask_db": kernel.MASK_T,
+    "control_mask_db": kernel.MASK_CS,
+    "process_mask_db": kernel.MASK_PS,
+    "loop_mask_db": kernel.MASK_L,
+    "loop_floor_db": kernel.FLOOR_L,
+}
+LOGARITHMS = {
+    "modulus_margin": kernel.LN_MODULUS,
+    "delay_margin_s": kernel.LN_DELAY_S,
+    "disk_margin": kernel.LN_DISK,
+    "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
+    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
+    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+    "weighted_norm": kernel.LN_WEIGHTED,
+}
+#: distances to -1 and peaks over them, which scatter as logarithms only where they are known to better than half
+_DISTANCES = {
+    kernel.LN_MODULUS: 0.5,
+    kernel.LN_DISK: 0.5,
+    kernel.COMPLEMENTARY_DB: 4.34,
+    kernel.CONTROL_DB: 4.34,
+    kernel.PROCESS_DB: 4.34,
+}
+#: bandwidths that lie above the last line where nothing was met up to it
+_BANDWIDTHS = {
+    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
+    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
+}
+#: nothing without weights
+_WEIGHTED = "weighted_norm"
+#: what these lie between, from 0
+_MOST = {
+    "gain_margin_db": np.inf,
+    "gain_reduction_margin_db": np.inf,
+    "phase_margin_deg": 180.0,
+    "disk_margin": 2.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Lines that margins are read from, with the loop's scatter: draws of L are `reference` + `factor` `deviations`."""
+
+    f: Array
+    L: ComplexArray
+    C: ComplexArray
+    reference: ComplexArray | None = None
+    factor: ComplexArray | None = None
+    deviations: ComplexArray | None = None
+
+    @cached_property
+    def drowned(self) -> bool:
+        """Whether errors as large as L itself, where L is not small, leave nothing that draws could tell."""
+        if self.deviations is None or self.factor is None:
+            return False
+        size = np.abs(self.L)
+        large = size > 0.1
+        relative = (np.abs(self.factor) * spread(self.deviations)[1])[large] / size[large]
+        return bool(relative.size and np.mean(relative > 0.7) > 0.1)
+
+    def drawn_at(self, k: np.ndarray) -> ComplexArray:
+        """What draws (draws, m) do to L on some lines k (m,); none where no scatter is known."""
+        if self.factor is None or self.deviations is None:
+            return np.zeros((0, k.size), dtype=complex)
+        return np.asarray(self.factor[k] * self.deviations[:, k])
+
+
+def margins(
+    loop: Loop,
+    *,
+    high_frequency_from_hz: float | None = None,
+    masks: Sequence[Mask] = (),
+    weights: Sequence[Weight] = (),
+) -> Margins:
+    """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
+
+    - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
+      axis with |L| < 1, and never more than 1/|L| at the last line: beyond it L is taken to cross somewhere,
+      no larger; the reduction margin the same for |L| > 1, as a factor down;
+    - phase margin: least rotation, either way, that brings L onto -1 over all 0 dB crossings;
+    - delay margin: least delay that does so;
+    - modulus margin: least |1 + L|, chords between lines included; peak |S| is its inverse;
+    - above the last line |L| is taken to stay below its last value l: there |S| may reach 1/(1 - l), |T|
+      l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that; where it decides a number, that number is a
+      bound, and `bounds` says how good it may be;
+    - a loop without integrators whose gain at 0 Hz is negative crosses the negative real axis there: small models of
+      the lowest lines lead to it (`loopshape.loop.margin.low_frequency`), and what they disagree about widens the interval;
+    - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
+      complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
+    - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through
+      -3 dB (0 where it never reaches it, the last line where it does not fall);
+    - masks: by how much each response exceeds its mask at the worst frequency, on the lines and above the last one as
+      far as what was stated of it goes; below the first line nothing is judged;
+    - norm of the weighted loop: the largest root of the sum of squared weighted responses, on the same lines; above the
+      last one each response counts with the most that it may be there;
+    - bandwidth: first 0 dB crossing of L, downwards from the lowest line; 0 where it is out of sight. Where L
+      starts below 1 small models of the lowest lines lead to it, at most a third of an octave below the first.
+
+    With the loop's `scatter` every number is freed of the bias that noise gives it (the largest of many noisy values
+    is too large) and has a 95 % interval: both from what draws of the error do to the same reading (a parametric
+    bootstrap; Davison and Hinkley, Bootstrap methods, 1997, chapter 5), normal on the scale of dB, degrees or ln. The
+    interval knows the FRF's noise, not what differs from day to day. Without scatter lines are taken at face value:
+    the peak of |S| comes out too high. With it L is read between lines too, along splines and the resonances that the
+    lines show, and what a spline adds to a straight line widens the interval. Margins mean room only where
+    `stable` says "stable".
+    """
+    j = _judged(loop)
+    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
+    first, *others = _readings_from_below(loop, j)
+    found, at = _read(loop, first, first.L[None], reader)
+    value, low, high = _with_intervals(loop, first, found[0], reader)
+    for other in others:  # what the models disagree about is as unknown as what noise hides
+        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], reader)[0][0], reader)
+        low, high = np.minimum(low, lower), np.maximum(high, higher)
+    bounds = _bounds(loop, first, found[0], reader)
+    stability = closed_loop_stability(loop)
+    crossings, crossing_intervals = _crossings(first, unit=True)
+    phase_crossings, phase_intervals = _crossings(first, unit=False)
+    ends = _fields(low), _fields(high)
+    intervals = {n: (min(a, b), max(a, b)) for n, a, b in _paired(*ends)} if j.deviations is not None else {}
+    values = _fields(value)
+    if not in_sight(loop):
+        _not_measured(values, bounds, intervals, float(j.f[0]))
+    return Margins(
+        **values,
+        controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
+        crossings_hz=crossings,
+        phase_crossings_hz=phase_crossings,
+        at_hz=_places(at[0], float(j.f[0])),
+        stable=stability.outcome,
+        stability_reason=stability.reason,
+        stability_band_hz=getattr(stability, "band_hz", None),
+        intervals=intervals,
+        bounds=bounds,
+        missing_hz=tuple((gap.low_hz, gap.high_hz) for gap in gaps_of(loop) if gap.missing),
+        last_hz=float(j.f[-1]),
+        last_gain=float(abs(j.L[-1])),
+        last_slope=slope_at_end(j.f, j.L),
+        crossing_intervals_hz=crossing_intervals,
+        phase_crossing_intervals_hz=phase_intervals,
+        detuning=None,
+    )
+
+
+def _not_measured(
+    values: dict[str, float], bounds: dict[str, float], intervals: dict[str, Interval], first_hz: float
+) -> None:
+    """Leave out what belongs to a crossover below the first line: nan, and a bandwidth from 0 up to that line."""
+    for name in ("phase_margin_deg", "delay_margin_s", "gain_reduction_margin_db"):
+        values[name] = float("nan")
+        bounds.pop(name, None)
+        intervals.pop(name, None)
+    if values["bandwidth_hz"] == 0.0:
+        bounds["bandwidth_hz"] = first_hz
+
+
+def _judged(loop: Loop) -> _Judged:
+    if loop.scatter is None:
+        return _Judged(loop.frequency_hz, loop.L, loop.C)
+    dense, own = followed(loop)
+    return _Judged(dense.frequency_hz, own * dense.response, own, own * dense.reference, own, by_draw(dense.deviations))
+
+
+def _from_below(loop: Loop, j: _Judged, model: LowModel) -> _Judged:
+    """The lines with those before them as a model tells them, down to 0 Hz where L is finite there.
+
+    Where L starts on the negative real axis it crosses that at 0 Hz, from the mirrored side.
+    """
+    finite = poles_at_0(loop) <= 0
+    f = j.f[0] * (DOWN if finite else DOWN[1:])
+    C = loop.controller.response(f)
+    L = C * model.response(f)
+    if finite:
+        L[0] = complex(L[0].real, -1e-9 * abs(L[0]) * (1.0 if L[1].imag >= 0.0 else -1.0) * (L[0].real < 0.0))
+    reference = factor = deviations = None
+    if loop.scatter is not None and j.deviations is not None and j.reference is not None and j.factor is not None:
+        moved = C * model.deviations(f, loop.scatter.deviations)
+        if finite:
+            moved[:, 0] = moved[:, 0].real
+        reference = np.concatenate([L, j.reference])
+        factor = np.concatenate([np.ones(f.size), j.factor])
+        deviations = by_draw(np.concatenate([moved, j.deviations], axis=1))
+    f, L, C = np.concatenate([f, j.f]), np.concatenate([L, j.L]), np.concatenate([C, j.C])
+    return _Judged(f, L, C, reference, factor, deviations)
+
+
+def _readings_from_below(loop: Loop, j: _Judged) -> list[_Judged]:
+    """The lines with what lies below them, once for each model that tells it.
+
+    As they are where L is large at the first, or where its crossover is out of sight.
+    """
+    if loop.integrators is None or is_large(loop) or not in_sight(loop):
+        return [j]
+    return [_from_below(loop, j, model) for model in low_models(loop)] or [j]
+
+
+def _read(loop: Loop, j: _Judged, L: ComplexArray, reader: Reader, *, bounded: bool = True) -> tuple[Array, Array]:
+    return reader.read(j.f, L, j.C, loop.above_hz, loop.C_above, bounded=bounded, least=loop.largest_above)
+
+
+def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, float]:
+    """How good the quantities may be that what lies above the last line bounds: the good end of what lines alone tell.
+
+    A bandwidth that the lines do not reach is at least their last frequency.
+    """
+    best, _ = _read(loop, j, j.L[None], reader, bounded=False)
+    ends = {name: float("inf") for name, k in _BANDWIDTHS.items() if found[k] == np.log(j.f[-1])}
+    bounded = found != best[0]
+    if not bounded.any():
+        return ends
+    _, low, high = _with_intervals(loop, j, best[0], reader, bounded=False)
+    better = np.where(best[0] > found, np.maximum(low, high), np.minimum(low, high))
+    good = _fields(np.where(bounded, better, np.nan))
+    return ends | {name: value for name, value in good.items() if not np.isnan(value)}
+
+
+def _with_intervals(
+    loop: Loop, j: _Judged, found: Array, reader: Reader, *, bounded: bool = True
+) -> tuple[Array, Array, Array]:
+    """Each column freed of its bias, with the ends of its interval."""
+    if j.deviations is None or j.reference is None or j.factor is None:
+        return found, found, found
+    drawn = reader.read_drawn(
+        j.f,
+        j.reference,
+        j.factor,
+        j.deviations,
+        j.C,
+        loop.above_hz,
+        loop.C_above,
+        bounded=bounded,
+        least=loop.largest_above,
+    )
+    reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
+    if j.drowned:
+        return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
+    ordered = np.sort(drawn, axis=0)
+    usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
+    usual &= _of_one_piece(np.where(usual, ordered, 0.0))
+    for column, most in _DISTANCES.items():
+        usual[column] = usual[column] and drawn[:, column].std() <= most
+    shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
+    value = found - shift.mean(axis=0)
+    reach = np.hypot(REACH * shift.std(axis=0), _between(loop, j, reference[0], reader, bounded))
+    # where draws jump, never come to the crossing or come as near to -1 as L itself, their own order tells
+    k = round(0.025 * (len(drawn) - 1))
+    low = np.where(usual, value - reach, np.minimum(ordered[k], found))
+    return value, low, np.where(usual, value + reach, np.maximum(ordered[-1 - k], found))
+
+
+def _between(loop: Loop, j: _Judged, found: Array, reader: Reader, bounded: bool) -> Array:
+    """How far columns may be off because lines are joined by chords: half of what changes with every other line.
+
+    Where L bends evenly, chords over two gaps, even and odd ones in the mean, are off by a quarter of a gap's bend more
+    than those over one, which are off by an eighth at most.
+    """
+    assert j.reference is not None
+    changes = np.zeros((2, found.size))
+    for first, change in enumerate(changes):
+        kept = np.arange(j.f.size) % 2 == first
+        kept[[0, -1]] = True
+        L, above = j.reference[None, kept], (loop.above_hz, loop.C_above)
+        coarse, _ = reader.read(j.f[kept], L, j.C[kept], *above, bounded=bounded, least=loop.largest_above)
+        both = np.isfinite(coarse[0]) & np.isfinite(found)
+        np.subtract(coarse[0], found, out=change, where=both)
+    return 0.5 * np.asarray(np.abs(changes).mean(axis=0))
+
+
+def _of_one_piece(ordered: Array) -> np.ndarray:
+    """Whether ordered draws (n, columns) scatter as about one value, and do not jump from one crossing to another.
+
+    They do not where their deviation is twice what their middle two thirds tell, or all lie within two deviations.
+    """
+    last = len(ordered) - 1
+    spread = ordered.std(axis=0)
+    core = (ordered[round(0.84 * last)] - ordered[round(0.16 * last)]) / 1.989
+    tiny = 1e-12
+    return np.asarray((spread <= 2.0 * core + tiny) & (ordered[-1] - ordered[0] >= 4.0 * spread - tiny))
+
+
+def _fields(columns: Array) -> dict[str, float]:
+    """Fields of `Margins` from the kernel's columns."""
+    asked = {name: k for name, k in PLAIN.items() if name not in MASKED or columns[k] > -np.inf}
+    out = {name: float(columns[k]) for name, k in asked.items()}
+    logarithms = {name: k for name, k in LOGARITHMS.items() if name != _WEIGHTED or columns[k] > -np.inf}
+    out |= {name: float(np.exp(columns[k])) for name, k in logarithms.items()}
+    with np.errstate(over="ignore"):
+        out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
+    for name, most in _MOST.items():  # a bias taken off may lead out of what can be
+        if np.isfinite(out[name]):
+            out[name] = min(max(out[name], 0.0), most)
+    return out
+
+
+def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, float, float]]:
+    return [(name, low[name], high[name]) for name in low if name in high]
+
+
+def _places(at: Array, first_hz: float) -> dict[str, float]:
+    """Frequencies in Hz by quantity; 0 where the crossing lies there."""
+    columns = PLAIN | LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
+    return {n: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for n, k in columns.items() if np.isfinite(at[k])}
+
+
+def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Interval, ...]]:
+    """All 0 dB crossings, or crossings of the negative real axis, with the 95 % interval of each frequency."""
+    f, _ = unit_crossings(j.f, j.L) if unit else axis_crossings(j.f, j.L)
+    if j.deviations is None:
+        return tuple(f.tolist()), ()
+    k = np.clip(np.searchsorted(j.f, f) - 1, 0, max(j.f.size - 2, 0))
+    if unit:
+        error = np.std((j.drawn_at(k) / j.L[k]).real, axis=0)
+        rise = np.abs(np.log(np.abs(j.L[k + 1] / j.L[k])) / np.log(j.f[k + 1] / j.f[k]))
+    else:
+        error = np.std(j.drawn_at(k).imag, axis=0)
+        rise = np.abs((j.L[k + 1] - j.L[k]).imag / np.log(j.f[k + 1] / j.f[k]))
+    reach = np.exp(np.minimum(REACH * error / np.maximum(rise, 1e-12), 50.0))
+    return tuple(f.tolist()), tuple(zip((f / reach).tolist(), (f * reach).tolist(), strict=True))

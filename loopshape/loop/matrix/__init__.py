@@ -1,0 +1,1 @@
+"""Several loops of one plant at once: determinant, loci, structured margins."""

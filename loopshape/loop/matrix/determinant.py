@@ -1,0 +1,266 @@
+"""Closed-loop stability of several loops from the data: the count of det(I + L) with the contour closed.
+
+Unstable closed-loop poles = unstable open-loop ones - encirclements of 0 by det(I + L) (MacFarlane and Postlethwaite,
+International Journal of Control 25, 1977; Skogestad and Postlethwaite, Multivariable Feedback Control, 4.9). Its lines
+are measured; below them it goes as 1/s^k, above them its loci die out, and where the data cannot carry that, or the
+count between lines, the answer is "undecided" and names the band to measure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray, deg, rad
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.control.loop_matrix import LoopMatrix, responses, sensitivity
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.smoothed import Dense, spread
+from loopshape.identify.smooth.smoothing_matrix import smoothed_matrix
+from loopshape.loop.margin.between import Path
+from loopshape.loop.margin.crossings import chords_to_minus_one
+from loopshape.loop.matrix.loci import characteristic_loci
+from loopshape.loop.matrix.several_low_end import LowEnd, low_doubt, low_end, slopes
+from loopshape.loop.stability.obstacles import ON_IT, Obstacle, Sampling, doubt, sampling
+from loopshape.loop.stability.sampling import HiddenPole, hidden_poles
+from loopshape.loop.stability.stability import Stability
+
+UNKNOWN_POLES = (
+    "the number of unstable poles of the whole plant is not known: declare unstable_poles in the requirements'"
+    " [several], or name the controllers of the recorded loops in the map"
+)
+#: phase and slope that the ratio of det(I + L) to that of the recorded loops may have at the first line
+HELD_DEG, HELD_SLOPE = 60.0, 0.5
+#: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
+STEP, SMALL, MOST = 0.2, 0.05, 8
+#: draws of the plant's error that the deviation of det(I + L) is taken from
+DRAWN = 50
+_SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
+
+
+def closed_loops_stability(loops: LoopMatrix) -> Stability:
+    """The count for all loops of a plant at once, on the lines of its matrix.
+
+    Integrators and unstable poles of the whole plant are the noun's word; a wrong word gives a wrong answer. Gain and
+    phase at the lowest lines must go together as below a plant's corners (phase 90 deg times slope, Bode 1945), in one
+    sense or the other: then det(I + L) is carried on to zero frequency along 1/s^k, and its sign there is read off. So
+    a pair whose det P(0) has the wrong sign is unstable though each of its loops looks well. Undecided where lines do
+    not reach low or high enough, where det(I + L) turns too far between two of them, or where its own 95 % reach
+    covers zero.
+    """
+    counted = encirclement_count(loops)
+    from_held = count_from_held(loops) if loops.held else counted
+    if isinstance(from_held, Obstacle) and isinstance(counted, Obstacle):
+        return Stability("undecided", None, counted.reason, counted.band_hz)
+    poles = counted if isinstance(from_held, Obstacle) else from_held
+    assert isinstance(poles, int)
+    if isinstance(counted, int) and counted != poles:
+        reason = (
+            f"{counted} unstable closed-loop poles by the declared integrators and unstable poles, and {poles} by the"
+            " loops that were recorded and stood: one of them is wrong"
+        )
+        return Stability("undecided", None, reason)
+    if poles < 0:
+        reason = f"{-poles} encirclements too many for {loops.unstable_poles} unstable poles of the plant"
+        return Stability("undecided", None, f"{reason}: declare unstable_poles of the whole plant")
+    if poles:
+        plural = "pole" if poles == 1 else "poles"
+        return Stability("unstable", poles, f"{poles} closed-loop {plural} in the right half plane")
+    return Stability("stable", 0, _why_stable(isinstance(counted, int)))
+
+
+def _why_stable(counted: bool) -> str:
+    """Which of the two counts says so."""
+    if counted:
+        return "the encirclements of 0 by det(I + L) balance the unstable poles"
+    return "from the loops that were recorded and stood to these, det(I + L) does not encircle 0"
+
+
+def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
+    """Unstable closed-loop poles, or what keeps the lines from telling.
+
+    Negative where the plant's unstable poles are fewer than those that the encirclements would need.
+    """
+    if loops.unstable_poles is None:
+        return Obstacle(UNKNOWN_POLES)
+    loci = characteristic_loci(loops.L_i)
+    low = low_end(loops.frequency_hz, loci)
+    ends = low_doubt(loops, loci, low) or _high_doubt(loops, loci)
+    if ends is not None:
+        return ends
+    D = loops.determinant
+    path = _path(loops)
+    between = _sampling(loops, _as_one(loops, D, determinant_variance(loops)), path)
+    before = 2.0 * D[0] * np.exp(-1j * rad(np.clip(low.phase_deg - 90.0 * low.slope, -60.0, 60.0)))
+    found = _doubt(loops, loci, path, between, complex(before))
+    if found is not None:
+        return found
+    integrators = (loops.integrators or 0) + loops.controller_integrators()
+    poles = count_by_determinant(1.0 + path.L, loci, low, integrators, loops.unstable_poles)
+    return poles - 2 * between.turns
+
+
+def count_from_held(loops: LoopMatrix) -> int | Obstacle:
+    """Unstable closed-loop poles by what changed since the loops were recorded and stood, or what keeps from telling.
+
+    det(I + L) over what it was under the recorded controllers: the plant's own poles cancel, integrators and unstable
+    ones alike, so that nothing is to be declared. The ratio must be near the real axis at the first line, as gains of
+    one sign make it there; what differs below the first line by more than that is not seen.
+    """
+    stood = replace(loops, controllers=loops.held, held=())
+    D = loops.determinant / stood.determinant
+    more = loops.controller_integrators() - stood.controller_integrators()
+    path = _path(loops, stood)
+    between = _sampling(loops, _as_one(loops, D, determinant_variance(loops, stood)), path)
+    loci, before = characteristic_loci(loops.L_i), characteristic_loci(stood.L_i)
+    f, swing = loops.frequency_hz, float(np.angle(D[0] * 1j**more))
+    if abs(deg(swing)) > HELD_DEG or abs(slopes(f, D[:, None])[0] + more) > HELD_SLOPE:
+        reason = f"det(I + L) does not agree with that of the recorded loops at the lowest frequency, {f[0]:.3g} Hz"
+        return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
+    found = _high_doubt(loops, loci) or _high_doubt(stood, before)
+    found = found or _doubt(loops, loci, path, between, complex(2.0 * D[0]))
+    if found is not None:
+        return found
+    end = float(np.sum(np.angle(1.0 + before[-1])) - np.sum(np.angle(1.0 + loci[-1])))
+    whole = 1.0 + path.L
+    turn = float(np.angle(whole[0] * 1j**more)) + float(np.sum(np.angle(whole[1:] / whole[:-1]))) + end
+    return round(0.5 * more - turn / np.pi) - 2 * between.turns
+
+
+def followed_matrix(loops: LoopMatrix, draws: int | None = None) -> Dense:
+    """The smoothed plant with (some of) its draws, on lines and on places between them where I + L moves far."""
+    lines, P = loops.frequency_hz, loops.P
+    found = smoothed_matrix(loops.plant)
+    dense = Dense(lines, P, P, np.zeros((1, *P.shape), dtype=complex)) if found is None else found[0]
+    dense = replace(dense, deviations=dense.deviations[:draws])
+    L = dense.response * responses(loops.controllers, dense.frequency_hz)[:, None, :]
+    with np.errstate(divide="ignore"):
+        room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
+    moved = np.linalg.norm(np.diff(L, axis=0), 2, axis=(1, 2))
+    small = np.linalg.norm(L, 2, axis=(1, 2)) < SMALL
+    return dense.between(np.where(small[1:], 0.0, moved), np.minimum(room[1:], room[:-1]), STEP, MOST)
+
+
+def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
+    """det(I + L) - 1 between lines, with `stood` over that of the same plant under other controllers."""
+    dense = followed_matrix(loops, DRAWN)
+    D, moved = _determinant(loops, dense)
+    if stood is not None:
+        before, moved_before = _determinant(stood, dense)
+        D, moved = D / before, moved - moved_before
+    rms, _, alike = spread(moved)
+    return Path(dense.frequency_hz, D - 1.0, np.abs(D) * rms, alike, np.isin(dense.frequency_hz, loops.frequency_hz))
+
+
+def _determinant(loops: LoopMatrix, dense: Dense) -> tuple[ComplexArray, ComplexArray]:
+    """det(I + L) (n,), and what draws of the plant's error do to its logarithm (draws, n): tr(C S_o dP)."""
+    c = responses(loops.controllers, dense.frequency_hz)
+    whole = np.eye(len(loops.names)) + c[:, :, None] * dense.response
+    slope = np.linalg.inv(whole) * c[:, None, :]
+    return np.linalg.det(whole), np.einsum("fij,dfji->df", slope, dense.deviations, optimize=True)
+
+
+def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
+    """A loop whose 1 + L is D, with E|d ln D|² (nf,)."""
+    plant, rate_hz = loops.plant, loops.controllers[0].rate_hz
+    own = np.nan_to_num(np.abs(D) ** 2 * variance, posinf=0.0)  # nan: D passes 0 on a line
+    made = FRF(
+        loops.frequency_hz, (D - 1.0)[:, None, None], own[:, None, None].astype(complex), plant.trusted, ("1",),
+        ("1",), f"det(I + L) - 1 of {plant.method}", plant.recording, "+".join(loops.names), plant.rate_hz,
+        line_overlap=plant.line_overlap, variance_freedom=plant.variance_freedom,
+    )  # fmt: skip
+    return Loop(made, Controller("det", (Block("gain", {"gain": 1.0}),), rate_hz), None, 0)
+
+
+def _sampling(loops: LoopMatrix, as_one: Loop, path: Path) -> Sampling:
+    """What lies between the lines of det(I + L) and off its path, where an element of the plant shows a pole there too.
+
+    The determinant's poles are those of the elements; what only it shows is a bend near a crossover. A pole that the
+    elements show and the determinant does not has no weight in it, as far as its own noise lets see.
+    """
+    f, freedom = loops.frequency_hz, loops.plant.variance_freedom
+    nothing, found = Sampling(0, np.zeros(max(f.size - 1, 0), dtype=bool), None), smoothed_matrix(loops.plant)
+    poles: list[HiddenPole] = []
+    rest = loops.P if found is None else loops.P - found[1]
+    for element, variance in zip(_elements(rest), _elements(loops.plant.variance), strict=True):
+        if element.any():
+            poles += hidden_poles(f, element, np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2), freedom)
+    if not poles or np.abs(as_one.L).max() < _SAME:
+        return nothing
+    shown = sampling(as_one, path)
+    gaps = np.clip(np.searchsorted(f, [pole.centre_hz[0] for pole in poles]) - 1, 0, f.size - 2)
+    return shown if shown.followed[gaps].any() else nothing
+
+
+def _elements(P: np.ndarray) -> np.ndarray:
+    """Elements of a matrix (nf, n, n) as rows (n n, nf)."""
+    return P.reshape(len(P), -1).T
+
+
+def count_by_determinant(
+    determinant: ComplexArray, loci: ComplexArray, low: LowEnd, integrators: int, unstable_poles: int
+) -> int:
+    """Closed-loop poles in the right half plane, by the bare count: it trusts every line and what lies between.
+
+    With P unstable open-loop poles and k integrators, passed on the right, the turn of det(I + L) over s = j0+ to j inf
+    is pi (P + k/2 - Z) for Z unstable closed-loop poles. Above the last line all loci are taken to shrink to zero.
+    """
+    start = rad(low.phase_deg + 90.0 * integrators - (180.0 if low.negative else 0.0)) + low.rest_rad
+    turn = float(start) + float(np.sum(np.angle(determinant[1:] / determinant[:-1])))
+    turn -= float(np.sum(np.angle(1.0 + loci[-1])))
+    return round(unstable_poles + 0.5 * integrators - turn / np.pi)
+
+
+def _high_doubt(loops: LoopMatrix, loci: ComplexArray) -> Obstacle | None:
+    f = loops.frequency_hz
+    size = float(np.abs(loci[-1]).max())
+    rate_hz = loops.controllers[0].rate_hz
+    if size >= 1.0:
+        reason = f"an eigenvalue of L is still {size:.2g} at the highest frequency, {f[-1]:.3g} Hz: measure higher"
+        return Obstacle(reason, (float(f[-1]), float(min(10.0 * f[-1], 0.5 * rate_hz))))
+    if loops.beyond is None or not (kept := loops.beyond.frequency_hz < 0.5 * rate_hz).any():
+        return None
+    above = loops.beyond.select(kept)
+    c = responses(loops.controllers, above.frequency_hz)
+    radius = np.abs(np.linalg.eigvals(c[:, :, None] * above.response)).max(axis=1)
+    k = int(np.argmax(radius))
+    if radius[k] < 1.0:
+        return None
+    at = above.frequency_hz[k]
+    reason = f"an eigenvalue of L reaches {radius[k]:.2g} at {at:.3g} Hz, above the band that is known well"
+    return Obstacle(f"{reason}: excite more there", (float(f[-1]), float(above.frequency_hz[-1])))
+
+
+def _on_it(f: Array, loci: ComplexArray, followed: np.ndarray) -> Obstacle | None:
+    """A gap in which an eigenvalue of L passes -1 so near that nothing tells the side; none of those `followed`."""
+    near = np.min([chords_to_minus_one(one)[0] for one in loci.T], axis=0)
+    near = np.where(followed, np.inf, near) if followed.size else near
+    k = int(np.argmin(near))
+    if near[k] >= ON_IT:
+        return None
+    return Obstacle(
+        f"an eigenvalue of L passes -1 within {near[k]:.1g} at {f[k]:.3g} Hz", (float(f[k]), float(f[k + 1]))
+    )
+
+
+def _doubt(loops: LoopMatrix, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
+    """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
+    if path.f.size < 2:
+        return Obstacle("one frequency does not make a curve")
+    near = _on_it(loops.frequency_hz, loci, between.followed)
+    found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
+    return found or between.unclear
+
+
+def determinant_variance(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Array:
+    """E|d|² (nf,) of ln det(I + L), to first order in the plant's error: d ln det(I + P C) = tr(C S_o dP).
+
+    With `stood`, the same plant under other controllers, that of their ratio. Where it is not well below 1 the first
+    order is no more than an order of magnitude.
+    """
+    slope = (loops.CS if stood is None else loops.CS - stood.CS).reshape(len(loops.frequency_hz), -1)  # vec(dP)'s order
+    with np.errstate(invalid="ignore"):
+        made = np.real(np.einsum("fi,fij,fj->f", slope, loops.plant.covariance, slope.conj(), optimize=True))
+    return np.asarray(np.maximum(made, 0.0))

@@ -1,0 +1,275 @@
+"""FRFs and a new controller -> Predictions; a prediction and a measurement under that controller -> Comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import db
+from loopshape.data.algebra import feedback
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.prediction import Comparison, Prediction, Step, StepComparison
+from loopshape.data.signal.channel import unit_of
+from loopshape.loop.predict.agreement import judged, noticed_db, on_common_lines, paired
+from loopshape.loop.predict.step_response import DRAWS, predict_step, step_from_lines
+from loopshape.loop.stability.stability import closed_loop_stability
+from loopshape.loop.verdict import loops_of
+
+#: without a change of the plant's gain of this size being noticed four times in five, nothing is said to have held
+NOTICED_DB = 1.0
+#: how far a fit's S may lie from the lines' before a step from it is doubted, in dB
+FIT_APART_DB = 1.0
+
+
+def predict(
+    frfs: Sequence[FRF], controller: Controller, fits: Sequence[Fit] = (), *, draws: int = DRAWS, seed: int = 0
+) -> list[Prediction]:
+    """What a controller will make of each measured plant of its loop: S from the FRF, the step from a fit of it.
+
+    Without a fit the step comes straight from the lines, where they can carry one (`step_from_lines`).
+
+    S goes over the plant's valid lines with the plant's covariance. **The prediction is of the plant as it was
+    measured**: at that amplitude, about where it stood on average, and with the other loops closed by the controllers
+    that they had then. A plant that answers larger signals otherwise, or whose loops interact and get new controllers
+    together, will contradict it, and that is what a comparison is for.
+    """
+    if not frfs:
+        raise WrongUseError(f"there is no FRF of loop {controller.loop!r} to predict from", "", "measure or import one")
+    loops, notes = loops_of(frfs, controller, Requirements(controller.loop), fits)
+    if notes:
+        notes = ("stability: " + "; ".join(notes),)
+    return [_one(loop, fit_of(frf, fits), notes, draws, seed) for loop, frf in zip(loops, frfs, strict=True)]
+
+
+def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
+    """The fit made for this very FRF."""
+    return next((x for x in fits if (x.recording, x.loop, x.frf_digest) == (frf.recording, frf.loop, frf.digest)), None)
+
+
+def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int) -> Prediction:
+    stability = closed_loop_stability(loop)
+    plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
+    S = replace(feedback(plant, loop.controller).S_o, held_by=loop.controller, loop=plant.loop)
+    if stability.outcome != "stable":
+        notes += (f"the loop is {stability.outcome}: {stability.reason}",)
+    if fit is None:
+        step, why = _without_fit(S, stability.outcome, seed)
+        return Prediction(S, stability.outcome, step, notes + why)
+    step = predict_step(fit, loop.controller, draws=draws, seed=seed)
+    if step is None:
+        return Prediction(S, stability.outcome, None, (*notes, "the fit's loop does not come to rest: no step"))
+    return Prediction(S, stability.outcome, _with_doubt(step, S, fit), notes)
+
+
+def _without_fit(S: FRF, stability: str, seed: int) -> tuple[Step | None, tuple[str, ...]]:
+    """The step that the lines carry, or why they carry none."""
+    if stability != "stable":  # lines show no end of it: an unstable loop has no step
+        return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
+    try:
+        return step_from_lines(S, seed=seed), ()
+    except WrongUseError as refused:
+        return None, (f"no fit of this FRF, and {refused}",)
+
+
+def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
+    """A note where the fit's S is another than that of the lines: a step rests on it."""
+    assert S.held_by is not None
+    f = S.frequency_hz
+    apart = np.abs(db((1.0 + S.held_by.response(f) * fit.model.response(f)) * S.siso))
+    std = db(1.0 + S.relative_std[:, 0, 0])
+    k = int(np.argmax(np.maximum(apart - 2.0 * std, 0.0)))
+    if apart[k] - 2.0 * std[k] < FIT_APART_DB:
+        return step
+    note = f"the fit's |S| lies up to {apart[k]:.2g} dB from that of the measured FRF, at {f[k]:.3g} Hz"
+    return replace(step, notes=(*step.notes, f"{note}: the step rests on the fit"))
+
+
+def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
+    """Whether S measured under the predicted controller (`estimate_sensitivity`, or from a FRF) bears a prediction out.
+
+    The statistic is that of `check.agreement`; `tolerance_db` is a rms deviation of |S| that counts as none. "held"
+    means that these data agree, and would have noticed a change of the plant's gain of 1 dB (or of twice
+    the tolerance); "cannot tell" that they would not. Lines that differ are interpolated, and it is noted.
+
+    Misleads: variances that are too large (a sweep's) make p-values too large, too small ones report a mismatch too
+    soon. Errors that both measurements share (a leaking window, the same disturbance) cancel. Refuses a measurement
+    that another controller held, of another loop, or at another rate.
+    """
+    notes = _checked(prediction, measured)
+    return _judged(prediction.loop, prediction.sensitivity, measured, level, tolerance_db, notes, plants=False)
+
+
+def compare_plants(first: FRF, second: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
+    """Whether two FRFs (1 x 1) are of one plant, within what both are known to; as `compare` in all else.
+
+    Refuses FRFs of several inputs or outputs, of other units, and at other rates: a hold is part of a plant.
+    """
+    for frf in (first, second):
+        if frf.response.shape[1:] != (1, 1):
+            raise WrongUseError(
+                "FRFs of one input and one output are compared", f"{frf.recording}: {frf!r}", "select an element"
+            )
+    for one, two in ((first.outputs[0], second.outputs[0]), (first.inputs[0], second.inputs[0])):
+        if unit_of(one) != unit_of(two) and "1" not in (unit_of(one), unit_of(two)):
+            raise WrongUseError("both FRFs have the same units", f"{one} and {two}", "import one in the other's units")
+    if first.rate_hz and second.rate_hz and first.rate_hz != second.rate_hz:
+        raise WrongUseError("both FRFs have one rate", f"{first.rate_hz:g} and {second.rate_hz:g} Hz")
+    return _judged(first.loop, first, second, level, tolerance_db, (), plants=True)
+
+
+def compare_all(first: Sequence[FRF], second: Sequence[FRF], *, tolerance_db: float = 0.0) -> list[Comparison]:
+    """`compare_plants` each of `second` with each of `first` of its loop and operating point; one alone with one alone.
+
+    All together call plants that have not changed different 5 % of the time. Refuses FRFs of which no two belong
+    together.
+    """
+    alone = len(first) == len(second) == 1
+    pairs = [(a, b) for a in first for b in second if alone or _belong(a, b)]
+    if not pairs:
+        raise WrongUseError(
+            "no FRFs are of one loop at one operating point",
+            f"{_named(first)}; {_named(second)}", "import them with the same --loop",
+        )  # fmt: skip
+    level = 1.0 - 0.95 ** (1.0 / len(pairs))
+    return [compare_plants(a, b, level=level, tolerance_db=tolerance_db) for a, b in pairs]
+
+
+def _belong(one: FRF, two: FRF) -> bool:
+    points = [{**frf.operating_point, **frf.parameters} for frf in (one, two)]
+    return one.loop == two.loop and points[0] == points[1]
+
+
+def _named(frfs: Sequence[FRF]) -> str:
+    return ", ".join(dict.fromkeys(f"loop {frf.loop} of {frf.recording}" for frf in frfs))
+
+
+def _judged(
+    loop: str, first: FRF, second: FRF, level: float, tolerance_db: float, notes: tuple[str, ...], plants: bool
+) -> Comparison:
+    """Two measurements of one response."""
+    one, two, missed, more = on_common_lines(first, second)
+    notes += more
+    if not missed.size:
+        return _compared(loop, first, second, "cannot tell", level, tolerance_db, notes)
+    lines = paired(one, two, missed, tolerance_db, plants)
+    p_value, bands = judged(lines)
+    noticed = noticed_db(lines, level)
+    sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
+    outcome = "did not hold" if p_value < level else "held" if sharp else "cannot tell"
+    return replace(
+        _compared(loop, first, second, outcome, level, tolerance_db, notes),
+        p_value=p_value,
+        lines=lines.frequency_hz.size,
+        bands=bands,
+        noticed_db=noticed,
+        predicted_peak_db=float(db(lines.predicted).max()),
+        measured_peak_db=float(db(lines.measured).max()),
+    )
+
+
+def _compared(
+    loop: str, first: FRF, second: FRF, outcome: str, level: float, tolerance_db: float, notes: tuple[str, ...]
+) -> Comparison:
+    """The noun of two measurements, without numbers yet."""
+    return Comparison(
+        loop=loop,
+        predicted_from=first.recording,
+        measured_from=second.recording,
+        operating_point=dict(second.operating_point),
+        outcome=outcome,
+        p_value=float("nan"),
+        level=level,
+        lines=0,
+        bands=(),
+        noticed_db=float("inf"),
+        tolerance_db=tolerance_db,
+        notes=notes,
+    )
+
+
+def _checked(prediction: Prediction, measured: FRF) -> tuple[str, ...]:
+    """Notes on what a measurement does not say; refuses one of another loop or controller."""
+    controller, held = prediction.controller, measured.held_by
+    if prediction.loop not in ("", measured.loop) or (
+        measured.rate_hz > 0.0 and measured.rate_hz != controller.rate_hz
+    ):
+        raise WrongUseError(
+            f"the measurement {measured.recording} is not of the loop that was predicted",
+            f"loop {measured.loop!r} at {measured.rate_hz:g} Hz",
+            f"give one of loop {prediction.loop!r} at {controller.rate_hz:g} Hz",
+        )
+    if held is None:
+        return ("it is not known which controller closed the loop: the predicted one is assumed",)
+    if not same_controller(controller, held):
+        raise WrongUseError(
+            f"loop {measured.loop!r} was closed by another controller at {measured.recording} than was predicted",
+            "their responses differ",
+            "measure under the controller of the prediction, or predict with the one that ran",
+        )
+    return ()
+
+
+def same_controller(one: Controller, two: Controller) -> bool:
+    """Whether two controllers run alike: the same rate, and responses that agree to 1e-6 up to 0.45 of it."""
+    if one.rate_hz != two.rate_hz:
+        return False
+    f = np.geomspace(1e-5, 0.45, 60) * one.rate_hz
+    first, second = one.response(f), two.response(f)
+    return bool(np.all(np.abs(first - second) <= 1e-6 * np.abs(first)))
+
+
+def sensitivity_of(frf: FRF) -> FRF:
+    """S of a plant's FRF under the controller that held it, on all its lines; refuses one that does not name it.
+
+    It is the same number as the direct estimate from the recording (`estimate_sensitivity`), and less sure where the
+    plant's input is below the noise: prefer that where there is a recording.
+    """
+    if frf.held_by is None:
+        raise WrongUseError(
+            f"the sensitivity at {frf.recording} does not follow from its FRF",
+            "no controller is known to have closed it",
+            "give the recordings, or name the controller in run.toml",
+        )
+    return replace(feedback(frf, frf.held_by).S_o, held_by=frf.held_by, loop=frf.loop)
+
+
+def compare_step(measured: StepComparison, prediction: Prediction) -> StepComparison:
+    """A recorded step beside the predicted one: the share of samples outside the band, and the largest distance.
+
+    The band is widened by two deviations of what noise leaves in the tail. It knows the spread of the fit's parameters
+    and no error of its structure, so that `outside` is no test; nor is a step of another size that of a linear loop.
+    """
+    step = prediction.step
+    if step is None:
+        return replace(measured, notes=(*measured.notes, *prediction.notes))
+    t, y = measured.time_s, measured.response
+    predicted, low, high = (np.interp(t, step.time_s, part) for part in (step.response, step.low, step.high))
+    noise = 2.0 * float(np.std(y[-max(2, y.size // 10) :]))
+    missed = np.abs(y - predicted)
+    k = int(np.argmax(missed))
+    outside = float(np.mean((y < low - noise) | (y > high + noise)))
+    return replace(measured, predicted=step, outside=outside, largest_miss=float(missed[k]), miss_at_s=float(t[k]))
+
+
+def plant_behind(sensitivity: FRF, input_column: str) -> FRF:
+    """The plant that a measured sensitivity shows, P = (1 - S)/(C S), with C the controller that held the loop.
+
+    A check of it judges the loop that ran: L = (1 - S)/S is as sure as S is, also where the controller lets little
+    through and a plant estimated from z and y is not known. Valid where S is.
+    """
+    held = sensitivity.held_by
+    if held is None:
+        raise WrongUseError("a plant follows from a sensitivity and its controller", "none is known", "name it")
+    S, C = sensitivity.siso, held.response(sensitivity.frequency_hz)
+    variance = sensitivity.variance[:, 0, 0] / np.abs(C * S * S) ** 2
+    return replace(
+        sensitivity, response=((1.0 - S) / (C * S))[:, None, None], inputs=(input_column,), coherence=None,
+        covariance=np.asarray(variance[:, None, None], dtype=complex), method=f"plant behind {sensitivity.method}",
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Loop to detuning margin: plants whose frequencies are shifted."""

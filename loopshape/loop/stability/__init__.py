@@ -1,0 +1,1 @@
+"""Loop to stability: encirclements with the contour closed, and all that may hide from the lines."""

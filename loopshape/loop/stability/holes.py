@@ -1,0 +1,153 @@
+"""Where the lines of a loop leave out too much to be called a measurement: few lines, and wide holes between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.control.loop import Loop
+from loopshape.data.response.frf import FRF
+from loopshape.identify.spectra.pooling import FREEDOM, pooled_variance
+from loopshape.loop.stability.sampling import visible_residue
+
+#: fewer lines than this say nothing of what lies between them
+FEWEST = 6
+#: neighbouring lines may lie this far apart, as a ratio; just above what an even grid's first two lines have
+APART = 2.05
+#: the known delay of a controller may turn L by so much between neighbouring lines, in cycles
+TURN = 0.25
+#: L that is smaller than this on both sides of a hole, or larger than its inverse, does not meet -1 within it
+FAR = 0.1
+#: a gap so many times as wide as the median of this many on either side is a hole, in Hz and in ratio
+WIDER, BESIDE = 3.0, 5
+#: lines about which the median of five relative deviations is above this are too uncertain to be used
+POOR = 0.15
+#: where lines are missing, or too uncertain, a resonance with so much damping must not be able to encircle -1 unseen
+LEAST_DAMPING, POOR_DAMPING = 0.002, 0.005
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Two frequencies in Hz between which lines are missing (`missing`) or too uncertain, and the plant at both.
+
+    `residue`, Hz times |P|, is the largest of a resonance between them that the lines about would not show.
+    """
+
+    low_hz: float
+    high_hz: float
+    at_low: complex
+    at_high: complex
+    residue: float
+    missing: bool
+
+
+def gaps_of(loop: Loop) -> tuple[Gap, ...]:
+    """Gaps of a loop's measured lines in which little is known of the plant, whatever its controller."""
+    raw = loop.plant if loop.raw is None else loop.raw
+    return _gaps(raw, loop.beyond, loop.unstable_poles is None or loop.unstable_poles > 1)
+
+
+@lru_cache(maxsize=256)
+def _gaps(lines: FRF, beyond: FRF | None, unstable: bool) -> tuple[Gap, ...]:
+    f, P, v = lines.frequency_hz, lines.siso, pooled_variance(lines)
+    if beyond is not None:
+        f, P = np.append(f, beyond.frequency_hz), np.append(P, beyond.siso)
+        v = np.append(v, beyond.variance[:, 0, 0])
+    if f.size < FEWEST:
+        return ()
+    missing = _missing(f)
+    poor = median_of_five(np.sqrt(v) / np.maximum(np.abs(P), 1e-300)) > POOR
+    known = np.flatnonzero(~poor)
+    little = missing | poor[1:] | poor[:-1]
+    little[known[-1] if known.size else 0 :] = False  # above the last line that is known |L| is taken to fall
+    gaps = np.flatnonzero(little)
+    if not gaps.size:
+        return ()
+    residue = visible_residue(f, P, v, max(lines.variance_freedom, FREEDOM), unstable=unstable).copy()
+    residue[[0, -1]] = residue[[1, -2]]  # at the ends no pole is looked for
+    return tuple(
+        Gap(float(f[k]), float(f[k + 1]), complex(P[k]), complex(P[k + 1]), float(residue[k]), bool(missing[k]))
+        for k in gaps
+    )
+
+
+def _missing(f: Array) -> np.ndarray:
+    """Gaps (nf - 1,) much wider than those about them, both in Hz and in ratio."""
+    wide = np.ones(f.size - 1, dtype=bool)
+    for gap in (np.diff(f), np.diff(np.log(f))):
+        padded = np.pad(gap, BESIDE, constant_values=np.nan)
+        about = np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1).copy()
+        about[:, BESIDE] = np.nan
+        wide &= gap > WIDER * np.nanmedian(about, axis=1)
+    return wide
+
+
+def median_of_five(values: Array) -> Array:
+    """Moving median (nf,) over five lines."""
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1))
+
+
+def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
+    """Where a resonance might encircle -1 between lines that are missing or too uncertain to show it."""
+    gaps = gaps_of(loop)
+    if not gaps:
+        return None
+    ends = np.array([(x.low_hz, x.high_hz) for x in gaps])
+    C = loop.controller.response(ends.ravel()).reshape(ends.shape)
+    L = C * np.array([(x.at_low, x.at_high) for x in gaps])
+    room, near = np.abs(1.0 + L).min(axis=1), np.abs(L).min(axis=1) < 1.0 / FAR
+    middle, residue = np.sqrt(ends.prod(axis=1)), np.array([x.residue for x in gaps])
+    least = np.where([x.missing for x in gaps], LEAST_DAMPING, POOR_DAMPING)
+    hides = np.flatnonzero(near & (np.abs(C).max(axis=1) * residue > least * middle * room))
+    if not hides.size:
+        return None
+    first = gaps[hides[0]]
+    last = hides[0]
+    while last + 1 in hides and ends[last + 1, 0] == ends[last, 1]:
+        last += 1
+    low, high = first.low_hz, float(ends[last, 1])
+    if first.missing and last == hides[0]:
+        words = f"no frequency lies between {low:.4g} and {high:.4g} Hz"
+        return f"{words}, and a resonance there might encircle -1 without a trace: measure there", (low, high)
+    words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles -1 there"
+    return f"{words}: measure longer or excite more", (low, high)
+
+
+def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
+    """What is missing between the lines, in words, and the band in Hz to measure; None where they are dense enough.
+
+    A plant may do anything within a hole an octave wide: where |L| is between 1/10 and 10 on either side a count or a
+    margin read across it would be a guess. The delay of the controller's computation is known, and lines that it turns
+    through more than a quarter of a cycle from one to the next cannot follow it.
+    """
+    unseen = _unseen(loop)
+    if unseen is not None:
+        return unseen
+    f, L = loop.frequency_hz, loop.L
+    if f.size < FEWEST:
+        words = f"{f.size} frequencies are too few to show what lies between them ({FEWEST} at least)"
+        return words, (0.5 * float(f[0]), min(2.0 * float(f[-1]), 0.5 * loop.controller.rate_hz))
+    near = _near(L)
+    wide = np.flatnonzero((f[1:] > APART * f[:-1]) & near)
+    if wide.size:
+        low, high = float(f[wide[0]]), float(f[wide[0] + 1])
+        return f"no frequency lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
+    turned = np.flatnonzero((loop.controller.computation_delay_s * np.diff(f) > TURN) & near)
+    if turned.size:
+        low, high = float(f[turned[0]]), float(f[turned[-1] + 1])
+        words = (
+            f"the controller's delay of {loop.controller.computation_delay_s:g} s turns L by"
+            f" {360.0 * loop.controller.computation_delay_s * (f[turned[0] + 1] - f[turned[0]]):.0f} deg from one"
+        )
+        return f"{words} frequency to the next: measure finer, or correct the delay", (low, high)
+    return None
+
+
+def _near(L: ComplexArray) -> np.ndarray:
+    """Gaps (nf - 1,) in which L may come near -1 by its size on either side."""
+    size = np.abs(L)
+    larger, smaller = np.maximum(size[1:], size[:-1]), np.minimum(size[1:], size[:-1])
+    return np.asarray((larger > FAR) & (smaller < 1.0 / FAR))

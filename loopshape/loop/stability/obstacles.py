@@ -1,0 +1,317 @@
+"""What keeps the lines of a loop from carrying a count of encirclements, and the band to measure for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.control.loop import Loop
+from loopshape.identify.spectra.pooling import FREEDOM, pooled_variance
+from loopshape.loop.margin.between import Path, measured, turns_past, turns_past_crowd, without_narrow
+from loopshape.loop.margin.crossings import chords_to_minus_one
+from loopshape.loop.stability.crowded import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
+from loopshape.loop.stability.doubt import chance_of_error, reach_of
+from loopshape.loop.stability.holes import hole
+from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
+
+#: a count is not given where the chance that the lines' errors make it wrong is above this
+WRONG = 0.005
+#: radius of 95 % of a circular error, in sqrt E|d|²
+REACH_95 = float(np.sqrt(-np.log(0.05)))
+#: a band to measure goes on beyond the lines in question by this factor
+ASIDE = 1.05
+#: the peak of one 0.03 gaps wide is no more than so many times how far lines leave a polynomial
+PEAK = 33.0
+#: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
+SCATTER = 2.0
+#: a place between lines that is known so many times worse than they are is a matter of finer lines
+STRAYS = 1.5
+#: nearer to -1 than this a chord says nothing
+ON_IT = 1e-3
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Why a count cannot be given, and the band in Hz to measure, None where measuring does not help.
+
+    `finer` tells that the lines there lie too far apart; else they are too uncertain, or there are none.
+    """
+
+    reason: str
+    band_hz: tuple[float, float] | None = None
+    finer: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """What lies between lines and not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) past a resonance.
+
+    Of these all that the resonance may be was looked at.
+
+    `unclear` is the first gap where the lines allow several answers, None where there is none.
+    """
+
+    turns: int
+    followed: np.ndarray
+    unclear: Obstacle | None
+
+    def past(self, path: Path) -> np.ndarray:
+        """Places (n,) of a path within such gaps, its lines not among them."""
+        if not self.followed.size:
+            return np.zeros(path.f.size, dtype=bool)
+        gap = np.clip(np.cumsum(path.line) - 1, 0, self.followed.size - 1)
+        return np.asarray(~path.line & self.followed[gap])
+
+
+def sampling(loop: Loop, path: Path) -> Sampling:
+    """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
+    f = loop.frequency_hz
+    crowds = _crowds(loop, path)
+    turns, followed, unclear = _past_crowds(loop, path, [x for x in crowds if x.left is not Left.SCATTER])
+    for pole in hidden_in(loop):
+        if followed[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
+            continue
+        first, last, least, most, sure = turns_past(pole, loop, path)
+        turns += least
+        followed[first:last] = True
+        if (least != most or not sure) and unclear is None:
+            unclear = Obstacle(
+                f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
+                " encircle -1: measure finer there",
+                (float(f[first]), float(f[last])),
+                True,
+            )
+    return Sampling(turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Left.SCATTER]))
+
+
+def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, np.ndarray, Obstacle | None]:
+    """Turns past resonances that stand close together, gaps (nf - 1,) where they do, what is unclear of them."""
+    f, C, unclear = loop.frequency_hz, _larger(np.abs(loop.C)), None
+    turns, followed = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
+    for crowd in crowds:
+        least, most, near, sure = turns_past_crowd(crowd, loop, path)
+        gaps, turns = slice(crowd.first, crowd.last), turns + least
+        followed[gaps] = True
+        hidden = np.flatnonzero(C[gaps] * crowd.hidden > SHARPEST * f[gaps] * near)
+        if unclear is None and hidden.size:
+            unclear = _unexplained(float(f[crowd.first + hidden[0]]), float(f[crowd.first + hidden[-1] + 1]))
+        elif unclear is None and (least != most or not sure):
+            low, high = float(f[crowd.first]), float(f[crowd.last])
+            reason = f"resonances between {low:.4g} and {high:.4g} Hz, close together, may or may not encircle -1"
+            unclear = Obstacle(f"{reason}: measure finer there", (low, high), True)
+    return turns, followed, unclear
+
+
+def _scatters(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> Obstacle | None:
+    """Gaps about which lines that scatter lie so near -1 that their error, a disk about them, holds it."""
+    f, (rough, scatter) = loop.frequency_hz, rough_in(loop)
+    for crowd in crowds:
+        scatter[crowd.first : crowd.last] = True
+    if not scatter.any():
+        return None
+    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * np.where(scatter, rough, 0.0) > _nearest(path))
+    return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
+
+
+def _larger(values: Array) -> Array:
+    """The larger of the values (nf,) on either side of each gap (nf - 1,)."""
+    return np.asarray(np.maximum(values[1:], values[:-1]))
+
+
+def _nearest(path: Path) -> Array:
+    """How near a path comes to -1 in each gap between lines (nf - 1,)."""
+    return np.asarray(np.minimum.reduceat(chords_to_minus_one(path.L)[0], np.flatnonzero(path.line)[:-1]))
+
+
+def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
+    reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
+    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz), True)
+
+
+def may_be_oscillatory(loop: Loop) -> bool:
+    """Whether a pair of the plant's poles may lie in the right half plane."""
+    return loop.unstable_poles is None or loop.unstable_poles > 1
+
+
+def _spread(loop: Loop) -> tuple[Array, float]:
+    """Variance (nf,) of the measured lines and its degrees of freedom, pooled where few are known."""
+    lines = measured(loop)
+    return pooled_variance(lines), max(lines.variance_freedom, FREEDOM)
+
+
+def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
+    """Resonances between the lines of a loop's plant, by their tails."""
+    rest = without_narrow(loop)
+    return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
+
+
+def _crowds(loop: Loop, path: Path) -> list[Crowd]:
+    """Resonances close together that might encircle -1, of measured lines: a narrow one may have been several."""
+    found = stretches_in(loop)
+    if not found:
+        return []
+    f, near = loop.frequency_hz, _nearest(path)
+    reach = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
+    return [
+        crowd_in(loop, stretch)
+        for stretch in found
+        if np.any((strays_in(loop, stretch) * reach > near)[stretch.low : stretch.high])
+    ]
+
+
+def stretches_in(loop: Loop) -> tuple[Stretch, ...]:
+    """Stretches of a loop's measured lines that neither noise nor one pole explains, whatever its controller."""
+    return tuple(stretches(loop.frequency_hz, _not_one(loop)))
+
+
+def strays_in(loop: Loop, stretch: Stretch) -> float:
+    """How far the lines of a stretch leave a polynomial at most, in |P|."""
+    return strays(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], stretch)
+
+
+def crowd_in(loop: Loop, stretch: Stretch) -> Crowd:
+    """What explains the lines of a stretch, whatever the controller."""
+    unstable = may_be_oscillatory(loop)
+    return crowd_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), stretch, unstable=unstable)
+
+
+def rough_in(loop: Loop) -> tuple[Array, np.ndarray]:
+    """How far from its lines P may come in each gap (nf - 1,) that no one pole explains, and where lines scatter."""
+    seen, unstable = (loop.frequency_hz, without_narrow(loop), *_spread(loop)), may_be_oscillatory(loop)
+    return roughness(*seen, unstable=unstable), np.array(scattered(*seen, unstable=unstable))
+
+
+def _not_one(loop: Loop) -> np.ndarray:
+    """Gaps (nf - 1,) about which neither noise nor one pole explains the lines, and poles beside these."""
+    f, (size, scatter) = loop.frequency_hz, rough_in(loop)
+    rough = np.where(scatter, 0.0, size) > 0.0
+    if rough.any():
+        narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
+        known = np.concatenate([[pole.centre_hz[0] for pole in hidden_in(loop)], narrow])
+        gaps = np.clip(np.searchsorted(f, known) - 1, 0, rough.size - 1)
+        beside = np.convolve(rough, np.ones(2 * BESIDE + 1), "same")[: rough.size] > 0.0
+        rough[gaps[beside[gaps]]] = True
+    return rough
+
+
+def unseen_resonance(loop: Loop) -> tuple[float, float]:
+    """Damping below which a resonance between lines could encircle -1 and leave no trace, and where, in Hz.
+
+    Its peak |C r|/w must be |1 + L| at least, and its tails, r/(j (f - f0)), within the noise; where w is more than
+    half a gap the lines meet its peak. Not reported of the first and the last gap; nan for fewer than ten lines.
+    """
+    f = loop.frequency_hz
+    residue = visible_residue(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
+    if not np.isfinite(residue).any():
+        return float("nan"), float("nan")
+    g, C, middle = np.abs(1.0 + loop.L), np.abs(loop.C), 0.5 * (f[1:] + f[:-1])
+    with np.errstate(divide="ignore"):
+        width = np.maximum(C[1:], C[:-1]) * residue / np.minimum(g[1:], g[:-1])
+    damping = np.where(np.isfinite(residue), np.minimum(width, 0.5 * np.diff(f)), 0.0) / middle
+    k = int(np.argmax(damping))
+    return max(float(damping[k]), SHARPEST), float(middle[k])
+
+
+def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle]:
+    """What keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
+    return (x for x in _obstacles(loop, path, between, before) if x is not None)
+
+
+def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
+    yield _too_short(loop, loop.L, loop.frequency_hz)
+    yield comes_up_again(loop)
+    yield on_it(path, between)
+    freedom = loop.plant.variance_freedom if loop.raw is None else np.inf
+    yield doubt(path, between, before if loop.model is None else None, freedom)
+    yield between.unclear
+    missing = hole(loop)
+    yield None if missing is None else Obstacle(*missing, finer=True)
+
+
+def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Obstacle | None:
+    if abs(L[-1]) < 1.0:
+        return None
+    top = min(f[-1] * (2.0 * abs(L[-1])) ** (1.0 / max(slope_at_end(f, L), 1.0)), 0.5 * loop.controller.rate_hz)
+    reason = f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
+    return Obstacle(reason, (float(f[-1]), max(float(top), float(f[-1]))))
+
+
+def slope_at_end(f: Array, L: ComplexArray) -> float:
+    """How steeply |L| falls over the highest lines, 1 for 20 dB a decade; taken as 1 where fewer than three tell."""
+    tail = slice(int(np.searchsorted(f, 0.6 * f[-1])), None)
+    if f[tail].size < 3:
+        return 1.0
+    return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])
+
+
+def comes_up_again(loop: Loop) -> Obstacle | None:
+    """Where |L| reaches 1 above the lines used, as far as less sure lines there show it."""
+    if loop.beyond is None:
+        return None
+    f = loop.beyond.frequency_hz
+    f = f[f < 0.5 * loop.controller.rate_hz]
+    size = np.abs(loop.controller.response(f) * loop.beyond.siso[: f.size])
+    if not size.size or size.max() < 1.0:
+        return None
+    k = int(np.argmax(size))
+    reason = f"|L| reaches {size[k]:.2g} at {f[k]:.3g} Hz, above the band that is known well: excite more there"
+    return Obstacle(reason, _around(f, np.flatnonzero(size >= 1.0)))
+
+
+def on_it(path: Path, between: Sampling) -> Obstacle | None:
+    """A place where the path passes -1 so near that nothing tells on which side."""
+    past = between.past(path)
+    near = np.where(past[1:] | past[:-1], np.inf, chords_to_minus_one(path.L)[0])
+    if not near.size or near.min() >= ON_IT:
+        return None
+    k = int(np.argmin(near))
+    at = path.f[k] + chords_to_minus_one(path.L)[1][k] * (path.f[k + 1] - path.f[k])
+    return Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at), True)
+
+
+def doubt(
+    path: Path, between: Sampling, before: complex | None, freedom: float, curve: str = "L", point: str = "-1"
+) -> Obstacle | None:
+    """Places where errors may carry the path over -1: one whose 95 % circle holds it, or all of them together.
+
+    Where L starts on the real axis, at `before` - 1, that start is as unsure as the first line.
+    """
+    std = path.std
+    chord = np.concatenate([[np.inf], chords_to_minus_one(path.L)[0], [np.inf]])
+    near = np.minimum(np.abs(1.0 + path.L), np.minimum(chord[1:], chord[:-1]))
+    reach = np.where(between.past(path), np.inf, reach_of(near, std, freedom))
+    if before is not None:
+        reach[0] = min(reach[0], float(reach_of(np.array([before]), std[:1], freedom)[0]))
+    k = int(np.argmin(reach))
+    if reach[k] < REACH_95:
+        low, high = _lines_beside(path, float(path.f[k]))
+        if not path.line[k] and std[k] > STRAYS * float(std[np.searchsorted(path.f, [low, high])].max()):
+            reason = (
+                f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
+            )
+            return Obstacle(f"{reason}: measure finer there", (low, high), True)
+        reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
+        return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
+    chance, share = chance_of_error(reach, path.alike)
+    if chance <= WRONG:
+        return None
+    reason = (
+        f"errors of {curve} may carry it over {point} (chance {100.0 * chance:.1g} %): measure longer or excite more"
+    )
+    return Obstacle(reason, _around(path.f, np.flatnonzero(share >= 0.1 * share.max())))
+
+
+def _lines_beside(path: Path, at_hz: float) -> tuple[float, float]:
+    """The lines on either side of a place of a path, in Hz."""
+    lines = path.f[path.line]
+    k = int(np.clip(np.searchsorted(lines, at_hz), 1, lines.size - 1))
+    return float(lines[k - 1]), float(lines[k])
+
+
+def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:
+    """From the first to the last of some lines in Hz, and a line more on either side or as far as `ASIDE` goes."""
+    low, high = f[max(int(lines[0]) - 1, 0)], f[min(int(lines[-1]) + 1, f.size - 1)]
+    return float(max(min(low, f[lines[0]] / ASIDE), f[0])), float(min(max(high, f[lines[-1]] * ASIDE), f[-1]))

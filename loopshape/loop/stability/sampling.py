@@ -1,0 +1,292 @@
+"""Resonances between the lines of a measured plant, found by the tails that they leave on the lines beside them.
+
+A pole at f0 with half width w adds r/(j (f - f0) + w) to the plant. Where w is much less than the spacing no line
+meets its peak, but the lines around see r/(j (f - f0)) over a plant that is smooth otherwise: local rationals show it
+(McKelvey and Guerin, SYSID 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.identify.smooth.pole_terms import CAREFUL, ROUNDED
+from loopshape.loop.stability.crowded import SHARPEST, UNEXACT
+from loopshape.loop.stability.windows import HALF, LEFT, Windows, windows_of
+
+#: chance of a pole where there is none, over all gaps of a record
+FALSE_ALARM = 1e-3
+#: wider than this a pole is resolved by the lines, in gaps
+RESOLVED = 2.0
+#: how far from the best fit a pole is still allowed, in standard deviations
+REACH = 3.0
+#: a residue this many deviations (sqrt E|d|²) above the threshold is found in 99.9 % of cases
+SURE = 2.2
+#: lines from f to so many times f and more are no neighbours whom one polynomial should follow
+WIDEST = 4.0
+#: what is left of lines counts where it is more than this share of |P|
+ROUGH = 0.005
+#: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
+#: more than noise, and in deviations this share of what the rough one leaves at least
+MOSTLY, ALONG, COMPARABLE = 0.75, 60, 0.1
+#: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
+_PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenPole:
+    """A pole whose tails are seen on the lines about `low_hz` .. `high_hz`, between which it lies, and not its peak.
+
+    `centre_hz`, `half_width_hz` and `residue` (nc,) are poles r/(j (f - centre) + half width) that these lines allow,
+    the likeliest first. `significance` is the drop of the squared misfit in units of the noise.
+    """
+
+    low_hz: float
+    high_hz: float
+    centre_hz: Array
+    half_width_hz: Array
+    residue: ComplexArray
+    significance: float
+
+
+def hidden_poles(
+    f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False
+) -> tuple[HiddenPole, ...]:
+    """Poles between lines f (nf,) in Hz of a plant P (nf,) with errors of `variance` E|d|² (nf,).
+
+    `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. Errors
+    that neighbouring lines share do no harm; lines that were smoothed on purpose have lost tails: give raw ones. A pole
+    whose tails lie below the noise is not found (`visible_residue`), nor are two within a few lines of each other
+    (`roughness`), nor any in the first and the last gap; fewer than ten lines show none.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[0]
+
+
+def visible_residue(
+    f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False
+) -> Array:
+    """Size (nf - 1,), Hz times P, from which a sharp pole's residue amid each gap is found in 99.9 % of cases.
+
+    Infinite in the first and the last gap, where no pole is looked for.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[1]
+
+
+def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
+    """What is left of the lines about each gap (nf - 1,), as |P|, where neither noise nor one pole explains it; else 0.
+
+    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not where
+    ten lines span two octaves, as the lowest of an even grid do.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]
+
+
+def scattered(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
+    """At which rough gaps (nf - 1,) the lines scatter all along, more than their variance says: no resonance does that.
+
+    Friction and play scatter the lines of a periodic excitation so, the same way in every period.
+    """
+    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[3]
+
+
+def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
+    f, P, variance = arrays
+    return f.tobytes(), np.asarray(P, dtype=complex).tobytes(), np.ascontiguousarray(variance).tobytes()
+
+
+@lru_cache(maxsize=256)
+def _remembered(
+    f: bytes, P: bytes, variance: bytes, freedom: float, unstable: bool
+) -> tuple[tuple[HiddenPole, ...], Array, Array, np.ndarray]:
+    """All answers for a plant, which is asked about under many controllers."""
+    lines = np.frombuffer(f)
+    if lines.size < 2 * HALF:
+        none = np.zeros(max(lines.size - 1, 0))
+        return (), np.full(none.size, np.inf), none, none > 0.0
+    windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
+    share = FALSE_ALARM / (_TESTS * windows.gap.size)
+    freedom = min(freedom, 1e9)
+    threshold = float(f_distribution.isf(share, 2, freedom))
+    significance, visible, misfit = _screen(windows)
+    found = [_pole(windows[int(k)], threshold, unstable) for k in np.flatnonzero(significance > threshold)]
+    poles = _apart([pole for pole in found if pole is not None])
+    rough = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
+    visible = (np.sqrt(threshold) + SURE) * visible
+    visible[[0, -1]] = np.inf
+    scatter = _scattered(windows, misfit, rough)
+    for made in (visible, rough, scatter):
+        made.setflags(write=False)
+    return poles, visible, rough, scatter
+
+
+def _screen(windows: Windows) -> tuple[Array, Array, Array]:
+    """Drop of the squared misfit by the best pole in each gap (n,), in units of the noise and of what is left.
+
+    And the standard deviation of a sharp pole's residue amid the gap (n,), and the squared misfit left (n,).
+    """
+    left = windows.rest(windows.data[:, :, None])
+    drop, deviation = np.zeros(windows.gap.size), np.zeros(windows.gap.size)
+    for width in _WIDTHS:
+        z = windows.low[:, None] + windows.gap[:, None] * (np.array(_PLACES) + 1j * width)
+        drops, _, variance = _explained(windows, left, z)
+        drop = np.maximum(drop, drops.max(axis=1))
+        deviation = np.sqrt(variance[:, len(_PLACES) // 2]) if width == _WIDTHS[0] else deviation
+    misfit = (np.abs(left[:, :, 0]) ** 2).sum(1) - drop
+    noise = np.maximum(misfit / LEFT, 1.0)
+    drop[[0, -1]] = 0.0  # beyond one line alone, which an error of its own explains as well
+    scale = np.abs(windows.reference(windows.low + 0.5 * windows.gap))
+    return drop / noise, deviation * scale * np.sqrt(noise), misfit
+
+
+def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array, limit: float) -> Array:
+    """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
+    rough = np.zeros(misfit.size)
+    known = np.array([x.centre_hz[0] + 1j * x.half_width_hz[0] for x in poles])
+    narrow = windows.around[:, -1] < WIDEST * windows.around[:, 0]
+    for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
+        window = windows[int(k)]
+        left = window.rest(window.data[:, :, None])
+        before = float((np.abs(left) ** 2).sum())
+        enough = max(limit, LEFT * float((ROUGH * window.size[0] / window.std[0]) ** 2))
+        tried = known[(known.real > window.around[0, 0]) & (known.real < window.around[0, -1])]
+        if tried.size and before - _explained(window, left, tried[None, :])[0].max() < enough:
+            continue
+        z = _improved(window, left, _start(window, left, reach=HALF - 0.5))
+        rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
+        if rest > enough or abs(z.imag) < RESOLVED * window.gap[0]:
+            rough[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
+    return rough
+
+
+def _scattered(windows: Windows, misfit: Array, rough: Array) -> np.ndarray:
+    """At which rough gaps (n,) most windows about, of other lines, leave much too, by their `misfit` (n,)."""
+    scatter = rough > 0.0
+    off = np.arange(2 * HALF, ALONG)
+    gaps = np.flatnonzero(scatter)[:, None] + np.concatenate([-off[::-1], off])  # of a million lines few are rough
+    about = (gaps >= 0) & (gaps < rough.size)
+    least = np.maximum((COMPARABLE * rough[scatter] / windows.std[scatter]) ** 2, ROUNDED) * LEFT
+    left = misfit[np.clip(gaps, 0, rough.size - 1)]
+    count, alike = about.sum(axis=1), (about & (left > least[:, None])).sum(axis=1)
+    scatter[scatter] = (count > ALONG // 2) & (alike > MOSTLY * count)
+    return np.asarray(scatter)
+
+
+def _noise(misfit: Array) -> Array:
+    """Power of the errors in units of the variance, by what a pole leaves over; one at least.
+
+    Much more than noise leaves is what the polynomial rounds off. It looks like a pole more often than noise does, and
+    counts for more.
+    """
+    left = misfit / LEFT
+    return np.maximum(np.where(left > ROUNDED, CAREFUL * left, left), 1.0)
+
+
+def _explained(windows: Windows, left: ComplexArray, z: ComplexArray) -> tuple[Array, ComplexArray, Array]:
+    """Drop of the squared misfit, residue in units of the reference, and its variance, for poles z (n, j)."""
+    column = windows.pole(z)
+    size = np.maximum((np.abs(column) ** 2).sum(1), 1e-300)
+    along = (column.conj() * left).sum(1)
+    return np.abs(along) ** 2 / size, np.asarray(along / size), 1.0 / size
+
+
+def _pole(window: Windows, threshold: float, unstable: bool) -> HiddenPole | None:
+    """The pole that explains one window, where it is significant, in or beside its gap, and not resolved."""
+    left, gap = window.rest(window.data[:, :, None]), float(window.gap[0])
+    z = _possible(_improved(window, left, _start(window, left)), unstable)
+    drop, r, _ = _explained(window, left, np.array([[z]]))
+    noise = float(_noise((np.abs(left) ** 2).sum() - drop[0, 0]))
+    if drop[0, 0] < threshold * noise or not -0.2 * gap < z.real - window.low[0] < 1.2 * gap:
+        return None
+    slope = np.abs(r[0, 0]) * np.sqrt((np.abs(_bent(window, z)) ** 2).sum())
+    spread = REACH * float(np.sqrt(noise) / slope)
+    if abs(z.imag) - spread > RESOLVED * gap:
+        return None
+    allowed = _allowed(window, left, z, spread, drop[0, 0] - REACH**2 * noise, unstable)
+    _, r, variance = _explained(window, left, allowed[None, :])
+    error = REACH * np.sqrt(0.5 * noise * variance[0]) + UNEXACT * np.abs(r[0])
+    every = np.tile(allowed, 5)
+    residues = np.concatenate([r[0] + turn * error for turn in (0.0, 1.0, 1j, -1.0, -1j)])
+    return HiddenPole(
+        low_hz=float(min(window.low[0], allowed.real.min())),
+        high_hz=float(max(window.low[0] + gap, allowed.real.max())),
+        centre_hz=every.real,
+        half_width_hz=every.imag,
+        residue=residues * window.reference(every.real[None, :])[0],
+        significance=float(drop[0, 0] / noise),
+    )
+
+
+def _possible(z: complex, unstable: bool) -> complex:
+    """The pole, no sharper than any resonance is, and stable where the plant is."""
+    sharpest = SHARPEST * abs(z.real)
+    size = max(abs(z.imag), sharpest) if unstable else max(z.imag, sharpest)
+    return complex(z.real, -size if unstable and z.imag < 0.0 else size)
+
+
+def _start(window: Windows, left: ComplexArray, reach: float = 0.45) -> complex:
+    """The best of a grid of poles in the gap and as many gaps beside it."""
+    gap = float(window.gap[0])
+    count = 2 * round(20.0 * (0.5 + reach)) + 1
+    places, widths = np.meshgrid(np.linspace(-reach, 1.0 + reach, count), [0.003, 0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0])
+    z = window.low[0] + gap * (places + 1j * widths).ravel()
+    return complex(z[np.argmax(_explained(window, left, z[None, :])[0])])
+
+
+def _bent(window: Windows, z: complex) -> ComplexArray:
+    """What neither polynomials nor the pole itself explain of the change 1/(j (f - z))² when the pole moves, (w,)."""
+    column, change = window.pole(np.array([[z]]))[0, :, 0], window.pole(np.array([[z]]), 2)[0, :, 0]
+    return np.asarray(change - column * (column.conj() @ change) / np.sum(np.abs(column) ** 2))
+
+
+def _improved(window: Windows, left: ComplexArray, z: complex, steps: int = 12) -> complex:
+    """Gauss and Newton's steps for the pole z, the residue following; each halved until it improves."""
+
+    def drop(at: complex) -> float:
+        return float(_explained(window, left, np.array([[at]]))[0][0, 0])
+
+    best = drop(z)
+    for _ in range(steps):
+        _, r, _ = _explained(window, left, np.array([[z]]))
+        change = _bent(window, z) * r[0, 0] * 1j
+        step = complex((change.conj() @ left[0, :, 0]) / np.sum(np.abs(change) ** 2))
+        for _ in range(6):
+            now = drop(z + step)
+            if now > best:
+                break
+            step *= 0.5
+        else:
+            return z
+        z, best, gained = z + step, now, now - best
+        if gained < 1e-3:
+            return z
+    return z
+
+
+def _allowed(
+    window: Windows, left: ComplexArray, z: complex, spread: float, least: float, unstable: bool
+) -> ComplexArray:
+    """Poles (nc,) about the best one: those as near as it is exact, and all that explain as much as `least`."""
+    gap, low, high = float(window.gap[0]), window.around[0, 0], window.around[0, -1]
+    circle = np.exp(1j * TWO_PI * np.arange(12) / 12)
+    every = z + spread * np.concatenate([0.5 * circle, circle])
+    if spread > 0.1 * gap:
+        places, widths = np.meshgrid(np.linspace(-0.2, 1.2, 15), np.geomspace(SHARPEST * z.real, 4.0 * gap, 9))
+        grid = window.low[0] + gap * places.ravel() + 1j * widths.ravel()
+        every = np.concatenate([every, grid, grid.conj() if unstable else grid[:0]])
+    possible = [_possible(complex(np.clip(x.real, low, high), x.imag), unstable) for x in every]
+    tried = np.array(possible, dtype=np.complex128)
+    likely = tried[_explained(window, left, tried[None, :])[0][0] >= least]
+    return np.concatenate([[z], z + UNEXACT * abs(z.imag) * circle[::3], likely])
+
+
+def _apart(poles: list[HiddenPole]) -> tuple[HiddenPole, ...]:
+    """The most significant first; those that lie in the same gap are the same."""
+    kept: list[HiddenPole] = []
+    for pole in sorted(poles, key=lambda x: -x.significance):
+        if all(pole.centre_hz[0] > x.high_hz or pole.centre_hz[0] < x.low_hz for x in kept):
+            kept.append(pole)
+    return tuple(sorted(kept, key=lambda x: x.low_hz))

@@ -1,1 +1,0 @@
-"""The pneumatic muscle arm (van den Brink, DCT 2007.002)."""

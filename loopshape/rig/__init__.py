@@ -1,1 +1,0 @@
-"""Experiment to Recording: the simulated rig."""

@@ -1,0 +1,1 @@
+"""How the arm moves: right-hand sides, valves, equilibria, linearisations, the loop over ticks."""

@@ -1,0 +1,4 @@
+"""Files of other programs: logs, FRFs and controllers in and out, and drafts of maps.
+
+Somebody's file comes in, columns or nouns go out.
+"""

@@ -1,0 +1,1 @@
+"""FRFs in files of others, one file a format."""

@@ -1,0 +1,1 @@
+"""Logs of others as signals by name, one file a format."""

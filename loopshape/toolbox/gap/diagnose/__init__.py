@@ -1,0 +1,1 @@
+"""A run and a plant to what parts them: hypotheses, evidence, probabilities."""

@@ -1,0 +1,1 @@
+"""MuJoCo models and FMUs as machines, and the fix to take home."""

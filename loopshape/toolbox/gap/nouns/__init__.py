@@ -1,0 +1,1 @@
+"""What a diagnosis speaks of: plants, machines, effects, reports."""

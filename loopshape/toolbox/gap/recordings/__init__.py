@@ -1,0 +1,1 @@
+"""Which recordings a diagnosis can use, where the gap lies in them, what to record next."""

@@ -1,0 +1,1 @@
+"""Two runs, without a model, to what parts them."""

@@ -1,0 +1,1 @@
+"""Commands of feedforward and learning."""

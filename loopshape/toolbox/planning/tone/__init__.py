@@ -1,0 +1,1 @@
+"""Rms of each channel and tones that the excitation does not explain."""

@@ -1,0 +1,178 @@
+"""The emulated target: the reference target in C with a simulated machine, compiled once and run as a process."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.folders import cache_folder
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
+SOURCES = (
+    "bytes.h", "board.h", "target.h", "state.h", "frames.h", "frames.c", "target.c", "configure.c", "loops.c", "run.c",
+    "schedule.c", "blocks.c", "stream.c",
+)  # fmt: skip
+BOARD_SOURCES = (
+    "boards/line.h", "boards/line.c", "boards/arm1_model.h", "boards/arm_options.h", "boards/arm_options.c",
+    "boards/arm_emulator.c",
+)  # fmt: skip
+STOP_S = 10.0
+
+
+class NoCompilerError(LoopshapeError):
+    """There is no C compiler, or it refused the target's sources."""
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """How the emulated target runs. `plant` is the text of the plant's file (`plants.arm.emulated.plant_file`).
+
+    `tcp` is a port of 127.0.0.1 (0: any), None a pseudo-terminal. `drop`, `corrupt` and `duplicate` are probabilities a
+    frame of a bad line; `die_after` and `mute_after` count ticks of recordings.
+    """
+
+    plant: str
+    tcp: int | None = None
+    real_time: bool = False
+    number_bytes: int = 8
+    drop: float = 0.0
+    corrupt: float = 0.0
+    duplicate: float = 0.0
+    seed: int = 0
+    die_after: int = 0
+    mute_after: int = 0
+
+    def __post_init__(self) -> None:
+        if self.number_bytes not in (4, 8):
+            raise WrongUseError("numbers in transmission have 4 or 8 bytes", f"{self.number_bytes!r}")
+        for name in ("drop", "corrupt", "duplicate"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise WrongUseError(f"{name} is a probability below 1", f"{getattr(self, name)!r}")
+        if self.tcp is not None and not 0 <= self.tcp <= 65535:
+            raise WrongUseError("a TCP port lies between 0 (any) and 65535", f"{self.tcp!r}")
+
+    def words(self) -> list[str]:
+        """Arguments of the program."""
+        out = ["--plant", "-", "--until-eof"]
+        out += ["--real-time"] if self.real_time else []
+        out += ["--tcp", str(self.tcp)] if self.tcp is not None else []
+        for name in ("drop", "corrupt", "duplicate", "seed", "die_after", "mute_after"):
+            if getattr(self, name):
+                out += [f"--{name.replace('_', '-')}", str(getattr(self, name))]
+        return out
+
+
+def source(name: str) -> bytes:
+    """One of the target's C sources, as it lies in the package."""
+    return (files("loopshape.toolbox.rig") / "c_target" / name).read_bytes()
+
+
+def compiler() -> list[str]:
+    """The C compiler's command: `CC`, or cc. Refuses where there is none."""
+    command = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    if shutil.which(command[0]) is None:
+        raise NoCompilerError(
+            "the emulator is compiled once on this machine and finds no C compiler",
+            repr(command[0]),
+            "install gcc or clang, or name one in the environment variable CC",
+        )
+    return command
+
+
+def program(number_bytes: int = 8) -> Path:
+    """The compiled emulator; compiles it where this version has not been compiled by this compiler yet."""
+    command = [
+        *compiler(),
+        *FLAGS,
+        f"-DTARGET_NUMBER_BYTES={number_bytes}",
+        "-DTARGET_ROWS=4096",
+        "-DTARGET_TICKS=16384",
+        "-DTARGET_POOL=65536",
+    ]
+    names = (*SOURCES, *BOARD_SOURCES)
+    key = hashlib.sha256("\0".join([*command, _version(command[0])]).encode())
+    for name in names:
+        key.update(source(name))
+    path = cache_folder() / f"arm_emulator-{key.hexdigest()[:16]}"
+    if not path.exists():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _compile(command, names, path)
+        except OSError as error:
+            raise WrongUseError(
+                "the emulator cannot be kept where it is compiled to", f"{path.parent}: {error}", "set XDG_CACHE_HOME"
+            ) from None
+    return path
+
+
+def _version(command: str) -> str:
+    said = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
+    return said.stdout
+
+
+def _compile(command: list[str], names: tuple[str, ...], path: Path) -> None:
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        (Path(folder) / "boards").mkdir()
+        for name in names:
+            (Path(folder) / name).write_bytes(source(name))
+        units = [name for name in names if name.endswith(".c")]
+        said = subprocess.run(
+            [*command, "-I.", *units, "-o", "made", "-lm"], cwd=folder, capture_output=True, text=True, check=False
+        )
+        if said.returncode:
+            raise NoCompilerError("the emulator does not compile", said.stderr[-800:].strip(), "report it, please")
+        os.replace(Path(folder) / "made", path)  # whole or not at all
+
+
+def start(emulator: Emulator) -> tuple[subprocess.Popen[str], str]:
+    """The emulator as a process, and its port: a terminal's path, or tcp://127.0.0.1:PORT. It ends with its input."""
+    process = subprocess.Popen(
+        [str(program(emulator.number_bytes)), *emulator.words()],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(emulator.plant)
+        process.stdin.flush()
+    except BrokenPipeError:
+        pass  # it says why on its standard error
+    port = process.stdout.readline().strip()
+    if not port:
+        why = stop(process)
+        raise WrongUseError("the emulator did not start", why, "look at its options")
+    return process, port
+
+
+def stop(process: subprocess.Popen[str]) -> str:
+    """End it, and give what it said on its standard error."""
+    process.terminate()
+    _, said = process.communicate(timeout=STOP_S)
+    return said.strip()
+
+
+@contextmanager
+def running(emulator: Emulator) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The process of an emulator and its port; it is stopped at the end."""
+    process, port = start(emulator)
+    try:
+        yield process, port
+    finally:
+        stop(process)
+
+
+@contextmanager
+def emulated(emulator: Emulator) -> Iterator[str]:
+    """The port of a running emulator; it is stopped at the end."""
+    with running(emulator) as (_, port):
+        yield port

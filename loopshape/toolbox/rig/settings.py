@@ -1,0 +1,75 @@
+"""What a study says of a real-time target: where it is, what each command is made of, and what must never be passed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+
+from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.units import SUFFIXES, deg
+from loopshape.data.signal.channel import Channel
+
+ON_LIMIT = ("vent", "hold")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Lowest and highest value of a column and its largest rate a second, in the column's unit."""
+
+    column: str
+    low: float
+    high: float
+    rate: float = inf
+
+    def __post_init__(self) -> None:
+        Channel.from_column(self.column)
+        if not self.low < self.high or not self.rate > 0.0:
+            raise WrongUseError(
+                f"the limits of {self.column} are a low value, a higher one and a positive rate",
+                f"{self.low:g}, {self.high:g} and {self.rate:g}",
+            )
+
+    def said(self, value: float) -> str:
+        """A value of this column as people say it: angles in degrees."""
+        return spoken(value, Channel.from_column(self.column).unit)
+
+    def __str__(self) -> str:
+        low, high = self.said(self.low).split(" ", 1)[0], self.said(self.high)
+        rate = "" if self.rate == inf else f", at most {self.said(self.rate)}/s"
+        return f"{low} to {high}{rate}"
+
+
+def spoken(value: float, unit: str) -> str:
+    """A value with its unit as people say it: angles in degrees."""
+    return f"{deg(value):.4g} deg" if unit == "rad" else f"{value:.4g} {SUFFIXES[unit]}"
+
+
+@dataclass(frozen=True, eq=False)
+class TargetSettings:
+    """How a study drives a target.
+
+    `port` is a serial port, a pseudo-terminal or tcp://127.0.0.1:N (None: given on the command line); `commands` by
+    column, each a sum of loops' z by factor; `limits` by column, of sensors and commands; `on_limit` vent or hold.
+    The loops close over `soft_start_s`, setpoints move for at least that long, and rest for `settle_s` before
+    a recording. `place`: an emulated machine stands at rest at the operating point at a recording's start.
+    """
+
+    limits: Mapping[str, Limit]
+    commands: Mapping[str, Mapping[str, float]]
+    port: str | None = None
+    baud: int = 921_600
+    on_limit: str = "vent"
+    watchdog_ms: int = 250
+    soft_start_s: float = 2.0
+    settle_s: float = 2.0
+    place: bool = True
+
+    def __post_init__(self) -> None:
+        refuse_unknown("on_limit is not known", self.on_limit, ON_LIMIT)
+        if not 20 <= self.watchdog_ms <= 10_000:
+            raise WrongUseError("watchdog_ms lies between 20 and 10000", f"{self.watchdog_ms}")
+        if not self.commands:
+            raise WrongUseError("a target has commands", "none", "say in [target.commands] what each is made of")
+        for column in (*self.commands, *self.limits):
+            Channel.from_column(column)

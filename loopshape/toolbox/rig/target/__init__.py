@@ -1,0 +1,1 @@
+"""A target over a wire: frames, messages, sessions, and one recording taken."""

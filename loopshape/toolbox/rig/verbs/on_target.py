@@ -1,0 +1,268 @@
+"""Measurement where the rig is a real-time target: confirmed before it moves, vented whatever ends it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.interrupts import interrupts, unhurried
+from loopshape.core.units import Array
+from loopshape.data.result.baseline import Checked
+from loopshape.data.signal.channel import sum_terms
+from loopshape.data.signal.experiment import Experiment, LoopSetup
+from loopshape.data.signal.recording import RecordingInfo
+from loopshape.data.signal.study import Study
+from loopshape.io.run.arriving import adopted, arriving, keep_arrived
+from loopshape.io.run.journal import note
+from loopshape.io.run.measuring import marked
+from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
+from loopshape.io.run.run_tables import recording_table
+from loopshape.io.write.verdicts import read_verdicts
+from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
+from loopshape.toolbox.rig.target.blocks import own_radius
+from loopshape.toolbox.rig.target.intake import RATE_TICKS
+from loopshape.toolbox.rig.target.link import open_link
+from loopshape.toolbox.rig.target.messages import Configuration, Identity
+from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.taking import Arrived
+from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
+from loopshape.toolbox.rig.verbs.watch import Confirm, Motion, Watch
+
+CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
+
+
+class StoppedAtLimitError(RigError):
+    """A real machine passed a limit: what was recorded is kept, and a person looks before anything moves again."""
+
+
+def record_on_target(
+    study: Study, plant: Rig, out: Path, watch: Watch, *, port: str | None, confirm: Confirm, again: bool,
+    extra: dict[str, object], verdict: Path | None = None, allow_unverified: bool = False,
+) -> None:  # fmt: skip
+    """Record what is missing of a study from a target. Moves nothing that was not confirmed."""
+    settings = study.target
+    if settings is None or not (name := port or settings.port):
+        raise WrongUseError("the study names no port", "neither port in [target] nor --port", "give one")
+    _refuse_what_only_models_do(study)
+    planned, head = plan(study, plant), header(study, plant, extra)
+    if out.is_dir():
+        with alone(out):  # whoever measures into it is not disturbed
+            done = (whole if again else finished)(out)
+    else:
+        done = set()
+    todo = [one for one in planned if one.name not in done]
+    if not todo:
+        start_run(out, head)
+        watch.say(f"all {len(planned)} recordings are there: nothing is left to measure")
+        return
+    with open_link(name, settings.baud) as link:
+        session = Session(link)
+        motion, wanted = _motion(session, name, study, plant, todo, verdict, allow_unverified)
+        if not confirm(motion):
+            raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
+        start_run(out, head)
+        with alone(out), marked(out, name), unhurried(), interrupts():
+            keep_arrived(out)  # of a measurement that was killed
+            note(out, "armed", target=session.identity.board, notes=motion.notes, allow_unverified=allow_unverified)
+            try:
+                _drive(session, wanted, todo, study, plant, out, watch)
+            except LoopshapeError as error:
+                note(out, "fault", said=str(error))
+                raise
+            except KeyboardInterrupt:
+                note(out, "stopped")
+                kept = f"stopped and vented; what {out / 'run.toml'} lists is kept; {_go_on(session.identity, name)}"
+                raise KeyboardInterrupt(kept) from None
+            finally:
+                watch.warn(
+                    [f"{ticks} ticks came before that, and are kept in {path}" for path, ticks in keep_arrived(out)]
+                )
+    _refuse_a_limit(session.identity, settings, name, out, [one.name for one in todo])
+
+
+def _motion(
+    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned],
+    verdict: Path | None, allow_unverified: bool,
+) -> tuple[Motion, Configuration]:  # fmt: skip
+    """What a target is about to do, and how it is configured for that; refuses what is outside its limits."""
+    settings, identity, loops = study.target, session.identity, todo[0].loops
+    assert settings is not None
+    pwm = header(study, plant).pwm or study.pwm
+    wanted = configuration(identity, loops, settings, study.rate_hz, pwm, study.diagram)
+    notes = (*_unverified(loops, wanted, verdict, allow_unverified), *_older_target(identity))
+    motion = Motion(identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one), notes)
+    _refuse_signals_beyond_limits(motion, wanted)
+    return motion, wanted
+
+
+def motion_of(
+    study: Study, plant: Rig, port: str, verdict: Path | None = None, allow_unverified: bool = False
+) -> Motion:
+    """What a target at a port would do in a study, with nothing moved; refuses what measuring would refuse."""
+    if study.target is None:
+        raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.measure")
+    _refuse_what_only_models_do(study)
+    with open_link(port, study.target.baud) as link:
+        return _motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]
+
+
+def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | None, allowed: bool) -> tuple[str, ...]:
+    """What is not verified of the controllers, a sentence each.
+
+    Refuses, unless allowed, a kept verdict (`check --save-verdict`) that does not pass these very controllers, and a
+    diagram whose controllers are unstable by themselves.
+    """
+    kept = {} if file is None else {one.verdict.loop: one for one in read_verdicts(file)}
+    doubts = [note for loop in loops if (note := _verdict_doubt(loop, kept.get(loop.name), file))]
+    radius = own_radius(wanted.blocks, 2 * len(wanted.outputs))
+    if radius is None:
+        doubts.append("the diagram has too many states for the stability of its controllers alone to be computed")
+    circle = [f"the diagram's controllers alone are unstable, |z| = {radius:.9g}"] if (radius or 0.0) > CIRCLE else []
+    if not allowed and (refused := [*(doubts if file else []), *circle]):
+        raise WrongUseError(
+            "the controllers are not verified", "; ".join(refused),
+            "check them anew, or allow it: --allow-unverified (allow_unverified=True)",
+        )  # fmt: skip
+    return (*doubts, *circle)
+
+
+def _verdict_doubt(loop: LoopSetup, kept: Checked | None, file: Path | None) -> str | None:
+    """A sentence where a loop's controller has no passed verdict in this file."""
+    if file is None:
+        return f"loop {loop.name}: no verdict is given on its controller (loopshape check --save-verdict, --verdict)"
+    if loop.controller is None:
+        return f"loop {loop.name}: a schedule or diagram has no verdict in {file.name}"
+    if kept is None:
+        return f"loop {loop.name}: no verdict on it in {file.name}"
+    theirs, ours = kept.controller, loop.controller
+    if theirs.rate_hz != ours.rate_hz or not np.array_equal(theirs.biquads(), ours.biquads()):
+        return f"loop {loop.name}: the verdict in {file.name} is of another controller"
+    return None if kept.verdict.passed else f"loop {loop.name}: the verdict in {file.name} is {kept.verdict.outcome}"
+
+
+def _older_target(identity: Identity) -> list[str]:
+    note = "the target is older than this host: recorded bytes can arm it; build it anew from this version's sources"
+    return [] if identity.guarded else [note]
+
+
+def _refuse_a_limit(identity: Identity, settings: TargetSettings, port: str, out: Path, todo: Sequence[str]) -> None:
+    """A real machine that stopped at a limit is an error, though what it recorded is kept."""
+
+    way = "held at a limit and was vented after it" if settings.on_limit == "hold" else "vented at a limit"
+    done = finished(out)
+    if left := [name for name in todo if name not in done]:
+        raise StoppedAtLimitError(
+            f"the machine {way}, and {len(left)} of {len(todo)} recordings were not made",
+            ", ".join(left),
+            _go_on(identity, port),
+        )
+    if not identity.emulated and (hit := _at_limit(out, todo[-1])):
+        raise StoppedAtLimitError(f"the machine {way} in the last recording", hit, _go_on(identity, port))
+
+
+def _go_on(identity: Identity, port: str) -> str:
+    """How to go on after a fault: a real machine is looked at first."""
+    look = (
+        "" if identity.emulated else f"look at the machine and clear the fault (loopshape stop {port} --clear), then "
+    )
+    return f"{look}the same command goes on"
+
+
+def _at_limit(out: Path, name: str) -> str | None:
+
+    return read_run(out).recording(name).info.ended_early
+
+
+def _drive(
+    session: Session, wanted: Configuration, todo: Sequence[Planned], study: Study, plant: Rig, out: Path,
+    watch: Watch,
+) -> None:  # fmt: skip
+    """Arm, and record what is to be done; whatever ends this early vents before the link is closed."""
+
+    def keeper(info: RecordingInfo, rate_hz: float, names: Sequence[str]) -> AbstractContextManager[Arrived]:
+        return arriving(out, info.name, recording_table(info), rate_hz, names)
+
+    assert study.target is not None
+    coming = (experiment(study, plant, one) for one in todo)
+    import_module("pyarrow.parquet")  # now: it takes longer than a watchdog waits
+    with watch.progress("measure", len(todo)) as step:
+        armed = arm(session, study.target, todo[0].loops, wanted)
+        with vented_on_error(session), closing(drive(armed, coming, keeper)) as made:
+            for recording in made:
+                add_recording(out, recording, again=True)
+                adopted(out, recording.info.name)
+                step(recording.info.name)
+
+
+def _refuse_what_only_models_do(study: Study) -> None:
+
+    asked = ["effects"] if study.effects else []
+    asked += [f"parameters of experiment {e.name}" for e in study.experiments if e.parameters]
+    if asked:
+        raise WrongUseError(
+            "a real machine has no parameters to be set", ", ".join(asked), "change it by hand, in a study of its own"
+        )
+
+
+def _refuse_signals_beyond_limits(motion: Motion, wanted: Configuration) -> None:
+    """Refuse setpoints and excitations that pass a limit by themselves, whatever the loops make of them.
+
+    A setpoint, and what is added to it at the controller's input, against the limits of the loop's output (a sum of
+    sensors has the sum of theirs); what enters the plant's input against the span of each command, as the controller
+    may add any offset; with open loops the commands are known, their rates too.
+    """
+    for e in motion.experiments():
+        for k, loop in enumerate(e.loops):
+            _refuse_references(motion, e.name, loop, e.references[:, k], e.injected[:, k], e.injection)
+        if e.injection in ("plant_input", "control"):
+            _refuse_commands(motion, e, e.injected @ wanted.mixing.T)
+
+
+def _refuse_references(
+    motion: Motion, name: str, loop: LoopSetup, setpoint: Array, injected: Array, injection: str
+) -> None:
+    limits = [motion.settings.limits[column] for column in sum_terms(loop.output)]
+    limit = Limit(limits[0].column, sum(one.low for one in limits), sum(one.high for one in limits))
+    low, high = float(setpoint.min()), float(setpoint.max())
+    if not limit.low < low <= high < limit.high:
+        raise WrongUseError(
+            f"the setpoint of {loop.name} in {name!r} lies outside its limits",
+            f"{limit.said(low if low <= limit.low else high)}, limits {limit}",
+            "move the operating point, or widen the limit",
+        )
+    asked = setpoint + injected
+    low, high = float(asked.min()), float(asked.max())
+    if injection == "controller_input" and not limit.low <= low <= high <= limit.high:
+        raise WrongUseError(
+            f"the excitation of {loop.name} in {name!r} asks for what lies outside its limits",
+            f"{limit.said(low if low < limit.low else high)} with its setpoint, limits {limit}",
+            "give a smaller amplitude, or widen the limit",
+        )
+
+
+def _refuse_commands(motion: Motion, e: Experiment, asked: Array) -> None:
+    """`asked` (samples, commands): what the excitation alone gives each command."""
+    for column, values in zip(motion.identity.commands, asked.T, strict=True):
+        limit, low, high = motion.settings.limits[column], float(values.min()), float(values.max())
+        grain = 1e-9 * (limit.high - limit.low)
+        opened = e.injection == "control"
+        passed = low < limit.low - grain or high > limit.high + grain if opened else high - low > limit.high - limit.low
+        if passed:
+            raise WrongUseError(
+                f"the excitation in {e.name!r} passes the limits of {column} by itself",
+                f"{limit.said(low)} to {limit.said(high)}, limits {limit}",
+                "give a smaller amplitude, or widen the limit",
+            )
+        rates = np.abs(values[RATE_TICKS:] - values[:-RATE_TICKS]) * (e.rate_hz / RATE_TICKS)
+        if opened and rates.size and rates.max() > limit.rate * (1.0 + 1e-9):
+            raise WrongUseError(
+                f"the excitation in {e.name!r} changes {column} faster than its limit",
+                f"{limit.said(float(rates.max()))}/s over {RATE_TICKS} ticks, limits {limit}",
+                "give a smaller or slower one, or widen the limit",
+            )

@@ -1,0 +1,66 @@
+"""Who is told of long work on a machine: the terminal of a command, or in a script Python's warnings alone."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from loopshape.data.signal.experiment import Experiment
+    from loopshape.toolbox.rig.settings import TargetSettings
+    from loopshape.toolbox.rig.simulated import Planned
+    from loopshape.toolbox.rig.target.messages import Identity
+
+
+class Watch(Protocol):
+    """What is reported while work goes on."""
+
+    def say(self, line: str) -> None:
+        """A result in one sentence."""
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """What a user has to know."""
+
+    def progress(self, label: str, total: int) -> AbstractContextManager[Callable[[str], None]]:
+        """A function to call with a word after each of `total` steps."""
+
+
+class Unwatched:
+    """Warnings become Python's; the rest is silent."""
+
+    def say(self, line: str) -> None:
+        """Nothing."""
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Each line a `UserWarning`."""
+        for line in lines:
+            warnings.warn(line, stacklevel=3)
+
+    @contextmanager
+    def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:
+        """Steps that nobody counts."""
+        yield lambda word: None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a target is about to do: its identity, where it is, its limits, and the recordings to be made."""
+
+    identity: Identity
+    port: str
+    settings: TargetSettings
+    recordings: Sequence[Planned]
+    experiment: Callable[[Planned], Experiment]
+    notes: tuple[str, ...] = ()
+    """What a person should know before it moves: of verdicts, of what was allowed, of an older target."""
+
+    def experiments(self) -> Iterator[Experiment]:
+        """The recordings with their signals, one at a time."""
+        return map(self.experiment, self.recordings)
+
+
+#: whether a motion may begin
+Confirm = Callable[[Motion], bool]

@@ -1,0 +1,4 @@
+"""The servo axis by its numbers: one mass under a position controller: friction, perhaps a spring.
+
+An experiment comes in, a recording goes out; what such an axis may hide is its catalogue of effects.
+"""

@@ -1,0 +1,124 @@
+"""What a Nichols chart holds curves against: contours of |S| and |T|, what is forbidden, the required margins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.view.key import Entry
+from loopshape.view.labels import number
+from loopshape.view.plots.contours import constant_s, constant_t, nichols_coordinates, turns
+from loopshape.view.room import Crowd
+from loopshape.view.style import LIMIT
+
+LEVELS_DB = (12.0, 6.0, 3.0, 0.0, -6.0, -12.0, -20.0)
+_S: dict[str, Any] = {"color": "0.66", "linewidth": 0.6, "linestyle": "-"}
+_T: dict[str, Any] = {"color": "0.66", "linewidth": 0.7, "linestyle": (0, (5, 3))}
+CONTOUR_ENTRIES: tuple[Entry, ...] = (("|S| constant", _S), ("|T| constant", _T))
+
+
+def closest_db(required: Requirements) -> float | None:
+    """The sharper of the limits on |S|'s peak and on the modulus margin, as |S| in dB; None without either."""
+    limits = [] if required.sensitivity_peak_db is None else [required.sensitivity_peak_db]
+    if required.modulus_margin is not None:
+        limits.append(-float(db(required.modulus_margin)))
+    limits = [limit for limit in limits if limit > 0.0]
+    return min(limits) if limits else None
+
+
+def contours(ax: Axes, crowd: Crowd, below_db: float | None) -> None:
+    """Contours of |S| (solid) and |T| (dashed) at `LEVELS_DB`, those below a limit; labels where there is room."""
+    levels = [level for level in LEVELS_DB if below_db is None or level < below_db]
+    for name, of, style in (("S", constant_s, _S), ("T", constant_t, _T)):
+        for level in levels:
+            _contour(ax, crowd, f"|{name}| {number(level)} dB", of, level, style)
+
+
+def _contour(
+    ax: Axes, crowd: Crowd, text: str, of: Callable[[float], ComplexArray], level_db: float, style: dict[str, Any]
+) -> None:
+    phase, size = nichols_coordinates(of(level_db))
+    places = []
+    for shift in turns(*ax.get_xlim()):
+        ax.plot(phase + shift, size, scalex=False, scaley=False, zorder=1.5, gid=text, **style)
+        places.append(np.column_stack([phase + shift, size])[::6])
+    x, y = np.vstack(places).T
+    k = crowd.emptiest(x, y)
+    if k is not None and crowd.room_in(np.array([x[k], y[k]])) > 0.1:
+        _label(ax, x[k], y[k], text)
+        crowd.add_box(x[k], y[k], 0.5, 0.1)
+
+
+def _label(ax: Axes, x: float, y: float, text: str) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.9}
+    style: dict[str, Any] = {"fontsize": 6.0, "ha": "center", "va": "center", "bbox": box, "in_layout": False}
+    ax.text(x, y, text, color="0.4", zorder=1.6, clip_on=True, **style)
+
+
+def forbidden(ax: Axes, crowd: Crowd, required: Requirements, closest: float | None) -> None:
+    """The regions that limits of |S| and |T| forbid, and crosses of the required margins, at every critical point."""
+    t_limit = required.complementary_peak_db
+    for shift in turns(*ax.get_xlim()):
+        if closest is not None:
+            x, y = _shifted(constant_s(closest), shift)
+            ax.fill(x, y, facecolor=LIMIT, alpha=0.14, linewidth=0.0, zorder=1.7)
+            for share in (0.3, 0.6, 0.8, 1.0):
+                crowd.add(shift - 180.0 + share * (x - shift + 180.0), share * y)
+            ax.plot(x, y, color=LIMIT, linewidth=1.1, scalex=False, scaley=False, zorder=2.5, gid="limit |S|")
+        if t_limit is not None and t_limit > 0.0:
+            x, y = _shifted(constant_t(t_limit), shift)
+            style: dict[str, Any] = {"color": LIMIT, "linewidth": 0.9, "linestyle": ":", "zorder": 2.5}
+            ax.plot(x, y, scalex=False, scaley=False, gid="limit |T|", **style)
+        _cross(ax, required, shift - 180.0)
+
+
+def forbidden_entries(required: Requirements, closest: float | None) -> list[Entry]:
+    """What the notes say of them."""
+    entries: list[Entry] = []
+    if closest is not None:
+        entries.append((f"|S| at most {closest:.3g} dB", {"color": LIMIT, "linewidth": 1.1}))
+    if required.complementary_peak_db is not None and required.complementary_peak_db > 0.0:
+        entries.append((f"|T| at most {required.complementary_peak_db:g} dB", {"color": LIMIT, "linestyle": ":"}))
+    if text := _cross_text(required):
+        entries.append((text, {"color": LIMIT, "linewidth": 1.8}))
+    return entries
+
+
+def _shifted(open_loop: ComplexArray, shift_deg: float) -> tuple[Array, Array]:
+    phase, size = nichols_coordinates(open_loop)
+    return phase + shift_deg, size
+
+
+def _cross(ax: Axes, required: Requirements, phase_deg: float) -> None:
+    """Required margins as a cross at a critical point: left and right the phase, down the gain, up its reduction."""
+    style: dict[str, Any] = {"color": LIMIT, "linewidth": 1.8, "solid_capstyle": "butt", "zorder": 2.6}
+    free: dict[str, Any] = {"scalex": False, "scaley": False}
+    pm, gm, up = required.phase_margin_deg, required.gain_margin_db, required.gain_reduction_margin_db
+    if pm is not None:
+        ax.plot([phase_deg - pm, phase_deg + pm], [0.0, 0.0], gid="phase margin", **style, **free)
+    if gm is not None or up is not None:
+        ax.plot([phase_deg, phase_deg], [-(gm or 0.0), up or 0.0], gid="gain margin", **style, **free)
+    ax.plot([phase_deg], [0.0], "+", color="black", markersize=7.0, zorder=2.7, gid="critical point", **free)
+
+
+def _cross_text(required: Requirements) -> str:
+    parts = []
+    if required.phase_margin_deg is not None:
+        parts.append(f"phase ±{required.phase_margin_deg:g} deg")
+    if required.gain_margin_db is not None:
+        parts.append(f"gain \N{MINUS SIGN}{required.gain_margin_db:g} dB")
+    if required.gain_reduction_margin_db is not None:
+        parts.append(f"+{required.gain_reduction_margin_db:g} dB")
+    return "margins " + ", ".join(parts) if parts else ""
+
+
+def centre_marks(ax: Axes) -> None:
+    """Critical points alone, where nothing is required."""
+    for shift in turns(*ax.get_xlim()):
+        style: dict[str, Any] = {"color": "black", "markersize": 7.0, "zorder": 2.7, "gid": "critical point"}
+        ax.plot([shift - 180.0], [0.0], "+", scalex=False, scaley=False, **style)

@@ -1,0 +1,1 @@
+"""Pictures of verdicts and predictions over operating points."""

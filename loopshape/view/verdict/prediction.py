@@ -1,0 +1,196 @@
+"""Pictures of predictions, and of what a later measurement makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import db
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.prediction import Comparison, Prediction, StepComparison
+from loopshape.view.key import count, curve, key_of, place_key
+from loopshape.view.labels import point, symbol
+from loopshape.view.plots.curves import draw_band, fit_decibels, frequency_axis, magnitude_band_db
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, head, new_figure, styled
+
+#: up to so many curves carry their bands
+BANDS = 3
+_PREDICTED, _MEASURED = COLOURS[0], COLOURS[1]
+_COLUMNS = 4
+
+
+@styled()
+def prediction_page(predictions: Sequence[Prediction]) -> Figure:
+    """|S|, |T| and the step of one loop at all operating points; 95 % bands where there are three at most."""
+    if not predictions:
+        raise WrongUseError("a picture of predictions needs at least one", "none", "predict first")
+    sensitivities = [one.sensitivity for one in predictions]
+    key = key_of(sensitivities)
+    figure = Figure(figsize=(FULL_WIDTH_IN, 5.6))
+    panels = figure.subplot_mosaic([["S", "T"], ["step", "step"]])
+    for k, (one, look) in enumerate(zip(predictions, key.looks, strict=True)):
+        style = curve(look, k, len(predictions))
+        for name, frf in (("S", one.sensitivity), ("T", one.complementary)):
+            panels[name].plot(frf.frequency_hz, db(frf.siso), **style)
+            if len(predictions) <= BANDS:
+                draw_band(panels[name], frf.frequency_hz, *magnitude_band_db(frf), color=look["color"], alpha=0.25)
+        if one.step is not None:
+            step = one.step
+            panels["step"].plot(step.time_s, step.response, **style)
+            if len(predictions) <= BANDS:
+                panels["step"].fill_between(step.time_s, step.low, step.high, color=look["color"], alpha=0.25, lw=0.0)
+    for name in "ST":
+        _decibels(panels[name], name, sensitivities, span=60.0)
+    _step_axes(panels["step"], [one for one in predictions if one.step is not None])
+    place_key(figure, key)
+    controller = ", ".join(block.kind.replace("_", " ") for block in predictions[0].controller.blocks)
+    title = f"Predicted: loop {symbol(predictions[0].loop)}  ·  {count(sensitivities)}"
+    head(figure, title, *(text for text in (key.common, f"controller: {controller}") if text))
+    return figure
+
+
+def _decibels(ax: Axes, name: str, frfs: Sequence[FRF], span: float) -> None:
+    frequency_axis(ax, min(f.frequency_hz[0] for f in frfs), max(f.frequency_hz[-1] for f in frfs))
+    fit_decibels(ax, span=span)
+    ax.axhline(0.0, color="0.3", linewidth=0.7, zorder=1.5)
+    ax.set_ylabel(f"|{name}| [dB]")
+
+
+def _step_axes(ax: Axes, shown: Sequence[Prediction]) -> None:
+    ax.axhline(1.0, color="0.3", linewidth=0.7, zorder=1.5)
+    ax.set_xlabel("time after a unit step of the setpoint [s]")
+    ax.set_ylabel("output [1]")
+    if not shown:
+        ax.text(0.5, 0.5, "no step: no fit, or it does not come to rest", ha="center", transform=ax.transAxes)
+        return
+    steps = [one.step for one in shown if one.step is not None]
+    settled = [s.indicators.settling_time_s for s in steps if np.isfinite(s.indicators.settling_time_s)]
+    last = min(max(float(s.time_s[-1]) for s in steps), 1.6 * max(settled, default=1e9))
+    ax.set_xlim(0.0, last)
+
+
+@styled()
+def comparison_grid(
+    predictions: Sequence[Prediction], measured: Sequence[FRF], comparisons: Sequence[Comparison]
+) -> Figure:
+    """|S| predicted and measured of one loop, a panel for each operating point, with the outcome and where it fails."""
+    if not comparisons or not len(predictions) == len(measured) == len(comparisons):
+        raise WrongUseError(
+            "a comparison's picture needs a prediction and a measurement for each", f"{len(comparisons)}"
+        )
+    figure, panels = _grid(len(comparisons))
+    band = [
+        min(p.sensitivity.frequency_hz[0] for p in predictions),
+        max(p.sensitivity.frequency_hz[-1] for p in predictions),
+    ]
+    for ax, one, two, found in zip(panels, predictions, measured, comparisons, strict=False):
+        seen = two.select((two.frequency_hz >= band[0]) & (two.frequency_hz <= band[1]))
+        for frf, colour in ((one.sensitivity, _PREDICTED), (seen, _MEASURED)):
+            draw_band(ax, frf.frequency_hz, *magnitude_band_db(frf), color=colour, alpha=0.25)
+            ax.plot(frf.frequency_hz, db(frf.siso), color=colour, linewidth=0.8)
+        worst = found.worst
+        if found.outcome == "did not hold" and worst is not None:
+            ax.axvspan(worst.low_hz, worst.high_hz, color=LIMIT, alpha=0.10, linewidth=0.0)
+        frequency_axis(ax, band[0], band[1], label=False)
+        _panel_title(ax, point(found.operating_point) or found.measured_from, _verdict(found), found.outcome)
+    low = min(float(ax.dataLim.y0) for ax in panels[: len(comparisons)])
+    for ax in panels[: len(comparisons)]:
+        ax.set_ylim(max(5.0 * np.floor(low / 5.0), -45.0), 12.0)
+    _outer_labels(panels[: len(comparisons)], "frequency [Hz]", "|S| [dB]")
+    _legend(figure, [("predicted, 95 %", _PREDICTED), ("measured, 95 %", _MEASURED)])
+    held = sum(c.outcome == "held" for c in comparisons)
+    head(
+        figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {held} of {len(comparisons)} confirmed",
+        f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
+        " shaded: the band that differs most",
+    )  # fmt: skip
+    return figure
+
+
+def _verdict(found: Comparison) -> str:
+    worst = found.worst
+    if found.outcome != "did not hold" or worst is None:
+        return "confirmed" if found.outcome == "held" else found.outcome
+    return f"{worst.sensitivity_db:+.1f} dB at {worst.low_hz:.2g}-{worst.high_hz:.2g} Hz".replace(
+        "-", "\N{MINUS SIGN}", int(worst.sensitivity_db < 0.0)
+    )
+
+
+@styled()
+def steps_grid(steps: Sequence[StepComparison]) -> Figure:
+    """Measured steps over the predicted ones, all as unit steps, a panel for each operating point."""
+    if not steps:
+        raise WrongUseError("a picture of steps needs at least one", "none", "record a setpoint that steps")
+    places = list(dict.fromkeys(_place(step) for step in steps))
+    figure, panels = _grid(len(places))
+    last = _shown_s(steps)
+    for ax, place in zip(panels, places, strict=False):
+        mine = [step for step in steps if _place(step) == place]
+        for step in mine:
+            ax.plot(step.time_s, step.response, color=_MEASURED, linewidth=0.6, alpha=0.8)
+        predicted = mine[0].predicted
+        if predicted is not None:
+            ax.fill_between(predicted.time_s, predicted.low, predicted.high, color=_PREDICTED, alpha=0.25, lw=0.0)
+            ax.plot(predicted.time_s, predicted.response, color=_PREDICTED, linewidth=0.9)
+        ax.axhline(1.0, color="0.3", linewidth=0.6, zorder=1.5)
+        misses = [step.largest_miss for step in mine if np.isfinite(step.largest_miss)]
+        off = f"off by {100.0 * max(misses):.0f} % at most" if misses else "not predicted"
+        _panel_title(ax, place, off, "held" if misses else "cannot tell")
+        ax.set_xlim(0.0, last)
+        ax.set_ylim(-0.25, 1.75)
+    _outer_labels(panels[: len(places)], "time after the step [s]", "output [1]")
+    _legend(figure, [("predicted, 95 % of the fit's parameters", _PREDICTED), ("measured, each step", _MEASURED)])
+    head(figure, f"Steps of loop {symbol(steps[0].loop)}, as of a unit step of the setpoint")
+    return figure
+
+
+def _shown_s(steps: Sequence[StepComparison]) -> float:
+    """Time to show: twice what most steps need to settle, as predicted or measured to 5 %."""
+    reads = [s.predicted.indicators.settling_time_s if s.predicted else s.measured.settling_time_5_s for s in steps]
+    longest = max(float(step.time_s[-1]) for step in steps)
+    settled = [t for t in reads if np.isfinite(t) and t > 0.0]
+    return min(longest, 2.0 * max(settled)) if settled else longest
+
+
+def _place(step: StepComparison) -> str:
+    return point(step.operating_point) or step.recording
+
+
+def _grid(count: int) -> tuple[Figure, list[Axes]]:
+    columns = min(_COLUMNS, count)
+    rows = -(-count // columns)
+    figure = new_figure(rows, columns, (FULL_WIDTH_IN, 1.3 + 1.32 * rows), sharex=True, sharey=True, squeeze=False)
+    panels = list(figure.axes)
+    for ax in panels[count:]:
+        ax.set_visible(False)
+    return figure, panels
+
+
+def _panel_title(ax: Axes, first: str, second: str, outcome: str) -> None:
+    ax.set_title(first, fontsize=6.5, loc="left", pad=2.5)
+    colour = LIMIT if outcome == "did not hold" else "0.25"
+    box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+    ax.text(0.97, 0.06, second, fontsize=6.5, ha="right", va="bottom", color=colour, transform=ax.transAxes, bbox=box)
+    ax.tick_params(labelsize=6.5)
+
+
+def _outer_labels(panels: Sequence[Axes], x: str, y: str) -> None:
+    """Labels at the left column and at the last panel of each column."""
+    columns = min(_COLUMNS, len(panels))
+    for k, ax in enumerate(panels):
+        last = k + columns >= len(panels)
+        ax.set_xlabel(x if last else "", fontsize=7.5)
+        ax.set_ylabel(y if k % columns == 0 else "", fontsize=7.5)
+        ax.tick_params(labelbottom=last)
+
+
+def _legend(figure: Figure, entries: Sequence[tuple[str, str]]) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=colour, linewidth=2.0) for _, colour in entries]
+    figure.legend(handles, [text for text, _ in entries], loc="outside lower center", ncols=len(entries))
