@@ -20,7 +20,7 @@ import loopshape
 from loopshape.toolbox.rig.target.frames import Frame, Receiver
 from loopshape.toolbox.rig.target.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
 
-TARGET = Path(loopshape.__file__).parent / "rig" / "c_target"
+TARGET = Path(loopshape.__file__).parent / "toolbox" / "rig" / "c_target"
 CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "frames.c")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -32,7 +32,14 @@ from loopshape.toolbox.gap.registry import diagnosable
 from loopshape.view import style
 
 FORMAT = "loopshape-exam/1"
-DIAGNOSES = ("core", "data", "diagnose", "identify", "loop", "model")  # folders of the package whose code gives answers
+DIAGNOSES = (
+    "core",
+    "data",
+    "identify",
+    "loop",
+    "toolbox/arm",
+    "toolbox/gap",
+)  # folders of the package whose code gives answers
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 

@@ -27,12 +27,12 @@ from specimens import PLACES, STEPS, specimen  # noqa: E402
 
 from loopshape.data.signal.recording import Recording  # noqa: E402
 from loopshape.data.signal.run import Run  # noqa: E402
-from loopshape.toolbox.gap.diagnose import attribute, decide
+from loopshape.toolbox.gap.diagnose import attribute, decide  # noqa: E402
 from loopshape.toolbox.gap.diagnose.evidence import Evidence  # noqa: E402
 from loopshape.toolbox.gap.diagnose.fitting import Fitted  # noqa: E402
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis  # noqa: E402
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Free  # noqa: E402
-from loopshape.toolbox.gap.own import following
+from loopshape.toolbox.gap.own import following  # noqa: E402
 from loopshape.toolbox.gap.own.following import Followed  # noqa: E402
 from loopshape.toolbox.gap.own.plant import OwnMachine  # noqa: E402
 

@@ -1,6 +1,6 @@
 """The muscle on a tensile bench: pull under closed valves, and the slope that a bench really measures.
 
-Lengths in m, pressures in bar (gauge), pulls in N. The muscle is the arm's own kernel (`loopshape.toolbox.arm.dynamics.model`).
+Lengths in m, pressures in bar (gauge), pulls in N. The muscle is the arm's own kernel (`toolbox.arm.dynamics.model`).
 """
 
 from __future__ import annotations

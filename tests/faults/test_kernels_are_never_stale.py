@@ -89,7 +89,7 @@ def name(file, package):
 
 
 def kept(package):
-    return {p.name for p in (package / "__pycache__/kernels").glob("*servo_axis.closed_loop-*")}
+    return {p.name for p in (package / "__pycache__/kernels").glob("*servo.closed_loop-*")}
 
 
 @pytest.mark.long
@@ -106,7 +106,7 @@ def test_an_edited_callee_gives_new_physics(package):
     """A force in a file beneath the kernel's is multiplied by 0; what was compiled before is used no more, and gone."""
     coast(package)
     before = kept(package)
-    file = package / "model/servo_axis/motion.py"
+    file = package / "toolbox/servo/motion.py"
     edit(file, "    viscous = c[k.VISCOUS]", "    viscous = 0.0 * c[k.VISCOUS]")
     assert coast(package) == [FREE, 1]
     assert len(kept(package)) == 1

@@ -210,14 +210,14 @@ def test_library_forms_come_from_the_catalogue():
 
 def test_the_hash_of_the_code_changes_with_what_diagnoses_and_with_nothing_else(monkeypatch, tmp_path):
     package = tmp_path / "loopshape"
-    for folder in ("diagnose", "view"):
+    for folder in ("toolbox/gap", "view"):
         (package / folder).mkdir(parents=True)
         (package / folder / "one.py").write_text("x = 1")
     monkeypatch.setattr(command.loopshape, "__file__", str(package / "__init__.py"))
     first = command.code_sha256()
     (package / "view" / "one.py").write_text("x = 2")
     assert command.code_sha256() == first
-    (package / "diagnose" / "one.py").write_text("x = 2")
+    (package / "toolbox/gap" / "one.py").write_text("x = 2")
     assert command.code_sha256() != first
 
 

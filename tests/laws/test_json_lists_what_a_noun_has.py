@@ -7,7 +7,14 @@ import pytest
 
 from loopshape.core.json_ready import Plain, json_ready, keys
 
-for name in ("data.baseline", "design.bound", "design.schedule", "design.several", "identify.plan", "loop.remeasured"):
+for name in (
+    "data.result.baseline",
+    "toolbox.limits.bound",
+    "toolbox.schedules.schedule",
+    "design.several",
+    "toolbox.planning.plan",
+    "loop.predict.remeasured",
+):
     importlib.import_module(f"loopshape.{name}")
 importlib.import_module("loopshape.io.write.check_files")
 

@@ -97,7 +97,7 @@ def test_figures_that_a_study_shows_exist():
 
 def test_the_table_of_numbers_is_sound():
     table = source.numbers()
-    with (ROOT / "loopshape" / "model" / "arm" / "source.csv").open(newline="", encoding="utf-8") as file:
+    with (ROOT / "loopshape" / "toolbox" / "arm" / "source.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(table)  # no key twice
     for one in table.values():

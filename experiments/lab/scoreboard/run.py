@@ -1,6 +1,6 @@
 """The scoreboard: each table and figure of the source, what it says, what we get, and whether they agree.
 
-Reads `items.csv` (what the source has), `loopshape/model/arm/source.csv` (its numbers) and each study's `scores.csv`;
+Reads `items.csv` (what the source has), `loopshape/toolbox/arm/source.csv` (its numbers) and each study's `scores.csv`;
 writes `experiments/README.md`. It computes nothing: a score is what its study wrote.
 """
 

@@ -41,7 +41,7 @@ def hold_and_delay(frequency_hz: ArrayLike, rate_hz: float, delay_s: float = 0.0
 class Controller:
     """Blocks in series for one loop, as they will run: at `rate_hz` after Tustin's rule, in the target's numbers.
 
-    `precision` is that of the coefficients (`loopshape.data.control.precision`); the sections of `biquads` are rounded to it,
+    `precision` is that of the coefficients (`data.control.precision`); the sections of `biquads` are rounded to it,
     and `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
 
     `computation_delay_s` is from sampling to when the output takes effect, and `added_hold` adds the zero-order hold:

@@ -1,6 +1,6 @@
 """Several loops of one plant at once: its matrix, a controller for each loop, and all that follows from L = C P.
 
-The picture is that of `loopshape.data.control.loop`, several loops wide: y = P z; controller k goes from output k to input k:
+The picture is that of `data.control.loop`, several loops wide: y = P z; controller k goes from output k to input k:
 C is diagonal. Broken at the plant's inputs the open loop is L_i = C P, at its outputs L_o = P C. With one controller a
 loop L_o = C^-1 L_i C: both have the same eigenvalues, the same det(I + L), and the same structured singular values for
 one error a loop; only their plain singular values differ, and those of S_o and T_o depend on the outputs' units.

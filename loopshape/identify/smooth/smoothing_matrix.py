@@ -1,6 +1,6 @@
 """A plant's matrix with what neighbouring lines have in common taken together, and draws of the error that is left.
 
-Each element is smoothed as `loopshape.identify.smooth.smoothing` smooths a single response, with windows of its own; the
+Each element is smoothed as `identify.smooth.smoothing` smooths a single response, with windows of its own; the
 errors of all elements are drawn together, by the covariance of their line.
 """
 

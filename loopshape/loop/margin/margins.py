@@ -126,7 +126,7 @@ def margins(
       l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that; where it decides a number, that number is a
       bound, and `bounds` says how good it may be;
     - a loop without integrators whose gain at 0 Hz is negative crosses the negative real axis there: small models of
-      the lowest lines lead to it (`loopshape.loop.margin.low_frequency`), and what they disagree about widens the interval;
+      the lowest lines lead to it (`loop.margin.low_frequency`), and what they disagree about widens the interval;
     - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
       complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
     - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through

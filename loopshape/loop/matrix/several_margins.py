@@ -66,7 +66,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     that number is a bound, and `bounds` says how good it may be.
 
     With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
-    and has a 95 % interval: both from draws of the error (as in `loopshape.loop.margin.margins`). For more than three loops,
+    and has a 95 % interval: both from draws of the error (as in `loop.margin.margins`). For more than three loops,
     and for inputs and outputs at once, the margin is what is guaranteed (an upper bound of mu), and
     `disk_margin_reached` says from where on it is known to be lost. Peaks between lines are seen where a resonance that
     the lines show makes them, and by a parabola through the largest line and its neighbours, whose rise, and as much

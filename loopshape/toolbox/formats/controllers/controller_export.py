@@ -8,8 +8,8 @@
     controller_<loop>.txt     a filter file of the LIGO control system (foton)
     controller_<loop>.npz     `sos` (sections, 6) for scipy.signal.sosfilt
     controller_<loop>_simulink.m   MATLAB: a script that builds a Simulink subsystem
-    controller_<loop>.odrive, .sercos          parameters of a drive's loop (`loopshape.toolbox.formats.controllers.drives`)
-    controller_<loop>.params, .param, .cli     parameters of px4, ardupilot, betaflight (`loopshape.toolbox.formats.controllers.firmware`)
+    controller_<loop>.odrive, .sercos          parameters of a drive's loop (`toolbox.formats.controllers.drives`)
+    controller_<loop>.params, .param, .cli     parameters of px4, ardupilot, betaflight (`firmware`)
 
 Every file carries the controller's digest, rate, precision, prewarping and delay.
 """
