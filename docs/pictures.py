@@ -33,7 +33,7 @@ FIGURES, BENCH = DOCS.parent / "figures", DOCS.parent / "examples" / "motor_benc
 def shown() -> dict[str, dict[str, list[float]]]:
     """By folder and requirement the worst case and the ends of its 95 % interval, computed anew.
 
-    The report's are those of the README: `tune` ends at the shipped controller, and a test of the tour holds that.
+    Those of the shipped controller: the pictures of the report show where the tour's `tune` ends, which is another one.
     """
     P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
     model = ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")

@@ -102,6 +102,13 @@ def test_a_parameter_map_has_one_line_a_pressure_with_its_intervals() -> None:
     assert ax.get_legend().get_title().get_text() == "$p_{AB}$ [bar]"
 
 
+def test_a_setting_of_the_rig_stands_in_the_key_of_a_map_with_its_unit() -> None:
+    some = nouns.fits()
+    ax = fits.parameter_map([*some[:-1], replace(some[-1], rig_parameters={"supply_bar": 1.25})], "kappa")
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert sum(text.endswith(" (supply = 1.25 bar)") for text in texts) == 1
+
+
 def test_a_fit_that_did_not_converge_is_hollow() -> None:
     some = [nouns.fit(-15.0, 1.0), nouns.fit(0.0, 1.0, "at_bound"), nouns.fit(15.0, 1.0)]
     ax = fits.parameter_map(some, "f_hz")

@@ -59,8 +59,8 @@ def contours_by_angle(
     """
     ax = axes_or_new(ax, _SIZE)
     _frame(ax, theta2_deg, p_ab_bar, "theta2_deg", "p_ab_bar")
-    _contours(ax, theta2_deg, p_ab_bar, p_a_bar, 0.1, COLOURS[0], "-", lambda x, y: x - 0.9)
-    _contours(ax, theta2_deg, p_ab_bar, p_b_bar, 0.1, COLOURS[1], "--", lambda x, y: x - 0.1)
+    _contours(ax, theta2_deg, p_ab_bar, p_a_bar, 0.1, COLOURS[0], "-", lambda x, y: x - 0.94)
+    _contours(ax, theta2_deg, p_ab_bar, p_b_bar, 0.1, COLOURS[1], "--", lambda x, y: x - 0.06)
     _mark(ax, points, "theta2_deg", "p_ab_bar")
     _legend(ax, {quantity("p_a_bar"): (COLOURS[0], "-"), quantity("p_b_bar"): (COLOURS[1], "--")}, bool(points))
     return ax

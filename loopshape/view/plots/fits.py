@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from loopshape.core.errors import WrongUseError
 from loopshape.data.response.model import Fit
 from loopshape.view.key import varying
-from loopshape.view.labels import bracket, numbers, quantity, split_unit, superscripts, symbol
+from loopshape.view.labels import bracket, numbers, point, quantity, split_unit, superscripts, symbol
 from loopshape.view.style import COLOURS, MARKERS, QUIET, axes_or_new, shades, styled
 
 
@@ -62,8 +62,8 @@ def _lines(fits: Sequence[Fit], keys: Sequence[str]) -> Mapping[tuple[float, str
     """Fits by the value of the second key and the rig's own settings, each sorted by the first key."""
     groups: dict[tuple[float, str], list[Fit]] = {}
     for fit in sorted(fits, key=lambda f: tuple(f.operating_point[k] for k in keys)):
-        settings = ", ".join(f"{name} {value:g}" for name, value in fit.rig_parameters.items())
-        groups.setdefault((fit.operating_point[keys[1]] if len(keys) == 2 else 0.0, settings), []).append(fit)
+        place = fit.operating_point[keys[1]] if len(keys) == 2 else 0.0
+        groups.setdefault((place, point(fit.rig_parameters)), []).append(fit)
     return dict(sorted(groups.items()))
 
 
