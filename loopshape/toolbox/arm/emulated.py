@@ -1,4 +1,4 @@
-"""What the emulated target (`loopshape/toolbox/rig/c_target/boards/arm_emulator.c`) must know of the arm: its plant's file."""
+"""What the emulated target (`toolbox/rig/c_target/boards/arm_emulator.c`) must know of the arm: its plant's file."""
 
 from __future__ import annotations
 
