@@ -70,6 +70,9 @@ if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.equivalent import equivalent as equivalent
     from loopshape.toolbox.diagrams.transfer import transfer as transfer
     from loopshape.toolbox.diagrams.wired import Wired as Wired
+    from loopshape.toolbox.formats.verbs import export as export
+    from loopshape.toolbox.formats.verbs import read_frf as read_frf
+    from loopshape.toolbox.formats.verbs import read_table as read_table
     from loopshape.toolbox.gap.nouns.axis import axis as axis
     from loopshape.toolbox.gap.nouns.gap_report import GapReport as GapReport
     from loopshape.toolbox.gap.nouns.machine import Input as Input
@@ -103,14 +106,11 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
-    from loopshape.verbs.files import export as export
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
-    from loopshape.verbs.files import read_frf as read_frf
     from loopshape.verbs.files import read_gain_scheduled as read_gain_scheduled
     from loopshape.verbs.files import read_requirements as read_requirements
-    from loopshape.verbs.files import read_table as read_table
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
     from loopshape.verbs.several import frf_matrices as frf_matrices
@@ -122,29 +122,18 @@ __version__ = "0.1.0"
 #: public name -> the module that holds it
 _HOME = {
     "AtPoints": "data.requirement.limits_over",
-    "Bound": "toolbox.limits.bound",
     "Comparison": "data.result.prediction",
     "Controller": "data.control.controller",
-    "Diagram": "toolbox.diagrams.diagram",
     "Disturbance": "data.signal.disturbance",
-    "Equivalent": "toolbox.diagrams.equivalent",
     "FRF": "data.response.frf",
     "Fit": "data.response.model",
     "GainScheduled": "data.control.gain_scheduled",
-    "Wired": "toolbox.diagrams.wired",
-    "GapReport": "toolbox.gap.nouns.gap_report",
-    "Input": "toolbox.gap.nouns.machine",
     "Interaction": "data.response.interaction",
     "LoopshapeError": "core.errors",
     "Margins": "data.requirement.requirements",
     "Mask": "data.requirement.limits_over",
-    "Model": "toolbox.gap.nouns.machine",
-    "ModelParameter": "toolbox.gap.nouns.machine",
     "Objective": "data.requirement.objective",
     "Outcome": "data.result.verdict",
-    "Output": "toolbox.gap.nouns.machine",
-    "Part": "toolbox.diagrams.diagram",
-    "Port": "toolbox.gap.nouns.machine",
     "Prediction": "data.result.prediction",
     "Recording": "data.signal.recording",
     "Requirements": "data.requirement.requirements",
@@ -154,24 +143,13 @@ _HOME = {
     "Tuning": "design.tune",
     "Verdict": "data.result.verdict",
     "Weight": "data.requirement.weight",
-    "axis": "toolbox.gap.nouns.axis",
     "biquad": "data.control.shorthand",
-    "bound": "toolbox.limits.verbs",
-    "campaign": "toolbox.campaign.verbs",
-    "cascade": "toolbox.diagrams.common_diagrams",
     "check": "verbs.chain",
     "compare": "verbs.chain",
     "complex_lead": "data.control.shorthand",
-    "connect": "toolbox.rig.verbs.machine",
     "controller": "data.control.shorthand",
     "decouple": "design.decoupling.decouple",
     "decoupled": "design.decoupling.decoupled",
-    "disturbance_observer": "toolbox.diagrams.common_diagrams",
-    "dual_stage": "toolbox.diagrams.common_diagrams",
-    "emulator": "toolbox.rig.verbs.machine",
-    "equivalent": "toolbox.diagrams.equivalent",
-    "export": "verbs.files",
-    "feedforward": "toolbox.learning.feedforward",
     "fit": "verbs.chain",
     "fixed": "data.control.fixed",
     "frf": "verbs.chain",
@@ -180,55 +158,40 @@ _HOME = {
     "from_control": "data.response.control_frd",
     "gain": "data.control.shorthand",
     "gain_scheduled": "data.control.gain_scheduled",
-    "gap": "toolbox.gap.verbs",
-    "identifiability": "toolbox.gap.verbs",
     "interaction": "verbs.several",
     "lead_lag": "data.control.shorthand",
-    "learning": "toolbox.learning.learning",
     "low_pass": "data.control.shorthand",
-    "measure": "toolbox.rig.verbs.machine",
     "multirate": "data.algebra.multirate",
-    "next_trial": "toolbox.learning.next_trial",
     "notch": "data.control.shorthand",
     "pi": "data.control.shorthand",
     "pid": "data.control.shorthand",
-    "plan": "toolbox.planning.verbs",
     "plot": "view",
     "predict": "verbs.chain",
-    "prefilter": "toolbox.diagrams.common_diagrams",
     "profiles": "verbs.files",
-    "reach": "toolbox.limits.verbs",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
-    "read_frf": "verbs.files",
     "read_gain_scheduled": "verbs.files",
     "read_requirements": "verbs.files",
-    "read_table": "verbs.files",
     "report": "verbs.files",
-    "repetitive": "toolbox.learning.repetitive",
     "resonator": "data.control.shorthand",
-    "schedule": "toolbox.limits.verbs",
     "shape": "verbs.chain",
-    "simulate": "toolbox.diagrams.diagram_run",
-    "stop": "toolbox.rig.verbs.stop",
     "to_control": "data.response.control_frd",
-    "tones": "toolbox.planning.tone.verbs",
-    "tracking_error": "toolbox.learning.verbs",
-    "transfer": "toolbox.diagrams.transfer",
     "tune": "verbs.chain",
-    "two_sensors": "toolbox.diagrams.common_diagrams",
     "write": "verbs.files",
-    "write_plan": "toolbox.planning.verbs",
 }
-__all__ = ["__version__", *_HOME]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name == "__all__":
+        return __dir__()
+    if name.startswith("_"):
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
     if name == "plot":
         return import_module("loopshape.view.plot")
-    found = getattr(import_module(f"loopshape.{_HOME[name]}"), name)
+    home = f"loopshape.{_HOME[name]}" if name in _HOME else _of_toolboxes().get(name)
+    if home is None:
+        raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
+    found = getattr(import_module(home), name)
     return _behind_gate(found) if isinstance(found, FunctionType) else found
 
 
@@ -239,5 +202,11 @@ def _behind_gate(function: Any) -> Any:
     return gated(function)
 
 
+def _of_toolboxes() -> dict[str, str]:
+    from loopshape.core.toolboxes import found
+
+    return found().names
+
+
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(["__version__", *_HOME, *_of_toolboxes()])

@@ -10,8 +10,8 @@ from loopshape.data.response.model import Fit
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.read.import_file import import_file
 from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 FOLDER = Path(__file__).parents[2] / "examples" / "motor_bench"
 

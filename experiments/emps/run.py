@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from loopshape.core.units import Array
 from loopshape.data.signal.run import Run
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.fitting import Fitted

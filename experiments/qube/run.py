@@ -19,7 +19,7 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.quality.faults import saturated
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 

@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
 from loopshape.cli import INTERRUPTED, script
-from loopshape.cli.design.profiles import profiles
-from loopshape.cli.design.shape import shape
-from loopshape.cli.design.tune import tune
-from loopshape.cli.estimate.figures import figures
-from loopshape.cli.estimate.fit import fit
-from loopshape.cli.estimate.frf import frf
-from loopshape.cli.estimate.interaction import interaction
-from loopshape.cli.examples import examples
 from loopshape.cli.output import complain, for_any_terminal, safe
-from loopshape.cli.verify.check import check
-from loopshape.cli.verify.compare import compare
-from loopshape.cli.verify.predict import predict
-from loopshape.cli.verify.report import report
-from loopshape.cli.verify.verify import verify
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.interrupts import ENDED, ended_soon, interrupted, say_once
-from loopshape.toolbox.arm.commands.demo import demo
-from loopshape.toolbox.arm.commands.equilibria import equilibria
-from loopshape.toolbox.campaign.commands import campaign
-from loopshape.toolbox.formats.commands.export import export, export_controller, export_excitation, firmware
-from loopshape.toolbox.formats.commands.import_file import import_file
-from loopshape.toolbox.formats.commands.import_frf import import_frf
-from loopshape.toolbox.gap.commands.effects import effects
-from loopshape.toolbox.gap.commands.gap import gap
-from loopshape.toolbox.learning.commands.feedforward import feedforward
-from loopshape.toolbox.learning.commands.learning import learning
-from loopshape.toolbox.learning.commands.next_trial import next_trial
-from loopshape.toolbox.limits.command import bound
-from loopshape.toolbox.planning.commands.plan import plan
-from loopshape.toolbox.planning.commands.tones import tones
-from loopshape.toolbox.rig.commands.emulator import emulator
-from loopshape.toolbox.rig.commands.measure import measure
-from loopshape.toolbox.rig.commands.simulate import simulate
-from loopshape.toolbox.rig.commands.stop import stop
-from loopshape.toolbox.schedules.command import schedule
+from loopshape.core.toolboxes import Command, found, function_at
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
@@ -53,62 +21,68 @@ Exit codes: 0 pass, 1 a requirement is missed or undecided or something is worse
 unreadable input, 130 interrupted.
 """
 
-#: commands by what they are for: name, function, an example
-COMMANDS: dict[str, tuple[tuple[str, Callable[..., None], str], ...]] = {
-    "Start": (
-        ("demo", demo, "loopshape demo --out demo"),
-        ("examples", examples, "loopshape examples --out examples"),
+#: headings of `--help`, in the order of the work
+HEADINGS = ("Start", "Measure and import", "Estimate", "Design", "Verify", "Diagnose", "Exchange")
+#: commands of the bench; those of toolboxes stand where these are found
+OWN = (
+    Command("Start", "examples", "loopshape.cli.examples:examples", "loopshape examples --out examples", 20),
+    Command("Estimate", "frf", "loopshape.cli.estimate.frf:frf", "loopshape frf runs/axis", 10),
+    Command("Estimate", "fit", "loopshape.cli.estimate.fit:fit", "loopshape fit runs/axis --structure auto", 20),
+    Command(
+        "Estimate",
+        "interaction",
+        "loopshape.cli.estimate.interaction:interaction",
+        "loopshape interaction runs/arm2",
+        30,
     ),
-    "Measure and import": (
-        ("measure", measure, "loopshape measure examples/arm/identify.toml --out runs/arm"),
-        ("simulate", simulate, "loopshape simulate examples/arm/steps.toml --out runs/steps --effect payload=20"),
-        ("campaign", campaign, "loopshape campaign campaign.toml --out runs/many --workers 2"),
-        ("import", import_file, "loopshape import recording.csv --map map.toml --out runs/axis"),
-        ("import-frf", import_frf, "loopshape import-frf plant.mat --relative-std 0.02 --out runs/plant"),
-        ("emulator", emulator, "loopshape emulator --tcp 4040"),
-        ("stop", stop, "loopshape stop runs/arm"),
+    Command(
+        "Estimate",
+        "figures",
+        "loopshape.cli.estimate.figures:figures",
+        "loopshape figures runs/axis --controller controller.toml",
+        60,
     ),
-    "Estimate": (
-        ("frf", frf, "loopshape frf runs/axis"),
-        ("fit", fit, "loopshape fit runs/axis --structure auto"),
-        ("interaction", interaction, "loopshape interaction runs/arm2"),
-        ("plan", plan, "loopshape plan runs/axis --std-percent 5"),
-        ("tones", tones, "loopshape tones runs/axis"),
-        ("figures", figures, "loopshape figures runs/axis --controller controller.toml"),
+    Command(
+        "Design",
+        "tune",
+        "loopshape.cli.design.tune:tune",
+        "loopshape tune runs/axis --require requirements.toml --out controller.toml",
+        10,
     ),
-    "Design": (
-        ("tune", tune, "loopshape tune runs/axis --require requirements.toml --out controller.toml"),
-        ("shape", shape, "loopshape shape runs/axis --require requirements.toml --out shape.html"),
-        ("bound", bound, "loopshape bound runs/axis controller.toml --require requirements.toml"),
-        ("profiles", profiles, "loopshape profiles --out mine.toml"),
-        ("feedforward", feedforward, "loopshape feedforward runs/axis --band-hz 0.5 20 --out feedforward.json"),
-        ("learning", learning, "loopshape learning runs/axis controller.toml --band-hz 0.5 20 --out learning.json"),
-        ("next-trial", next_trial, "loopshape next-trial runs/move learning.json --out next.csv"),
-        ("schedule", schedule, "loopshape schedule runs/axis --controller controller.toml --require requirements.toml"),
+    Command(
+        "Design",
+        "shape",
+        "loopshape.cli.design.shape:shape",
+        "loopshape shape runs/axis --require requirements.toml --out shape.html",
+        20,
     ),
-    "Verify": (
-        ("check", check, "loopshape check runs/axis controller.toml --require requirements.toml"),
-        ("predict", predict, "loopshape predict runs/axis controller.toml --out prediction.npz"),
-        ("compare", compare, "loopshape compare runs/after prediction.npz"),
-        ("report", report, "loopshape report runs/axis --controller controller.toml --require requirements.toml"),
-        ("verify", verify, "loopshape verify runs/axis"),
+    Command("Design", "profiles", "loopshape.cli.design.profiles:profiles", "loopshape profiles --out mine.toml", 40),
+    Command(
+        "Verify",
+        "check",
+        "loopshape.cli.verify.check:check",
+        "loopshape check runs/axis controller.toml --require requirements.toml",
+        10,
     ),
-    "Diagnose": (
-        ("gap", gap, "loopshape gap runs/arm"),
-        ("effects", effects, "loopshape effects arm-1dof"),
-        ("equilibria", equilibria, "loopshape equilibria --out figures"),
+    Command(
+        "Verify",
+        "predict",
+        "loopshape.cli.verify.predict:predict",
+        "loopshape predict runs/axis controller.toml --out prediction.npz",
+        20,
     ),
-    "Exchange": (
-        ("export", export, "loopshape export runs/axis --to mat --out frfs"),
-        ("export-controller", export_controller, "loopshape export-controller controller.toml --to c --out firmware"),
-        (
-            "firmware",
-            firmware,
-            "loopshape firmware px4.params --of px4 --rate-hz 1000 --out controller.toml",
-        ),
-        ("export-excitation", export_excitation, "loopshape export-excitation study.toml --to csv --out signals"),
+    Command(
+        "Verify", "compare", "loopshape.cli.verify.compare:compare", "loopshape compare runs/after prediction.npz", 30
     ),
-}
+    Command(
+        "Verify",
+        "report",
+        "loopshape.cli.verify.report:report",
+        "loopshape report runs/axis --controller controller.toml --require requirements.toml",
+        40,
+    ),
+    Command("Verify", "verify", "loopshape.cli.verify.verify:verify", "loopshape verify runs/axis", 50),
+)
 
 
 def _shown(error: Exception) -> Exception:
@@ -150,15 +124,30 @@ class Grouped(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Each heading with its commands and what they do."""
         for heading, commands in COMMANDS.items():
-            rows = [(name, self.commands[name].get_short_help_str(formatter.width - 22)) for name, _, _ in commands]
+            names = [one.name for one in commands]
+            rows = [(name, self.commands[name].get_short_help_str(formatter.width - 22)) for name in names]
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=20)
 
 
 app = typer.Typer(cls=Grouped, help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
-for commands in COMMANDS.values():
-    for name, function, example in commands:
-        app.command(name, epilog=f"Example: {example}")(function)
+
+
+def _all_commands() -> tuple[dict[str, list[Command]], list[str]]:
+    """Commands of the bench and of toolboxes by heading, each added to the program, and what could not be loaded."""
+    broken = list(found().broken)
+    by_heading: dict[str, list[Command]] = {heading: [] for heading in HEADINGS}
+    for one in sorted([*OWN, *(c for box in found().toolboxes.values() for c in box.commands)], key=lambda c: c.rank):
+        try:
+            app.command(one.name, epilog=f"Example: {one.example}")(function_at(one.at))
+        except Exception as error:  # of a package that is not ours
+            broken.append(f"the command {one.name} was left out: {type(error).__name__}: {error}")
+        else:
+            by_heading.setdefault(one.heading, []).append(one)
+    return by_heading, broken
+
+
+COMMANDS, BROKEN = _all_commands()
 
 
 def _print_version(asked: bool) -> None:
@@ -187,6 +176,8 @@ def run() -> None:
     from loopshape.io.seen import noting, refuse_changed
 
     for_any_terminal()
+    for words in BROKEN:
+        complain(words, "warning")
     try:
         with noting(), ended_soon(INTERRUPTED, remove_own_parts):
             try:

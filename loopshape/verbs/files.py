@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
 from datetime import datetime
 from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from loopshape.core.errors import WrongUseError, refuse_unknown_keys
+from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
-from loopshape.toolbox.diagrams.diagram import Diagram
 
 if TYPE_CHECKING:
     from loopshape.data.requirement.profile import Profile
@@ -33,30 +30,6 @@ def read(folder: str | Path) -> Run:
     from loopshape.io.run.run_folder import read_run
 
     return read_run(Path(folder))
-
-
-def read_table(file: str | Path, map_file: str | Path) -> Run:
-    """The run in a table of another program (CSV, Parquet, MAT, MDF), whose columns a map names (TOML).
-
-    The map says rate, units, loops and what was injected where; `docs/files.md` has its keys. Raises
-    UnreadableInputError for a damaged file, WrongUseError for a map that does not fit it.
-    """
-    from loopshape.io.read.import_file import import_file
-
-    return import_file(Path(file), Path(map_file))
-
-
-def read_frf(file: str | Path, **stated: Any) -> FRF:
-    """The FRF in a file of another program (CSV, MAT, UFF), told by its ending.
-
-    `stated` replaces what the file says or leaves out: relative_std (0: exact), averages, inputs, outputs, recording,
-    loop, rate_hz. Raises WrongUseError where neither the file nor `stated` tells the error.
-    """
-    from loopshape.toolbox.formats.frf.frf_exchange import read_frf_file
-    from loopshape.toolbox.formats.frf.frf_foreign import Stated
-
-    refuse_unknown_keys("what is stated of a FRF is not known", stated, [f.name for f in fields(Stated)])
-    return read_frf_file(Path(file), Stated(**stated))
 
 
 def read_controllers(file: str | Path) -> tuple[Controller, ...]:
@@ -153,26 +126,6 @@ def _(what: FRF, path: Path) -> None:
     from loopshape.toolbox.formats.frf.frf_exchange import write_frf_file
 
     write_frf_file(path, what)
-
-
-def export(
-    controllers: Controller | GainScheduled | Tuning | Diagram | Sequence[Controller | GainScheduled],
-    folder: str | Path,
-    to: str,
-) -> tuple[Path, ...]:
-    """Write controllers as the target runs them, in sections: "json", "matlab", or "c" (a C99 header); gives the files.
-
-    A schedule is written as "json" or "c", a diagram too: its controllers, and what leads from one to the other.
-    Raises WrongUseError for another format and for sections that are unstable as they will run.
-    """
-    from loopshape.toolbox.formats.controllers.controller_export import export_controllers
-
-    if isinstance(controllers, Diagram):
-        from loopshape.toolbox.diagrams.diagram_c import export_diagram
-
-        return export_diagram(Path(folder), controllers, to)
-    one = controllers.controller if isinstance(controllers, Tuning) else controllers
-    return export_controllers(Path(folder), (one,) if isinstance(one, Controller | GainScheduled) else tuple(one), to)
 
 
 def figure_bytes(megabytes: float) -> int:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
 from loopshape.toolbox.formats.logs.blackbox import _Bytes, _four, _three, read_blackbox
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import open_source
 
 N = 3000
 NAMES = (

@@ -15,10 +15,10 @@ from scipy.stats import f as f_distribution
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 SHARED = Path(os.environ.get("LOOPSHAPE_DATA") or Path(__file__).parents[2] / ".." / "shared" / "data")
 T = np.arange(400) / 50.0

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError, LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 FPS = 30
 JOINTS = ["shoulder_pan.pos", "shoulder_lift.pos", "gripper.pos"]

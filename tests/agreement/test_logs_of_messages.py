@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 N = 200
 X = np.sin(0.1 * np.arange(N))

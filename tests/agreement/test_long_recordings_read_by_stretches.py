@@ -15,12 +15,12 @@ from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.quality import faults
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra import long_transforms
-from loopshape.io.read import sources
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.spool import Spool
 from loopshape.io.run import tables
 from loopshape.io.run.run_folder import check_recordings, holds, read_run, write_run
 from loopshape.io.run.verify import verify
+from loopshape.toolbox.formats.tables import sources
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.spool import Spool
 
 ROWS = 20_000
 RATE_HZ = 1000.0

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 matio = pytest.importorskip("matio")
 matclass = pytest.importorskip("matio.utils.matclass")

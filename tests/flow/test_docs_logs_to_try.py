@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.io.read.import_file import import_file
 from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.S)

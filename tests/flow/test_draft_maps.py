@@ -9,9 +9,9 @@ from scipy.io import savemat
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.read.import_file import import_file
 from loopshape.toolbox.formats.commands.import_file import import_file as command
 from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 RATE, N = 500.0, 6000
 

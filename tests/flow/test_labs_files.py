@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 from loopshape.toolbox.rig.simulated import experiment, plan
 
 RATE = 200.0
@@ -87,8 +87,8 @@ DAMAGED = """
 import sys, numpy as np
 from pathlib import Path
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 whole, folder, refused = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), 0
 for seed in range(60):
     rng = np.random.default_rng(seed)

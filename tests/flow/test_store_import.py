@@ -9,9 +9,9 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from loopshape.core.units import deg
-from loopshape.io.read.import_file import import_file
 from loopshape.io.run.run_folder import check_recordings, read_run, write_run
 from loopshape.toolbox.formats.logs.mat5 import read_mat5
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 DATA = Path(os.environ.get("LOOPSHAPE_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="recordings of real machines are absent: set LOOPSHAPE_DATA")

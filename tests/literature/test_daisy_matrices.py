@@ -12,7 +12,7 @@ import pytest
 from loopshape.data.response.frf import FRF
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 MAPS = Path(__file__).parents[2] / "examples" / "daisy"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis

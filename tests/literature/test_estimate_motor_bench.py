@@ -15,7 +15,7 @@ from loopshape.core.units import db
 from loopshape.identify.fit.fit import fit, modes
 from loopshape.identify.fit.structures import Rational
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = Path(os.environ.get("LOOPSHAPE_DATA", ROOT / ".." / "shared" / "data")) / "tokyo_bench" / "MultisineTypeA.mat"

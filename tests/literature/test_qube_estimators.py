@@ -9,7 +9,7 @@ import pytest
 
 from loopshape.core.units import db
 from loopshape.identify.quality.quality import loop_feedback
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDY = ROOT / "experiments" / "qube"

@@ -22,9 +22,9 @@ from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.multisine import Multisine
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
+from loopshape.io.csv_text import CsvShape, read_csv_table
 from loopshape.io.files import read_toml, write_toml
 from loopshape.io.held import alone
-from loopshape.io.read.csv_text import CsvShape, read_csv_table
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.replacing import replace_run
 from loopshape.io.run.run_folder import add_recording, finished, start_run

@@ -10,9 +10,9 @@ import pytest
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
 from loopshape.io.profiles import profile_of
-from loopshape.io.read.import_file import import_file
 from loopshape.io.write.check_files import check_files
 from loopshape.io.write.frfs import write_frfs
+from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.own.file import _function, _unpacked
 
 MAP = """format = "loopshape-map/1"

@@ -7,12 +7,12 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.commands.import_file import import_file as command
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 N = 2000
 T = np.arange(N) / 500.0

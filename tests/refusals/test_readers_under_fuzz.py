@@ -26,10 +26,8 @@ from loopshape.data.response.model import Estimate, Fit, TransferFunction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
+from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import read_toml, write_text_whole
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.sources import Place, open_source
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.journal import note, read_journal
 from loopshape.io.run.run_folder import add_recording, check_recordings, finished, read_run, start_run
@@ -41,6 +39,8 @@ from loopshape.io.write.fits import read_fits, write_fits
 from loopshape.io.write.frfs import read_frfs, write_frfs
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.campaign.files import read_campaign
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 from loopshape.toolbox.rig.effects import asked
 from loopshape.toolbox.rig.simulated import plan
 
@@ -559,8 +559,8 @@ import resource, sys, warnings
 from pathlib import Path
 import numpy as np
 from loopshape.core.errors import LoopshapeError
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.sources import Place, open_source
+from loopshape.io.csv_text import CsvShape
+from loopshape.toolbox.formats.tables.sources import Place, open_source
 warnings.simplefilter("ignore")
 resource.setrlimit(resource.RLIMIT_AS, (MOST, MOST))
 whole, folder, tries, refused = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), int(sys.argv[3]), 0

@@ -7,7 +7,7 @@ from fuzz_cases import said
 from scipy.io import savemat
 
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.io.read.import_file import import_file
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 MAP = """
 format = "loopshape-map/1"

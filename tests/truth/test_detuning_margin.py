@@ -14,10 +14,10 @@ from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.smooth.resonances import Phase, resonances
-from loopshape.io.read.import_file import import_file
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 BENCH = Path(__file__).resolve().parents[2] / "examples" / "motor_bench"
 LINES = np.unique(np.round(np.concatenate([np.arange(2.0, 200.0, 0.25), np.geomspace(200.0, 900.0, 80)]), 4))

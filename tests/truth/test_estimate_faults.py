@@ -11,8 +11,8 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.quality.faults import saturated, spikes, stuck
 from loopshape.identify.quality.quality import faults
-from loopshape.io.read.import_file import import_file
 from loopshape.io.run.run_folder import check_recordings
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 RATE = 1000.0
 N = 20_000

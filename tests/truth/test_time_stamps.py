@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import BadSignalError
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.stamps import check_rate, read_stamps
+from loopshape.io.stamps import check_rate, read_stamps
+from loopshape.toolbox.formats.tables.import_file import import_file
 
 N = 5000
 K = np.arange(N)

@@ -9,9 +9,9 @@ import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.data.control.controller import step
 from loopshape.identify.signals import sum_was_logged
-from loopshape.io.read.import_file import import_file
-from loopshape.io.read.made_columns import answered, read_terms
 from loopshape.io.run.run_folder import read_run, write_run
+from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.formats.tables.made_columns import answered, read_terms
 
 RATE_HZ, N = 100.0, 12_000
 CONTROLLER = (

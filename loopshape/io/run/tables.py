@@ -18,12 +18,12 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.json_ready import json_ready
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal, stretches
 from loopshape.core.units import Array
+from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
 from loopshape.io.files import fill, reading, short
 from loopshape.io.growth import check_growth
 from loopshape.io.provenance import file_hash
-from loopshape.io.read.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
-from loopshape.io.read.stamps import check_rate
 from loopshape.io.seen import State, refuse, state_of
+from loopshape.io.stamps import check_rate
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 TIME = "t_s"

@@ -12,8 +12,8 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array
 from loopshape.data.response.frf import FRF
+from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_table
 from loopshape.io.files import reading, short, write_text_whole
-from loopshape.io.read.csv_text import CsvShape, CsvTable, read_csv_table
 from loopshape.io.words import refuse_doubles
 from loopshape.io.write.frf_words import frf_header
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF, Stated

@@ -2,3 +2,29 @@
 
 Machines of one's own (`own`, `mechanism`) live here too.
 """
+
+from __future__ import annotations
+
+from loopshape.core.toolboxes import Command, Toolbox
+
+TOOLBOX = Toolbox(
+    "gap",
+    "Why the simulation lies: a run and a machine that can be followed come in, a gap report goes out",
+    commands=(
+        Command("Diagnose", "gap", "loopshape.toolbox.gap.commands.gap:gap", "loopshape gap runs/arm", 10),
+        Command(
+            "Diagnose", "effects", "loopshape.toolbox.gap.commands.effects:effects", "loopshape effects arm-1dof", 20
+        ),
+    ),
+    names={
+        "axis": "loopshape.toolbox.gap.nouns.axis",
+        "GapReport": "loopshape.toolbox.gap.nouns.gap_report",
+        "Input": "loopshape.toolbox.gap.nouns.machine",
+        "Model": "loopshape.toolbox.gap.nouns.machine",
+        "ModelParameter": "loopshape.toolbox.gap.nouns.machine",
+        "Output": "loopshape.toolbox.gap.nouns.machine",
+        "Port": "loopshape.toolbox.gap.nouns.machine",
+        "gap": "loopshape.toolbox.gap.verbs",
+        "identifiability": "loopshape.toolbox.gap.verbs",
+    },
+)

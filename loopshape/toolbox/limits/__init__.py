@@ -2,3 +2,27 @@
 
 A controller of a given order near that bound goes out too.
 """
+
+from __future__ import annotations
+
+from loopshape.core.toolboxes import Command, Toolbox
+
+TOOLBOX = Toolbox(
+    "limits",
+    "What is achievable: FRFs and requirements come in, the bandwidth that no controller exceeds goes out",
+    commands=(
+        Command(
+            "Design",
+            "bound",
+            "loopshape.toolbox.limits.command:bound",
+            "loopshape bound runs/axis controller.toml --require requirements.toml",
+            30,
+        ),
+    ),
+    names={
+        "Bound": "loopshape.toolbox.limits.bound",
+        "bound": "loopshape.toolbox.limits.verbs",
+        "reach": "loopshape.toolbox.limits.verbs",
+        "schedule": "loopshape.toolbox.limits.verbs",
+    },
+)

@@ -2,3 +2,29 @@
 
 `tone` tells what a recording holds by itself: rms, and tones that the excitation does not explain.
 """
+
+from __future__ import annotations
+
+from loopshape.core.toolboxes import Command, Toolbox
+
+TOOLBOX = Toolbox(
+    "planning",
+    "Which experiment to make: a first short recording comes in, a plan with its excitation goes out",
+    commands=(
+        Command(
+            "Estimate",
+            "plan",
+            "loopshape.toolbox.planning.commands.plan:plan",
+            "loopshape plan runs/axis --std-percent 5",
+            40,
+        ),
+        Command(
+            "Estimate", "tones", "loopshape.toolbox.planning.commands.tones:tones", "loopshape tones runs/axis", 50
+        ),
+    ),
+    names={
+        "tones": "loopshape.toolbox.planning.tone.verbs",
+        "plan": "loopshape.toolbox.planning.verbs",
+        "write_plan": "loopshape.toolbox.planning.verbs",
+    },
+)

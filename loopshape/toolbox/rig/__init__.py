@@ -2,3 +2,44 @@
 
 `c_target` is the reference target in C99.
 """
+
+from __future__ import annotations
+
+from loopshape.core.toolboxes import Command, Toolbox
+
+TOOLBOX = Toolbox(
+    "rig",
+    "The machine: simulated, or a real-time target over a wire; an experiment comes in, a recording goes out",
+    commands=(
+        Command(
+            "Measure and import",
+            "measure",
+            "loopshape.toolbox.rig.commands.measure:measure",
+            "loopshape measure examples/arm/identify.toml --out runs/arm",
+            10,
+        ),
+        Command(
+            "Measure and import",
+            "simulate",
+            "loopshape.toolbox.rig.commands.simulate:simulate",
+            "loopshape simulate examples/arm/steps.toml --out runs/steps --effect payload=20",
+            20,
+        ),
+        Command(
+            "Measure and import",
+            "emulator",
+            "loopshape.toolbox.rig.commands.emulator:emulator",
+            "loopshape emulator --tcp 4040",
+            60,
+        ),
+        Command(
+            "Measure and import", "stop", "loopshape.toolbox.rig.commands.stop:stop", "loopshape stop runs/arm", 70
+        ),
+    ),
+    names={
+        "connect": "loopshape.toolbox.rig.verbs.machine",
+        "emulator": "loopshape.toolbox.rig.verbs.machine",
+        "measure": "loopshape.toolbox.rig.verbs.machine",
+        "stop": "loopshape.toolbox.rig.verbs.stop",
+    },
+)

@@ -18,12 +18,9 @@ import numpy as np
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
 from loopshape.core.units import Array, to_stored
+from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import make_folder, read_toml, short, write_text_whole
 from loopshape.io.provenance import file_sha256
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.import_map import FORMAT
-from loopshape.io.read.sources import Place, Source, is_text, open_source
-from loopshape.io.read.text_layout import DATE, TextLayout, read_layout
 from loopshape.io.toml_text import toml_text
 from loopshape.toolbox.formats.drafts.column_words import (
     Role,
@@ -39,6 +36,9 @@ from loopshape.toolbox.formats.logs.blackbox import rate_fields
 from loopshape.toolbox.formats.logs.dataflash import rate_message
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 from loopshape.toolbox.formats.logs.ulog import rate_loop
+from loopshape.toolbox.formats.tables.import_map import FORMAT
+from loopshape.toolbox.formats.tables.sources import Place, Source, is_text, open_source
+from loopshape.toolbox.formats.tables.text_layout import DATE, TextLayout, read_layout
 
 #: columns that a draft holds, of an array that counts as signals, and among which parts are looked for
 _MOST_COLUMNS, _MOST_SEEN = 64, 24

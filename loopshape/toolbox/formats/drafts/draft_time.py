@@ -14,11 +14,11 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import UNITS, Array
-from loopshape.io.read.sources import Place
-from loopshape.io.read.stamps import ON_GRID, read_stamps
-from loopshape.io.read.text_layout import TextLayout
+from loopshape.io.stamps import ON_GRID, read_stamps
 from loopshape.toolbox.formats.drafts.column_words import is_time, role_weights, unit_of_word, words_of
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
+from loopshape.toolbox.formats.tables.sources import Place
+from loopshape.toolbox.formats.tables.text_layout import TextLayout
 
 _RATE_WORDS = re.compile(
     r"(?<!baud )(?<!bit )(?<!flow )(?<!feed )(?<!slew )(?<!frame )(?<!data )"

@@ -12,12 +12,12 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array, hz
 from loopshape.data.response.frf import FRF
+from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import reading, short, write_whole
-from loopshape.io.read.csv_text import CsvShape
-from loopshape.io.read.sources import open_source
 from loopshape.io.write.frf_words import PERHAPS, frf_arrays, frf_header
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 from loopshape.toolbox.formats.logs.mat5 import read_mat5
+from loopshape.toolbox.formats.tables.sources import open_source
 
 FORMAT = "loopshape-frf-mat/1"
 #: a variable with the lines, and its unit; without a unit of its own `frequency_unit` says it, else it is Hz

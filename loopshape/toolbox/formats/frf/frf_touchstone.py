@@ -13,8 +13,8 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import ComplexArray, from_db, rad
+from loopshape.io.csv_text import whole_text
 from loopshape.io.files import reading, short
-from loopshape.io.read.csv_text import whole_text
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 
 _MOST_BYTES = 1 << 26

@@ -15,12 +15,12 @@ from loopshape.core.units import Array
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.io.files import short
-from loopshape.io.read.import_map import ColumnRule, ImportMap, read_map
-from loopshape.io.read.made_columns import make_columns
-from loopshape.io.read.sources import Source, open_source
-from loopshape.io.read.stamps import ON_GRID, Stamps, check_rate, read_stamps
 from loopshape.io.run.tables import TIME
+from loopshape.io.stamps import ON_GRID, Stamps, check_rate, read_stamps
 from loopshape.io.words import said_in
+from loopshape.toolbox.formats.tables.import_map import ColumnRule, ImportMap, read_map
+from loopshape.toolbox.formats.tables.made_columns import make_columns
+from loopshape.toolbox.formats.tables.sources import Source, open_source
 
 _MOST_GROWTH = 50  # times the file's rows; more comes from a wrong unit of the stamps
 _GAP = 1.5  # median steps

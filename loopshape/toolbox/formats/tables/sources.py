@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -11,12 +12,11 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal
+from loopshape.core.toolboxes import found, function_at
 from loopshape.core.units import Array
+from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.io.files import reading, short
 from loopshape.io.growth import check_zip
-from loopshape.io.read.csv_text import CsvShape, csv_stretches, read_csv_table
-from loopshape.io.read.plain_arrays import read_json_arrays, read_wav
-from loopshape.io.read.spool import Spool
 from loopshape.io.run.tables import TableColumns
 from loopshape.toolbox.formats.frf.frf_uff import read_uff_histories, uff_units
 from loopshape.toolbox.formats.logs.blackbox import rates_in_deg, read_blackbox
@@ -29,6 +29,8 @@ from loopshape.toolbox.formats.logs.mdf4 import TIME_OF, Arrays, mdf_array, mdf_
 from loopshape.toolbox.formats.logs.messages import read_bag, read_mcap
 from loopshape.toolbox.formats.logs.tdms import read_tdms, tdms_units
 from loopshape.toolbox.formats.logs.ulog import read_ulog
+from loopshape.toolbox.formats.tables.plain_arrays import read_json_arrays, read_wav
+from loopshape.toolbox.formats.tables.spool import Spool
 
 _TEXT = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".lvm", ".asc", ".log", ".prn")
 #: cures for files that are not read
@@ -52,6 +54,17 @@ _STATED: dict[str, Callable[[Path, Mapping[str, np.ndarray]], Mapping[str, str]]
     **dict.fromkeys((".uff", ".unv"), lambda path, arrays: uff_units(path)),
     **dict.fromkeys((".bbl", ".bfl"), lambda path, arrays: rates_in_deg(arrays)),
 }
+
+
+def _whole() -> dict[str, Callable[[Path], dict[str, np.ndarray]]]:
+    """Readers of whole files by ending: ours, and those of toolboxes of others for endings that we do not read."""
+    others = {ending: place for one in found().toolboxes.values() for ending, place in one.readers.items()}
+    return {ending: partial(_of_others, place) for ending, place in others.items()} | _WHOLE
+
+
+def _of_others(place: str, path: Path) -> dict[str, np.ndarray]:
+    with reading(path, f"{path.suffix} (read by {place})"):
+        return {str(name): np.asarray(values) for name, values in function_at(place)(path).items()}
 
 
 def _no_units(path: Path, arrays: Mapping[str, np.ndarray]) -> Mapping[str, str]:
@@ -208,7 +221,7 @@ def open_source(
     if name.endswith(_MDF):
         names, closed = mdf_names(path)
         return Source(path, names, lambda name: mdf_array(path, name), stated=lambda: mdf_units(path), closed=closed)
-    if (whole := _WHOLE.get(path.suffix.lower())) is not None:
+    if (whole := _whole().get(path.suffix.lower())) is not None:
         arrays = whole(path)
         stated = _STATED.get(path.suffix.lower(), _no_units)
         about = arrays if isinstance(arrays, Arrays) else Arrays({})
@@ -218,7 +231,7 @@ def open_source(
         )  # fmt: skip
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
-        f"{_OTHERS.get(path.suffix.lower(), '')}use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_WHOLE))}",
+        _OTHERS.get(path.suffix.lower(), "") + f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_whole()))}",
     )  # fmt: skip
 
 

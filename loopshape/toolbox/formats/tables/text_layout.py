@@ -9,8 +9,8 @@ from itertools import product
 from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError
+from loopshape.io.csv_text import CsvShape, first_text
 from loopshape.io.files import short
-from loopshape.io.read.csv_text import CsvShape, first_text
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _LOOKED_AT = 1 << 18  # bytes

@@ -1,0 +1,93 @@
+"""Toolboxes: what stands beside the bench and is found by the entry points `loopshape.toolboxes`.
+
+Each entry point names one `Toolbox`, made of words alone: what they name is imported when it is used. A package of
+somebody else's declares one likewise, in its pyproject.toml:
+
+    [project.entry-points."loopshape.toolboxes"]
+    mine = "my_package:TOOLBOX"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+GROUP = "loopshape.toolboxes"
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of the program: under which heading of `--help`, its name, its function, an example.
+
+    `at` is "module:function". Commands of one heading are listed by `rank`, then by name.
+    """
+
+    heading: str
+    name: str
+    at: str
+    example: str
+    rank: float = 100.0
+
+
+@dataclass(frozen=True)
+class Toolbox:
+    """What a toolbox adds: its commands, its public names (name to module), and who reads files of which ending.
+
+    `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
+    `loopshape import` uses them.
+    """
+
+    name: str
+    purpose: str
+    commands: tuple[Command, ...] = ()
+    names: Mapping[str, str] = field(default_factory=dict)
+    readers: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The toolboxes of this installation, by name, and a sentence for each that could not be used."""
+
+    toolboxes: Mapping[str, Toolbox]
+    broken: tuple[str, ...]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Public names of all toolboxes, with the module that holds each."""
+        return {name: home for one in self.toolboxes.values() for name, home in one.names.items()}
+
+
+@cache
+def found() -> Found:
+    """What is installed. A toolbox that cannot be loaded, or is none, is left out and said."""
+    made: dict[str, Toolbox] = {}
+    broken: list[str] = []
+    for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
+        try:
+            made[point.name] = _loaded(point)
+        except Exception as error:  # whatever a stranger's module does when it is imported
+            broken.append(_sentence(point, error))
+    return Found(made, tuple(broken))
+
+
+def _loaded(point: EntryPoint) -> Toolbox:
+    one = point.load()
+    if not isinstance(one, Toolbox):
+        raise TypeError(f"{point.value} is a {type(one).__name__} and no loopshape.core.toolboxes.Toolbox")
+    return one
+
+
+def _sentence(point: EntryPoint, error: Exception) -> str:
+    package = "" if point.dist is None else f" of the package {point.dist.name}"
+    reason = f"{type(error).__name__}: {error}".splitlines()[0]
+    return f"the toolbox {point.name}{package} was left out: {reason}"
+
+
+def function_at(place: str) -> Any:
+    """What stands at "module:function"."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
