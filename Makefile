@@ -57,11 +57,12 @@ test-newest: $(STAMP) ## the same on the newest Python here (PYTHON_NEWEST) and 
 	$(UV) pip install --python .venv-newest --upgrade $(EXTRAS) $(RUNNER)
 	OMP_NUM_THREADS=1 .venv-newest/bin/python $(SHORT)
 
-check: $(STAMP) ## ruff, the type checker, and who may import whom
-	$(BIN)/ruff check loopshape tests experiments examples docs
-	$(BIN)/ruff format --check loopshape tests experiments examples docs
+check: $(STAMP) ## ruff, the type checker, who may import whom, and that the house stays as small as it is
+	$(BIN)/ruff check loopshape tests experiments examples docs .ci
+	$(BIN)/ruff format --check loopshape tests experiments examples docs .ci
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/house.py
 
 speed: $(STAMP) ## benchmarks against peers (needs a C compiler); no gate
 	$(BIN)/python tests/speed/run.py

@@ -70,7 +70,9 @@ def main() -> int:
     if "--write" in sys.argv:
         text = NUMBERS.read_text(encoding="utf-8")
         for name, value in now.items():
-            text = re.sub(rf"^{name} = (\d+)", lambda m, v=value: m[0].replace(m[1], str(min(v, int(m[1])))), text, flags=re.M)
+            text = re.sub(
+                rf"^{name} = (\d+)", lambda m, v=value: m[0].replace(m[1], str(min(v, int(m[1])))), text, flags=re.M
+            )
         NUMBERS.write_text(text, encoding="utf-8")
     for name in grown:
         print(f"{name} grew: make it smaller, or raise it in .ci/house.toml with the reason beside it", file=sys.stderr)

@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from loopshape.data.signal.disturbance import Disturbance as Disturbance
     from loopshape.data.signal.recording import Recording as Recording
     from loopshape.data.signal.run import Run as Run
-    from loopshape.data.signal.study import Study as Study
     from loopshape.design.decoupling.decouple import decouple as decouple
     from loopshape.design.decoupling.decoupled import decoupled as decoupled
     from loopshape.design.tune import Tuning as Tuning
@@ -94,6 +93,7 @@ if TYPE_CHECKING:
     from loopshape.toolbox.planning.tone.verbs import tones as tones
     from loopshape.toolbox.planning.verbs import plan as plan
     from loopshape.toolbox.planning.verbs import write_plan as write_plan
+    from loopshape.toolbox.rig.study import Study as Study
     from loopshape.toolbox.rig.verbs.machine import connect as connect
     from loopshape.toolbox.rig.verbs.machine import emulator as emulator
     from loopshape.toolbox.rig.verbs.machine import measure as measure
@@ -139,7 +139,6 @@ _HOME = {
     "Requirements": "data.requirement.requirements",
     "Run": "data.signal.run",
     "SeveralRequirements": "data.requirement.requirements",
-    "Study": "data.signal.study",
     "Tuning": "design.tune",
     "Verdict": "data.result.verdict",
     "Weight": "data.requirement.weight",

@@ -13,8 +13,8 @@ from loopshape.core.kernels.noise import start_state
 from loopshape.data.control.gain_scheduled import Follows
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.io.run.run_folder import read_run
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.rig.described import DescribedRig
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment as experiment_of
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.verbs.machine import ended_early, measure

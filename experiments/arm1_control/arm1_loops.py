@@ -17,12 +17,12 @@ from loopshape.data.requirement.requirements import Margins, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.signal.study import Study
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.study import Study
 
 PLACES = ("figure_4_12", "figure_4_15.measured", "figure_4_14", "figure_4_15.simulated")
 UPRIGHT = (0.0, 1.0)

@@ -17,7 +17,6 @@ from loopshape.data.response.model import TransferFunction
 from loopshape.data.result.prediction import Indicators, StepComparison
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import Study
 from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.equilibrium import rest
@@ -26,6 +25,7 @@ from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants
 from loopshape.toolbox.arm.source import value
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.simulated import header, measure, plan
+from loopshape.toolbox.rig.study import Study
 
 P_AB = "p_a_bar + p_b_bar"
 

@@ -35,9 +35,9 @@ from source_controllers import angle_controller, pressure_controller, third_orde
 from loopshape.core.units import deg  # noqa: E402
 from loopshape.data.control.controller import Controller  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study.study import read_study  # noqa: E402
 from loopshape.io.write.controllers import read_controllers  # noqa: E402
 from loopshape.toolbox.arm.source import value  # noqa: E402
+from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

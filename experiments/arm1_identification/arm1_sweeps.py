@@ -14,7 +14,6 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import Study
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.arm.arm1 import Arm1
@@ -22,6 +21,7 @@ from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.simulated import header, measure, plan
+from loopshape.toolbox.rig.study import Study
 
 Point = tuple[float, float]
 

@@ -22,9 +22,9 @@ from arm1_sweeps import Arm, Found, by_formula_4_9, found, recorded  # noqa: E40
 
 from loopshape.data.control.controller import Block  # noqa: E402
 from loopshape.data.signal.recording import Recording  # noqa: E402
-from loopshape.data.signal.study import Study  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study.study import read_study  # noqa: E402
+from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
+from loopshape.toolbox.rig.study import Study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name

@@ -26,11 +26,11 @@ from loopshape.data.signal.run import Run  # noqa: E402
 from loopshape.identify.matrix.interaction import interaction  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study.study import read_study  # noqa: E402
 from loopshape.toolbox.arm.arm1 import Arm1  # noqa: E402
 from loopshape.toolbox.arm.dynamics.equilibrium import pressures  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise  # noqa: E402
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
+from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
 from loopshape.view.plots.curves import draw_band, frequency_axis  # noqa: E402
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, png, styled  # noqa: E402

@@ -12,9 +12,9 @@ from loopshape.core.units import Array, deg
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.io.study.study import read_study
 from loopshape.loop.predict.indicators import recorded_steps
 from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import measure
 
 STEPS = (

@@ -29,7 +29,6 @@ from loopshape.data.result.verdict import Verdict  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study.study import read_study  # noqa: E402
 from loopshape.io.write.requirements import read_requirements  # noqa: E402
 from loopshape.loop.matrix.several import check_several  # noqa: E402
 from loopshape.loop.verdict import check, loops_of  # noqa: E402
@@ -38,6 +37,7 @@ from loopshape.toolbox.arm.dynamics.linear2 import linearise2  # noqa: E402
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
 from loopshape.toolbox.arm.source import value  # noqa: E402
 from loopshape.toolbox.arm.strategies2 import DUAL  # noqa: E402
+from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
 from loopshape.view.plots.loops import loop_page  # noqa: E402
 from loopshape.view.plots.nichols import nichols  # noqa: E402

@@ -13,10 +13,10 @@ import numpy as np
 import loopshape as ls
 from loopshape.core.units import deg
 from loopshape.identify.matrix.interaction import interaction
-from loopshape.io.study.study import read_study
 from loopshape.io.write.controllers import write_controllers
 from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 
 HERE = Path(__file__).parent

@@ -13,10 +13,10 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, head, new_figure, png, styled

@@ -16,7 +16,6 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.study import Study
 from loopshape.design.tune import tune
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
@@ -26,6 +25,7 @@ from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.schedules.schedule import Schedule, schedule
 
 

@@ -20,7 +20,6 @@ from loopshape.data.response.frf import FRF  # noqa: E402
 from loopshape.data.response.interaction import Interaction  # noqa: E402
 from loopshape.data.signal.recording import Recording  # noqa: E402
 from loopshape.data.signal.run import Run  # noqa: E402
-from loopshape.data.signal.study import Study  # noqa: E402
 from loopshape.identify.matrix.interaction import interaction  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.toolbox.arm.arm1 import Arm1  # noqa: E402
@@ -29,6 +28,7 @@ from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise  # no
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
 from loopshape.toolbox.arm.source import value  # noqa: E402
 from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
+from loopshape.toolbox.rig.study import Study  # noqa: E402
 
 LOOPS = ("theta2", "p_ab")
 LIMIT_DB = value("figure_h_7.interaction")

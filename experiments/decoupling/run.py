@@ -22,11 +22,11 @@ from decoupling_static import behind, lines, loop_margins, matrices  # noqa: E40
 
 from loopshape.core.units import Array, db  # noqa: E402
 from loopshape.data.requirement.requirements import Margins  # noqa: E402
-from loopshape.data.signal.study import Study  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.study.study import read_study  # noqa: E402
 from loopshape.io.write.controllers import read_controllers  # noqa: E402
 from loopshape.io.write.requirements import read_requirements  # noqa: E402
+from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
+from loopshape.toolbox.rig.study import Study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 ROOT = HERE.parent.parent

@@ -11,8 +11,8 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.identify.fit.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "arm"

@@ -9,9 +9,9 @@ from learning_tables import Results, Rows
 from rivals import EXAMPLE
 from trial_outcomes import Summary, interval_percent
 
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import plan
 
 ITEM = "section 5.4"

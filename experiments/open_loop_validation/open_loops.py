@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import Array, deg
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.model import geometry, muscle, nominal_length
 from loopshape.toolbox.arm.effect import effect_parameters as e
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment, plan
 
 STUDY = Path(__file__).parent / "study.toml"

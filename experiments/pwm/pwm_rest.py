@@ -11,12 +11,12 @@ import numpy as np
 
 from loopshape.core.units import Array, deg
 from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.study import Study
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics import pwm
 from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import measure
+from loopshape.toolbox.rig.study import Study
 
 REPEATS = 0.9999  # correlation with itself some PWM periods later: periodic
 DECAYS = 0.8  # second half over first half: still on its way to rest

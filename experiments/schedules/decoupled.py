@@ -11,9 +11,9 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.identify.matrix.interaction import interaction
-from loopshape.io.study.study import read_study
 from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 
 HERE = Path(__file__).parent

@@ -12,15 +12,15 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 import loopshape as ls
-from loopshape.data.signal.study import expanded
 from loopshape.identify.frequency_response import estimate_realisations, estimate_together
 from loopshape.identify.settings import Settings
-from loopshape.io.study.study import read_study
 from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.rig.study import expanded
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

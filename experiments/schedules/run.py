@@ -15,18 +15,18 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.data.signal.study import expanded
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.study.study import read_study
 from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
-from loopshape.view.gain_scheduled import gain_scheduled_page
+from loopshape.toolbox.rig.study import expanded
 from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE))
+from picture import gain_scheduled_page  # noqa: E402
 from tables import write  # noqa: E402
 
 SETTINGS = tomllib.loads((HERE / "settings.toml").read_text(encoding="utf-8"))

@@ -24,9 +24,9 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
 from loopshape.identify.settings import settings_of
-from loopshape.toolbox.rig.verbs.watch import Unwatched, Watch
 from loopshape.verbs.files import read
 from loopshape.verbs.given import Plants, controller_of, met, plants_of
+from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.result.prediction import Comparison, Prediction

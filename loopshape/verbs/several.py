@@ -10,8 +10,8 @@ from loopshape.core.errors import BadSignalError
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
 from loopshape.identify.settings import Settings, settings_of
-from loopshape.toolbox.rig.verbs.watch import Unwatched, Watch
 from loopshape.verbs.files import read
+from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction

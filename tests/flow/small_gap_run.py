@@ -9,10 +9,10 @@ import pytest
 from loopshape.cli.main import run as command
 from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect.effects import FORMS
 from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 MIDDLE, SIDE, OTHER = ({"theta2_deg": a, "p_ab_bar": p} for a, p in ((0.0, 1.0), (20.0, 1.0), (10.0, 1.2)))
 KNOWN = ("payload", "joint_friction", "angle_sensor_lag")

@@ -6,8 +6,8 @@ import pytest
 from small_gap_run import KNOWN, MIDDLE, loopshape, recorded
 
 from loopshape.io.run.run_folder import write_run
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import measure, plan
 
 KEYS = {

@@ -14,8 +14,8 @@ from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
 from loopshape.identify.frequency_response import estimate_realisations
 from loopshape.io.run.run_folder import read_run
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 
 LINES = [round(0.2 * k, 6) for k in range(1, 80, 2) if k % 8 != 7]

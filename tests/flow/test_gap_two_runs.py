@@ -8,12 +8,12 @@ import pytest
 from loopshape.cli.output import Output
 from loopshape.core.errors import LoopshapeError
 from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.io.run.run_folder import read_run, write_run
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.gap.commands.gap_two_runs import two_runs
 from loopshape.toolbox.gap.two_runs.table import compare
 from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 15.0, "p_ab_bar": 1.0})
 ODD = tuple(0.1 * k for k in range(3, 141, 2) if k % 8 != 7)

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, UnreadableInputError
 from loopshape.io.csv_text import CsvShape
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.formats.tables.sources import Place, open_source
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment, plan
 
 RATE = 200.0

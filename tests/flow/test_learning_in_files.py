@@ -9,9 +9,9 @@ from commands import loopshape
 
 from loopshape.core.errors import LoopshapeError
 from loopshape.io.run.run_folder import read_run
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.learning.files import read_learning
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import plan
 
 PAGE = (Path(__file__).parents[2] / "docs" / "feedforward.md").read_text()

@@ -24,7 +24,7 @@ def installed(folder, name, entry):
 
 def python(folder, *words, module=()):
     path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, *(("-m", "loopshape") if not module else module), *map(str, words)]
+    command = [sys.executable, *(module or ("-m", "loopshape")), *map(str, words)]
     return subprocess.run(
         command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, timeout=120, check=False
     )

@@ -18,10 +18,10 @@ from loopshape.data.signal.experiment import Told
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.design.structure import NEAR
 from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
-from loopshape.io.study.study import _EXPERIMENT_KEYS
 from loopshape.io.words import Words
 from loopshape.loop.points import CLOSENESS
 from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
+from loopshape.toolbox.rig.files.study import _EXPERIMENT_KEYS
 from loopshape.view.html.verdict_parts import _column
 from loopshape.view.html.verdict_parts import margins as margin_tables
 

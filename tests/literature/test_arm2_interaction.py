@@ -14,9 +14,9 @@ from arm2_cases import ARM, MIDDLE, numbers, point
 
 from loopshape.identify.matrix.interaction import interaction
 from loopshape.identify.matrix.matrix import estimate_matrix
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import DECOUPLING, OUTPUTS, linearise2
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm2_interaction"

@@ -11,9 +11,9 @@ from source_controllers import third_order_plant
 from loopshape.core.units import db
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
+from loopshape.toolbox.rig.files.study import read_study
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm1_identification"
 

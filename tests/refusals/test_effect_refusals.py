@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.toolbox.gap.commands.effects import draw_effects
 from loopshape.toolbox.rig.effects import asked, catalogue, chosen, moves
 from loopshape.toolbox.rig.simulated import plan
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.toolbox.rig.verbs.machine import measure
 from loopshape.toolbox.servo.axis import ServoAxis
 

@@ -10,7 +10,7 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Sweep
 from loopshape.data.signal.excitation_sets import realised, together
 from loopshape.data.signal.experiment import Experiment, LoopSetup
-from loopshape.data.signal.study import ExperimentTemplate, expanded
+from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 ONE = Multisine(0.5, 20.0, 4.0, 1.0)
 HISS = BandNoise(0.5, 20.0, 40.0, 1.0, seed=1)

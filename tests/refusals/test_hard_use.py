@@ -29,7 +29,6 @@ from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.replacing import replace_run
 from loopshape.io.run.run_folder import add_recording, finished, start_run
 from loopshape.io.run.verify import verify
-from loopshape.io.study.study import read_study
 from loopshape.io.write.frfs import write_frfs
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.campaign import processes
@@ -37,6 +36,7 @@ from loopshape.toolbox.campaign.files import write_index
 from loopshape.toolbox.campaign.machines import Campaign
 from loopshape.toolbox.campaign.many import carried_out
 from loopshape.toolbox.formats.controllers.excitation_export import export_signals
+from loopshape.toolbox.rig.files.study import read_study
 
 RATE = 100.0
 STUDY = """

@@ -4,9 +4,9 @@ import pytest
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.rig.simulated import plan
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 
 def study(ramp_s, tail_s):

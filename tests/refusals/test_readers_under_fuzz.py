@@ -33,7 +33,6 @@ from loopshape.io.run.journal import note, read_journal
 from loopshape.io.run.run_folder import add_recording, check_recordings, finished, read_run, start_run
 from loopshape.io.run.tables import TableColumns
 from loopshape.io.run.verify import verify
-from loopshape.io.study.study import read_study
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.fits import read_fits, write_fits
 from loopshape.io.write.frfs import read_frfs, write_frfs
@@ -42,6 +41,7 @@ from loopshape.toolbox.campaign.files import read_campaign
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.sources import Place, open_source
 from loopshape.toolbox.rig.effects import asked
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import plan
 
 pytestmark = pytest.mark.long

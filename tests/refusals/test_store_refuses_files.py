@@ -18,11 +18,11 @@ from loopshape.io.files import (
     write_toml,
     write_whole,
 )
-from loopshape.io.study.study import read_study
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.fits import read_fits, write_fits
 from loopshape.io.write.frfs import read_frfs, write_frfs
 from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.rig.files.study import read_study
 
 
 def refused(read, path, text, *words, error=WrongUseError):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import RigError, WrongUseError
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.rig.described import DescribedRig
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.target.intake import Intake
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Identity, Samples

@@ -33,7 +33,7 @@ CAMPAIGN = 'format = "loopshape-campaign/1"\nstudy = "study.toml"\ndraws = {draw
 BARE = """
 import sys, time
 from pathlib import Path
-from loopshape.io.study.study import read_study
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.gap import registry
 from loopshape.toolbox.campaign.many import Job, done
 from loopshape.toolbox.rig.simulated import listed

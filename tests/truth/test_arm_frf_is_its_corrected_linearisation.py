@@ -7,8 +7,8 @@ import pytest
 from arm_sweep import command_amplitude, expected_angle_response
 
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.arm.dynamics.linear import linearise
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[2] / "experiments" / "arm_against_linearisation" / "slow_pressure.toml"

@@ -5,7 +5,7 @@ import pytest
 
 from loopshape.data.signal.excitation import BandNoise, Multisine
 from loopshape.data.signal.excitation_sets import orthogonal, realised, together, turns
-from loopshape.data.signal.study import ExperimentTemplate, expanded
+from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 RATE_HZ = 500.0
 PERIOD = 2000  # samples of 4 s

@@ -9,12 +9,12 @@ from loopshape.data.signal.excitation import Multisine, Staircase
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.gap.recordings import next_experiment as nxt
 from loopshape.toolbox.gap.recordings.probing import habits
 from loopshape.toolbox.rig.simulated import experiment as rig_experiment
 from loopshape.toolbox.rig.simulated import header, measure, plan
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 20.0, "p_ab_bar": 1.4})
 FRICTION = {"coulomb_nm": 0.1, "coulomb_rad_s": 0.03}

@@ -10,8 +10,7 @@ import math
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
-from loopshape.core.kernels.types import Array
+from loopshape.core.kernels.compiled import compiled_in_line
 
 MULTIPLIER = 1791398085
 LOW = 0xFFFFFFFF
@@ -37,13 +36,3 @@ def start_state(seed: int, stream: int = 0) -> int:
     """A generator's state from a seed and a stream number: well mixed, never zero."""
     words = np.random.SeedSequence([seed, stream]).generate_state(2)
     return (int(words[0]) % (MULTIPLIER - 2) + 1) << 32 | int(words[1])
-
-
-@compiled
-def fill_normal(state: int, out: Array) -> int:
-    """Fill `out` (n,) with standard normal values; gives the state after."""
-    for k in range(0, out.size - 1, 2):
-        state, out[k], out[k + 1] = normal_pair(state)
-    if out.size % 2:
-        state, out[out.size - 1], _ = normal_pair(state)
-    return state

@@ -16,7 +16,8 @@ from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.run_folder import RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
 from loopshape.io.seen import own
 from loopshape.io.words import Words
-from loopshape.toolbox.campaign.files import INDEX
+
+INDEX = "index.csv"
 
 
 def replace_run(folder: Path, run: Run) -> None:

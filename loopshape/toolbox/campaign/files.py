@@ -21,12 +21,12 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.io.files import PART, inside, reading, short, write_text_whole, write_whole
 from loopshape.io.held import alone
-from loopshape.io.study.study import read_study
+from loopshape.io.run.replacing import INDEX
 from loopshape.io.words import read_words
 from loopshape.toolbox.campaign.machines import Campaign, Machine, Part
+from loopshape.toolbox.rig.files.study import read_study
 
 FORMAT = "loopshape-campaign/1"
-INDEX = "index.csv"
 _PART_FOLDER = re.compile(r"part-(\d{1,6})-of-(\d{1,6})")
 Asked = Callable[[str, Iterable[str]], Mapping[str, float]]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.signal.excitation import Excitation
-from loopshape.data.signal.study import ExperimentTemplate, Study, merged_effects
 from loopshape.toolbox.gap.nouns.effect import Spread
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study, merged_effects
 
 MOST = 10_000_000  # machines: more is a slip of the pen
 SEEDS_APART = 1_000_003  # of machines' sensor noise

@@ -12,11 +12,11 @@ from typing import TypeVar
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.study import Study
 from loopshape.toolbox.campaign.cluster import by_cluster
 from loopshape.toolbox.campaign.processes import Work, by_processes
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
+from loopshape.toolbox.rig.study import Study
 
 R = TypeVar("R")
 _PER_CORE = 8  # processes: each takes some 200 MB and a start of seconds

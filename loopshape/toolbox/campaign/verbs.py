@@ -12,14 +12,14 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from loopshape.toolbox.campaign.machines import Part
-from loopshape.toolbox.rig.verbs.watch import Unwatched, Watch
+from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.data.signal.run import Run
-    from loopshape.data.signal.study import Study
     from loopshape.toolbox.campaign.machines import Campaign, Machine
     from loopshape.toolbox.campaign.many import Job
     from loopshape.toolbox.rig.simulated import Rig
+    from loopshape.toolbox.rig.study import Study
 
 NAMED_S = 1.0  # so long may tables that are whole wait to be named in run.toml: naming them together costs it once
 

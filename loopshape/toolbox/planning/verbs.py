@@ -13,7 +13,6 @@ from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.excitation_sets import realised
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import ExperimentTemplate, Study
 from loopshape.identify.frequency_response import excited_recordings
 from loopshape.io.files import make_folder, write_text_whole, write_toml
 from loopshape.io.write.check_files import controller_of
@@ -22,6 +21,7 @@ from loopshape.toolbox.planning.plan import plan as plan_from
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
 from loopshape.toolbox.rig.simulated import plan as doable
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.files import read
 
 

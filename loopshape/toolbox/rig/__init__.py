@@ -37,6 +37,7 @@ TOOLBOX = Toolbox(
         ),
     ),
     names={
+        "Study": "loopshape.toolbox.rig.study",
         "connect": "loopshape.toolbox.rig.verbs.machine",
         "emulator": "loopshape.toolbox.rig.verbs.machine",
         "measure": "loopshape.toolbox.rig.verbs.machine",

@@ -11,13 +11,13 @@ from loopshape.core.units import Array, db
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.study import Study
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.quality.distortion import distortion
 from loopshape.toolbox.gap.nouns.effect import EffectForm
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet, FrfChange, TimeChange
 from loopshape.toolbox.rig.effects import forms_of
 from loopshape.toolbox.rig.simulated import Rig, measure
+from loopshape.toolbox.rig.study import Study
 
 Signals = Callable[[Recording], Mapping[str, Array]]
 Paths = Mapping[str, tuple[str, str]]

@@ -17,9 +17,9 @@ from loopshape.data.signal.excitation import Sampled, samples
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import ExperimentTemplate, Setpoint, Study
 from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.study import ExperimentTemplate, Setpoint, Study
 
 
 class Rig(Plant, Protocol):

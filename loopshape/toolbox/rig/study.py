@@ -1,72 +1,184 @@
-"""What a study file says of a real-time target, with rig = "target".
-
-[target]
-port = "/dev/ttyACM0"                 # or tcp://127.0.0.1:4000; --port on the command line wins
-baud = 921600
-on_limit = "vent"                     # or "hold"
-watchdog_ms = 250
-soft_start_s = 2.0                    # the loops close, and setpoints move, over at least that long
-settle_s = 2.0                        # rest at an operating point before a recording
-place = true                          # an emulated machine stands at the operating point at a recording's start
-
-[target.commands]                     # each command as a sum of loops' z
-u_a_v = { theta2 = 1.0, p_ab = 1.0 }
-u_b_v = { theta2 = -1.0, p_ab = 1.0 }
-
-[limits]                              # of every sensor and command by name without unit; the rate may be left out
-theta2 = { low_deg = -40.0, high_deg = 40.0, rate_deg_s = 800.0 }
-u_a = { low_v = -4.0, high_v = 4.0 }
-"""
+"""A study: what to do to which rig, as a person writes it; `rigs` turns it into experiments."""
 
 from __future__ import annotations
 
-from dataclasses import fields
-from math import inf
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import to_stored
-from loopshape.io.study.study_signals import KEY_UNITS
-from loopshape.io.words import Words, said_in
-from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.data.control.controller import Block
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.signal.excitation import Excitation, Profile, Sampled, Staircase
+from loopshape.data.signal.excitation_sets import MOST_REALISATIONS, realised, together
+from loopshape.data.signal.experiment import LoopSetup, Told
+from loopshape.toolbox.diagrams.wired import Wired
+from loopshape.toolbox.rig.settings import TargetSettings
+
+FORMAT = "loopshape-study/1"
+Setpoint = Staircase | Profile
 
 
-def read_target(words: Words) -> TargetSettings | None:
-    """The settings, or None for a rig that is no target. Refuses unknown keys, units, and a target without limits."""
-    if words.text("rig") != "target":
-        if given := [key for key in ("target", "limits") if key in words.table]:
-            raise WrongUseError(f'{words.where}: only rig = "target" has {" and ".join(given)}', words.text("rig"))
-        return None
-    words.need("target", "limits")
-    inner, limits = words.inner("target"), words.inner("limits")
-    inner.only(*(f.name for f in fields(TargetSettings) if f.name != "limits"))
-    commands = inner.inner("commands")
-    read = [_limit(name, limits.inner(name)) for name in limits.table]
-    with said_in(inner.where):
-        return TargetSettings(
-            limits={limit.column: limit for limit in read},
-            commands={column: commands.numbers(column) for column in commands.table},
-            port=inner.maybe_text("port"),
-            baud=inner.whole("baud", TargetSettings.baud),
-            on_limit=inner.text("on_limit", TargetSettings.on_limit),
-            watchdog_ms=inner.whole("watchdog_ms", TargetSettings.watchdog_ms),
-            soft_start_s=inner.number("soft_start_s", TargetSettings.soft_start_s),
-            settle_s=inner.number("settle_s", TargetSettings.settle_s),
-            place=inner.truth("place", TargetSettings.place),
-        )
+@dataclass(frozen=True, eq=False)
+class ExperimentTemplate(Told):
+    """One `[[experiment]]` of a study, to be done at each of its operating points.
+
+    `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored units.
+    `feedforward` is added at the plant's input, by loop. The excitation starts after `lead_s` at rest and is followed
+    by `tail_s`; `duration_s` is the whole length where there is no excitation. `excites_also` are excitations of
+    further loops at once with that of `excites`, in the unit of the place they enter; `expanded` makes them orthogonal
+    over several templates.
+    `operating_points` None takes the study's; `parameters` come on top of the study's. Refuses `excites_also` without
+    `excites` and `excitation`, or with the loop of `excites`.
+    """
+
+    name: str
+    kind: str
+    injection: str
+    excites: str | None = None
+    excitation: Excitation | None = None
+    references: Mapping[str, Setpoint] = field(default_factory=dict)
+    control: Mapping[str, Setpoint] = field(default_factory=dict)
+    role: str = "estimation"
+    lead_s: float = 0.0
+    tail_s: float = 0.0
+    duration_s: float | None = None
+    operating_points: tuple[Mapping[str, float], ...] | None = None
+    excites_also: Mapping[str, Excitation] = field(default_factory=dict)
+    feedforward: Mapping[str, Sampled] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.excites_also and (self.excites is None or self.excitation is None):
+            raise WrongUseError(
+                f"experiment {self.name!r} excites further loops and no first one",
+                ", ".join(self.excites_also),
+                "give excites and excitation too",
+            )
+        if self.excites in self.excites_also:
+            raise WrongUseError(f"experiment {self.name!r} excites a loop twice", repr(self.excites), "name it once")
+
+    @property
+    def excited(self) -> dict[str, Excitation]:
+        """All that it injects, by loop, `excites` first; empty without an excitation."""
+        if self.excites is None or self.excitation is None:
+            return {}
+        return {self.excites: self.excitation, **self.excites_also}
 
 
-def _limit(name: str, words: Words) -> Limit:
-    """Limits of one column: low_<unit>, high_<unit> and, if required, rate_<unit>_s, all in one unit."""
-    unit = next((key.removeprefix("low_") for key in words.table if key.startswith("low_")), "")
-    if unit not in KEY_UNITS:
+def expanded(template: ExperimentTemplate, realisations: int | None = None) -> tuple[ExperimentTemplate, ...]:
+    """The templates that one stands for, each a recording per operating point.
+
+    `realisations` repeats it with new phases, under the names NAME-r1, NAME-r2, ...; several multisines at
+    once become as many templates as loops, NAME-s1, NAME-s2, ... (NAME-r1-s1, ...), orthogonal over them; several
+    noises stay one. Refuses what `excitation_sets` refuses, and a number of realisations below 1 or above 1000.
+    """
+    if realisations is None:
+        return _told_apart(template)
+    if not 1 <= realisations <= MOST_REALISATIONS:
         raise WrongUseError(
-            f"{words.where}: a limit says low_ and high_ with their unit",
-            ", ".join(words.table) or "nothing",
-            f"units are {', '.join(KEY_UNITS)}",
+            f"realisations of an experiment are 1 to {MOST_REALISATIONS}", f"{realisations}", "leave it out for one"
         )
-    low, high, rate = f"low_{unit}", f"high_{unit}", f"rate_{unit}_s"
-    words.only(low, high, rate)
-    suffix, factor = to_stored(KEY_UNITS[unit])
-    largest = factor * words.number(rate) if rate in words.table else inf
-    with said_in(words.where):
-        return Limit(f"{name}_{suffix}", factor * words.number(low), factor * words.number(high), largest)
+    made = (
+        _with_signals(template, f"{template.name}-r{k + 1}", realised(template.excited, k)) for k in range(realisations)
+    )
+    return tuple(one for each in made for one in _told_apart(each))
+
+
+def _told_apart(template: ExperimentTemplate) -> tuple[ExperimentTemplate, ...]:
+    if not template.excites_also:
+        return (template,)
+    sets = together(template.excited)
+    if len(sets) == 1:
+        return (template,)
+    return tuple(_with_signals(template, f"{template.name}-s{k + 1}", one) for k, one in enumerate(sets))
+
+
+def _with_signals(template: ExperimentTemplate, name: str, signals: Mapping[str, Excitation]) -> ExperimentTemplate:
+    (_, first), *others = signals.items()
+    return replace(template, name=name, excitation=first, excites_also=dict(others))
+
+
+def merged_effects(own: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
+    """A study's effects with others: one that both name, in whatever form, is the other's."""
+    named = {key.partition(":")[0] for key in more}
+    return {key: value for key, value in own.items() if key.partition(":")[0] not in named} | dict(more)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A whole study. `controllers` by loop name; a loop that it leaves out keeps the plant's default.
+
+    `schedules` stand in place of controllers, and `decoupling` are the weights of all controllers in what enters the
+    plant, both by loop. `changes` moves parameters of the plant, as settings that whoever reads the recordings knows;
+    `effects` are magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz
+    and dead_zone; `solver` is the plant's word for how it integrates. `target` is for a rig behind a real-time target,
+    and `loops` where no plant describes them (`plant` is empty then).
+    """
+
+    rig: str
+    plant: str
+    experiments: tuple[ExperimentTemplate, ...]
+    operating_points: tuple[Mapping[str, float], ...]
+    rate_hz: float = 1000.0
+    seed: int = 0
+    solver: str = "edges"
+    changes: Mapping[str, float] = field(default_factory=dict)
+    effects: Mapping[str, float] = field(default_factory=dict)
+    pwm: Mapping[str, float] = field(default_factory=dict)
+    controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
+    schedules: Mapping[str, GainScheduled] = field(default_factory=dict)
+    decoupling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+    target: TargetSettings | None = None
+    loops: tuple[LoopSetup, ...] = ()
+    diagram: Wired | None = None
+
+    def to_table(self) -> dict[str, Any]:
+        """The study as the TOML file that `loopshape measure` reads, signals in stored units (`extra["units"]`)."""
+        units = self.extra["units"]
+        return {
+            "format": FORMAT,
+            "rig": self.rig,
+            "plant": self.plant,
+            "rate_hz": self.rate_hz,
+            "seed": self.seed,
+            "solver": self.solver,
+            "operating_points": [dict(p) for p in self.operating_points],
+            "parameters": dict(self.changes) or None,
+            "pwm": dict(self.pwm) or None,
+            "loop": [
+                {"name": name, "controller": [block.to_table() for block in blocks]}
+                for name, blocks in self.controllers.items()
+            ],
+            "experiment": [_experiment_table(t, units[t.name]) for t in self.experiments],
+        }
+
+
+def _experiment_table(t: ExperimentTemplate, units: Mapping[str, Any]) -> dict[str, Any]:
+    """One experiment; keys that have their default are left out."""
+    signal = None
+    if t.excitation is not None:
+        given = asdict(t.excitation)  # type: ignore[call-overload]
+        unit = units["excitation"]
+        signal = {"kind": given.pop("kind"), f"amplitude_{unit}": given.pop("amplitude"), **given}
+    return {
+        "name": t.name,
+        "excites": t.excites,
+        "injection": t.injection,
+        "role": t.role,
+        "lead_s": t.lead_s or None,
+        "tail_s": t.tail_s or None,
+        "duration_s": t.duration_s,
+        "operating_points": None if t.operating_points is None else [dict(p) for p in t.operating_points],
+        "excitation": signal,
+        "references": _setpoints(t.references, units["references"]) or None,
+        "control": _setpoints(t.control, units["control"]) or None,
+    }
+
+
+def _setpoints(signals: Mapping[str, Setpoint], units: Mapping[str, str]) -> dict[str, Any]:
+    """Staircases by loop."""
+    return {
+        loop: {"kind": s.kind, "times_s": list(s.times_s), f"values_{units[loop]}": list(s.values)}
+        for loop, s in signals.items()
+    }

@@ -83,9 +83,9 @@ def _bench(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
 
 def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     """Record an arm with an effect, diagnose it without being told, and compare."""
-    from loopshape.io.study.study import read_study
     from loopshape.toolbox.gap.commands.gap import diagnose_run
     from loopshape.toolbox.rig.commands.measure import record
+    from loopshape.toolbox.rig.files.study import read_study
 
     study = examples / "gap.toml"
     figure = figures_of(run) / "gap.png"

@@ -13,7 +13,7 @@ import numpy as np
 from loopshape.core.units import Array, rad
 from loopshape.data.signal.excitation import Multisine, Profile, Staircase
 from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.study import ExperimentTemplate, Study
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 MIDDLE = {"theta2_deg": 15.0, "p_ab_bar": 1.0}
 POINTS = {  # where one recording of medium amplitude is made

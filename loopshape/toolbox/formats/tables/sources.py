@@ -231,7 +231,8 @@ def open_source(
         )  # fmt: skip
     raise UnreadableInputError(
         "a file of this kind is not read", str(path),
-        _OTHERS.get(path.suffix.lower(), "") + f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_whole()))}",
+        _OTHERS.get(path.suffix.lower(), "")
+        + f"use {', '.join((*_TEXT, '.mat', '.npz', '.parquet', *_MDF, *_whole()))}",
     )  # fmt: skip
 
 

@@ -8,9 +8,9 @@ from enum import StrEnum
 from typing import Any
 
 from loopshape.core.units import Array
-from loopshape.data.signal.study import Study
 from loopshape.toolbox.gap.nouns.effect import Fix
 from loopshape.toolbox.gap.nouns.gap_table import GapTable
+from loopshape.toolbox.rig.study import Study
 
 FORMAT = "loopshape-gap/1"
 SMALLEST_GAP = 1.5  # floors; below there is no gap to shrink

@@ -12,7 +12,7 @@ from loopshape.core.units import Array
 from loopshape.data.signal.excitation import Multisine, samples
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import ExperimentTemplate
+from loopshape.toolbox.rig.study import ExperimentTemplate
 
 INNER = (0.01, 0.99)  # shares of an injected signal's power below its band's ends
 STAIR_OF_AMPLITUDE = 0.5  # a reference that the run never moved is moved by so much of the injected amplitude

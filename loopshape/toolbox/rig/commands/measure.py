@@ -14,7 +14,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, complain, point
 if TYPE_CHECKING:
     from loopshape.data.signal.experiment import LoopSetup
     from loopshape.data.signal.run import Run
-    from loopshape.toolbox.rig.verbs.watch import Motion
+    from loopshape.verbs.watch import Motion
 
 WORD = "ARM"
 
@@ -91,7 +91,7 @@ def measure(
 
 def _is_target(study_file: Path) -> bool:
     """Whether a study drives a real-time target."""
-    from loopshape.io.study.study import read_study
+    from loopshape.toolbox.rig.files.study import read_study
 
     return read_study(study_file).target is not None
 

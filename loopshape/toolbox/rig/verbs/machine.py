@@ -13,22 +13,22 @@ from loopshape.core.interrupts import interrupts
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.signal.run import Run
-from loopshape.data.signal.study import Study, merged_effects
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
-from loopshape.io.study.study import read_study
 from loopshape.toolbox.diagrams.wired import Wired
 from loopshape.toolbox.gap import registry
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.effects import asked
+from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import Rig, header, plan
 from loopshape.toolbox.rig.simulated import measure as recordings
+from loopshape.toolbox.rig.study import Study, merged_effects
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Identity
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.verbs.on_target import motion_of, record_on_target
 from loopshape.toolbox.rig.verbs.stop import BAUD, stop
-from loopshape.toolbox.rig.verbs.watch import Confirm, Motion, Unwatched, Watch
+from loopshape.verbs.watch import Confirm, Motion, Unwatched, Watch
 
 
 def measure(

@@ -16,7 +16,6 @@ from loopshape.data.result.baseline import Checked
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
-from loopshape.data.signal.study import Study
 from loopshape.io.run.arriving import adopted, arriving, keep_arrived
 from loopshape.io.run.journal import note
 from loopshape.io.run.measuring import marked
@@ -25,6 +24,7 @@ from loopshape.io.run.run_tables import recording_table
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
+from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.blocks import own_radius
 from loopshape.toolbox.rig.target.intake import RATE_TICKS
 from loopshape.toolbox.rig.target.link import open_link
@@ -32,7 +32,7 @@ from loopshape.toolbox.rig.target.messages import Configuration, Identity
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.taking import Arrived
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
-from loopshape.toolbox.rig.verbs.watch import Confirm, Motion, Watch
+from loopshape.verbs.watch import Confirm, Motion, Watch
 
 CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
 

@@ -24,8 +24,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
 from loopshape.data.signal.excitation import BandNoise, Excitation, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.data.signal.excitation_sets import LOOP_STEP
-from loopshape.data.signal.study import Setpoint
 from loopshape.io.words import Words, said_in
+from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {
     "sweep": Sweep,

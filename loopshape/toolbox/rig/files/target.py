@@ -1,0 +1,72 @@
+"""What a study file says of a real-time target, with rig = "target".
+
+[target]
+port = "/dev/ttyACM0"                 # or tcp://127.0.0.1:4000; --port on the command line wins
+baud = 921600
+on_limit = "vent"                     # or "hold"
+watchdog_ms = 250
+soft_start_s = 2.0                    # the loops close, and setpoints move, over at least that long
+settle_s = 2.0                        # rest at an operating point before a recording
+place = true                          # an emulated machine stands at the operating point at a recording's start
+
+[target.commands]                     # each command as a sum of loops' z
+u_a_v = { theta2 = 1.0, p_ab = 1.0 }
+u_b_v = { theta2 = -1.0, p_ab = 1.0 }
+
+[limits]                              # of every sensor and command by name without unit; the rate may be left out
+theta2 = { low_deg = -40.0, high_deg = 40.0, rate_deg_s = 800.0 }
+u_a = { low_v = -4.0, high_v = 4.0 }
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from math import inf
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import to_stored
+from loopshape.io.words import Words, said_in
+from loopshape.toolbox.rig.files.signals import KEY_UNITS
+from loopshape.toolbox.rig.settings import Limit, TargetSettings
+
+
+def read_target(words: Words) -> TargetSettings | None:
+    """The settings, or None for a rig that is no target. Refuses unknown keys, units, and a target without limits."""
+    if words.text("rig") != "target":
+        if given := [key for key in ("target", "limits") if key in words.table]:
+            raise WrongUseError(f'{words.where}: only rig = "target" has {" and ".join(given)}', words.text("rig"))
+        return None
+    words.need("target", "limits")
+    inner, limits = words.inner("target"), words.inner("limits")
+    inner.only(*(f.name for f in fields(TargetSettings) if f.name != "limits"))
+    commands = inner.inner("commands")
+    read = [_limit(name, limits.inner(name)) for name in limits.table]
+    with said_in(inner.where):
+        return TargetSettings(
+            limits={limit.column: limit for limit in read},
+            commands={column: commands.numbers(column) for column in commands.table},
+            port=inner.maybe_text("port"),
+            baud=inner.whole("baud", TargetSettings.baud),
+            on_limit=inner.text("on_limit", TargetSettings.on_limit),
+            watchdog_ms=inner.whole("watchdog_ms", TargetSettings.watchdog_ms),
+            soft_start_s=inner.number("soft_start_s", TargetSettings.soft_start_s),
+            settle_s=inner.number("settle_s", TargetSettings.settle_s),
+            place=inner.truth("place", TargetSettings.place),
+        )
+
+
+def _limit(name: str, words: Words) -> Limit:
+    """Limits of one column: low_<unit>, high_<unit> and, if required, rate_<unit>_s, all in one unit."""
+    unit = next((key.removeprefix("low_") for key in words.table if key.startswith("low_")), "")
+    if unit not in KEY_UNITS:
+        raise WrongUseError(
+            f"{words.where}: a limit says low_ and high_ with their unit",
+            ", ".join(words.table) or "nothing",
+            f"units are {', '.join(KEY_UNITS)}",
+        )
+    low, high, rate = f"low_{unit}", f"high_{unit}", f"rate_{unit}_s"
+    words.only(low, high, rate)
+    suffix, factor = to_stored(KEY_UNITS[unit])
+    largest = factor * words.number(rate) if rate in words.table else inf
+    with said_in(words.where):
+        return Limit(f"{name}_{suffix}", factor * words.number(low), factor * words.number(high), largest)
