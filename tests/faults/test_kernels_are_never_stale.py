@@ -165,5 +165,5 @@ def test_what_is_imported_for_types_alone_is_no_part_of_a_key(tmp_path):
     for one in ("runs", "runs_too", "types_alone", "types_too"):
         (tmp_path / f"{one}.py").write_text("")
     assert {p.stem for p in sources(tmp_path / "kernel.py")} == {"kernel", "runs", "runs_too"}
-    margins = Path(loopshape.__file__).with_name("core") / "kernels" / "margins.py"
+    margins = Path(loopshape.__file__).with_name("core") / "kernels" / "loops" / "margins.py"
     assert not [p for p in sources(margins) if "core" not in p.parts and p.name != "__init__.py"]

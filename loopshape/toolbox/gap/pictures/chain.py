@@ -69,7 +69,8 @@ def chain(where: Where, *, ax: Axes | None = None) -> Axes:
         _arrows(ax, len(row), [places[n] for n in places if n in FEEDS and n not in row])
     if where.block != "none":
         ax.text(0.5 * (len(row) - 1 + _WIDTH), _RETURN - 0.1, _signs(where), ha="center", va="top", fontsize=8.0)
-    ax.set_xlim(-0.03, len(row) - 1 + _WIDTH + 0.03)
+    first = min(x for x, _ in places.values())  # a single block has none and unknown above and before it
+    ax.set_xlim(first - 0.03, len(row) - 1 + _WIDTH + 0.03)
     ax.set_ylim(_RETURN - 0.5, _UPPER + _HEIGHT + 0.04)
     ax.axis("off")
     return ax
