@@ -29,6 +29,7 @@ from loopshape.toolbox.gap.nouns.gap_report import (
     Shrink,
     Trace,
     Where,
+    percent,
 )
 from loopshape.toolbox.gap.nouns.plant import Followable, Statable
 from loopshape.toolbox.gap.recordings import locate
@@ -376,25 +377,25 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     first = ranking[0]
     if a.verdict == "none":
         left = "what a good model leaves" if a.evidence.least.any() else "noise"
-        return f"{name}: no gap beyond {left} and manufacturing tolerance (probability {first.probability:.0%})."
+        return f"{name}: no gap beyond {left} and manufacturing tolerance (probability {percent(first.probability)})."
     if a.verdict == "unknown":
         near = a.leading.name.replace("_", " ")
         steps = {step.step: step for step in a.budget}
         if (ceiling := steps.get(BudgetPart.CEILING)) is not None:
             nearest = steps[BudgetPart.BEST_NAME].share or 0.0
             return (
-                f"{name}: a gap that no known effect explains (probability {first.probability:.0%}): a force or"
+                f"{name}: a gap that no known effect explains (probability {percent(first.probability)}): a force or"
                 f" signal at {ceiling.effects[0]} would take {ceiling.share or 0.0:.0%} of it away, the nearest effect,"
                 f" {near}, {nearest:.0%}; plainest in {place.channel} at"
                 f" {place.band_hz[0]:.2g}-{place.band_hz[1]:.2g} Hz."
             )
         return (
-            f"{name}: a gap that no known effect explains (probability {first.probability:.0%}), plainest in "
+            f"{name}: a gap that no known effect explains (probability {percent(first.probability)}), plainest in "
             f"{place.channel} at {place.band_hz[0]:.2g}-{place.band_hz[1]:.2g} Hz; the nearest is {near}."
         )
     comma = {name: "," if name in first.quantities else "" for name in first.sizes}
     what = " with ".join(f"{name.replace('_', ' ')}{comma[name]} {size}" for name, (size, _) in first.sizes.items())
-    text = f"{name}: {what} (probability {first.probability:.0%}) in {place.block}"
+    text = f"{name}: {what} (probability {percent(first.probability)}) in {place.block}"
     if gap is None or gap.shrink is None:
         return f"{text}; no held-out gap to shrink."
     floor = "what a good model leaves" if a.evidence.least.all() else "the noise floor"

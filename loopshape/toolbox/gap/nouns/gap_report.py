@@ -16,6 +16,11 @@ FORMAT = "loopshape-gap/1"
 SMALLEST_GAP = 1.5  # floors; below there is no gap to shrink
 
 
+def percent(p: float) -> str:
+    """A probability in whole percent; near 0 and 1 on which side of 1 and 99 % it lies."""
+    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{100.0 * p:.0f} %"
+
+
 @dataclass(frozen=True)
 class Ranked:
     """One hypothesis: `magnitude`, its 95 % `interval` and `unit` for single effects; for pairs one each, by effect.

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from loopshape.toolbox.gap.nouns.gap_report import Where
+from loopshape.toolbox.gap.nouns.gap_report import Where, percent
 from loopshape.view.labels import point, symbol
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, axes_or_new, styled
 
@@ -43,11 +43,6 @@ def in_order(names: Sequence[str]) -> list[str]:
     inner = [n for n in names if n not in OUTSIDE and FEEDS.get(n) not in names]
     known = {name: k for k, name in enumerate(ORDER)}
     return sorted(inner, key=lambda n: (known.get(n, known["sensor"] - 0.5), n))
-
-
-def percent(p: float) -> str:
-    """A probability in whole percent; near 0 and 1 on which side of 1 and 99 % it lies."""
-    return "< 1 %" if p < 0.01 else "> 99 %" if p > 0.99 else f"{100.0 * p:.0f} %"
 
 
 @styled()

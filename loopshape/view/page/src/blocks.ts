@@ -1,9 +1,9 @@
 // The controller's blocks: numbers to type, locks, order, and what each costs at the crossover.
 
-import type { Controller, Kind } from "./controller";
+import type { Controller, Kind } from "./numbers/controller";
 import { KIND_NAMES, NEW_KINDS, PARAMETER_NAMES, newBlock, parameterRefusal, type Design, type DesignBlock } from "./design";
 import { button, el, focusedIn, numberField, shown, written } from "./dom";
-import { costAt } from "./handles";
+import { costAt } from "./draw/handles";
 
 interface Card {
   fields: Map<string, HTMLInputElement>;

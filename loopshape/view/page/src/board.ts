@@ -1,12 +1,12 @@
 // The plots of one loop in a report: curves of all operating points with their 95 % bands, linked by one marked frequency.
 
 import { button, el } from "./dom";
-import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./guides";
-import { coloursOf, Plot, type Axis, type Curve, type Style } from "./plot";
-import { magnitudeWords, phaseWords, viewOf, type Found, type Ring, type View } from "./reported";
-import type { Point } from "./reported";
-import { frequencyAxis, interpolated, nearestLine, nicholsAxis, nicholsChart, phaseAxis, sizeAxis, type Response } from "./views";
-import { Zoom } from "./zoom";
+import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./draw/guides";
+import { coloursOf, Plot, type Axis, type Curve, type Style } from "./draw/plot";
+import { magnitudeWords, phaseWords, viewOf, type Found, type Ring, type View } from "./draw/reported";
+import type { Point } from "./draw/reported";
+import { frequencyAxis, interpolated, nearestLine, nicholsAxis, nicholsChart, phaseAxis, sizeAxis, type Response } from "./draw/views";
+import { Zoom } from "./draw/zoom";
 
 export interface Loop {
   points: Point[];

@@ -1,7 +1,7 @@
 // What the page stands in: a file or a server's answer, whose address holds the design, or a cell of a notebook.
 
 import { designOf, fromAddress, type Design } from "./design";
-import type { Controller } from "./controller";
+import type { Controller } from "./numbers/controller";
 import type { Payload, PlantLoop, Requirements } from "./payload";
 
 /** The page, as far as its surroundings need it. */

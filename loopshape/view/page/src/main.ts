@@ -1,24 +1,24 @@
 // The page: what a person does changes a design, and what is seen follows from it.
 
-import { times } from "./arrays";
+import { times } from "./numbers/arrays";
 import { BlockList } from "./blocks";
-import { refusal, responseOn, type Controller } from "./controller";
+import { refusal, responseOn, type Controller } from "./numbers/controller";
 import {
   addressOf, controllerOf, controllerText, designOf, History, requirementsText, withFile, type Design,
   type DesignBlock,
 } from "./design";
 import { button, download, el, focusedIn, shown } from "./dom";
 import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
-import { quantityOf, requirementsAt } from "./limits";
-import { unitCrossings } from "./margins";
+import { quantityOf, requirementsAt } from "./loop/limits";
+import { unitCrossings } from "./loop/margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
-import { stepOf, type Step } from "./step";
+import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
-import { Engine, type Found } from "./verdict";
-import type { Trace } from "./views";
+import { Engine, type Found } from "./loop/verdict";
+import type { Trace } from "./draw/views";
 import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
-import { worstOf } from "./worst";
+import { worstOf } from "./loop/worst";
 
 class Page implements Guest {
   private readonly engines: Engine[];

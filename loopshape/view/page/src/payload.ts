@@ -1,9 +1,9 @@
 // What Python puts into the page: the measured plants, what their draws are made from, and all constants by name.
 
-import { complexOf, halvesOf, realOf, singlesOf, type Complex, type Real } from "./arrays";
-import type { Controller } from "./controller";
-import type { AtPoints, Mask, OperatingPoint } from "./limits";
-import type { State } from "./random";
+import { complexOf, halvesOf, realOf, singlesOf, type Complex, type Real } from "./numbers/arrays";
+import type { Controller } from "./numbers/controller";
+import type { AtPoints, Mask, OperatingPoint } from "./loop/limits";
+import type { State } from "./numbers/random";
 
 export interface Limit {
   name: string;

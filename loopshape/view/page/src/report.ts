@@ -3,7 +3,7 @@
 import { Board, type Loop } from "./board";
 import { el } from "./dom";
 import type { Requirements } from "./payload";
-import { pointOf, type RawReport } from "./reported";
+import { pointOf, type RawReport } from "./draw/reported";
 
 const root = document.documentElement;
 

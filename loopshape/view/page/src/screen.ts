@@ -1,20 +1,20 @@
 // The plots with what a pointer, a wheel and keys do on them, linked by one frequency.
 
-import { placeIn } from "./arrays";
-import type { Controller } from "./controller";
+import { placeIn } from "./numbers/arrays";
+import type { Controller } from "./numbers/controller";
 import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
-import { dragged, handlesOf, widened, type Handle } from "./handles";
-import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./guides";
-import { axisCrossings, unitCrossings } from "./margins";
+import { dragged, handlesOf, widened, type Handle } from "./draw/handles";
+import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./draw/guides";
+import { axisCrossings, unitCrossings } from "./loop/margins";
 import type { FitModel } from "./payload";
-import { coloursOf, Plot, type Axis } from "./plot";
-import type { Step } from "./step";
+import { coloursOf, Plot, type Axis } from "./draw/plot";
+import type { Step } from "./numbers/step";
 import {
   frequencyAxis, interpolated, nearestLine, nicholsAxis, nicholsChart, nicholsCurve, nicholsPlaces, nyquistChart, phaseAxis,
   phaseDeg, responseOf, RESPONSES, sizeAxis, sizeDb, stepAxes, styleOf, type Response, type Trace,
-} from "./views";
-import { Zoom } from "./zoom";
+} from "./draw/views";
+import { Zoom } from "./draw/zoom";
 
 export interface Asked {
   design: () => Design;

@@ -1,11 +1,11 @@
 // The table of requirements: what is required, the worst case with its interval, slack and verdict; and stability.
 
 import { button, el, focusedIn, numberField, shown } from "./dom";
-import { MASKED, requirementsAt } from "./limits";
-import type { Margins } from "./margins";
-import { STABILITY, worstReach, type Reach } from "./detuning";
+import { MASKED, requirementsAt } from "./loop/limits";
+import type { Margins } from "./loop/margins";
+import { STABILITY, worstReach, type Reach } from "./loop/detuning";
 import type { Limit, Requirements } from "./payload";
-import type { Found, Outcome, Row } from "./verdict";
+import type { Found, Outcome, Row } from "./loop/verdict";
 import type { Stage } from "./work";
 
 export const OUTCOMES: Record<Outcome, [string, string]> = {

@@ -1,10 +1,10 @@
 // Intervals and stability, then detuning margins, beside the page: some workers, each with its share of the operating
 // points.
 
-import type { Controller } from "./controller";
-import type { Margins } from "./margins";
+import type { Controller } from "./numbers/controller";
+import type { Margins } from "./loop/margins";
 import { payloadOf, type Payload, type Raw, type Requirements } from "./payload";
-import { Engine } from "./verdict";
+import { Engine } from "./loop/verdict";
 
 /** What is asked about. */
 export interface Asked {

@@ -1,7 +1,7 @@
 // Limits over frequency and over operating points (Python: data/limits_over.py, Requirements.of).
 
-import { fromDb, type Real } from "./arrays";
-import type { Requirements } from "./payload";
+import { fromDb, type Real } from "../numbers/arrays";
+import type { Requirements } from "../payload";
 
 /** How far the worst frequency lies beyond all masks of a kind, in the order of the kernel's columns. */
 export const MASKED = [

@@ -3,7 +3,7 @@
 
 import { geometric, TWO_PI, type Complex, type Real } from "./arrays";
 import { response, responseOn, type Controller } from "./controller";
-import type { FitModel, StepConstants } from "./payload";
+import type { FitModel, StepConstants } from "../payload";
 
 export interface Step {
   timeS: Real;

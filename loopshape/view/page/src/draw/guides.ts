@@ -1,8 +1,8 @@
 // What stands behind the curves: limits of the requirements, 0 dB, -180 degrees, and the required margins.
 
-import { db } from "./arrays";
-import { MASKED, masksOn } from "./limits";
-import type { Limit, Requirements } from "./payload";
+import { db } from "../numbers/arrays";
+import { MASKED, masksOn } from "../loop/limits";
+import type { Limit, Requirements } from "../payload";
 import type { Plot, Style } from "./plot";
 
 /** What is required of the point in front and of all of them, and the table of limits that says what each is of. */

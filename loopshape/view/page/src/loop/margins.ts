@@ -1,8 +1,8 @@
 // Loop -> margins, freed of the bias of noise, with 95 % intervals from draws (Python: loop/margins.py).
 
-import { clip, db, geometric, placeIn, type Complex, type Real } from "./arrays";
-import * as control from "./controller";
-import { sumsOf, type Draws } from "./dense";
+import { clip, db, geometric, placeIn, type Complex, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
+import { sumsOf, type Draws } from "../numbers/dense";
 import type { Detuning } from "./detuning";
 import { MASKED, type Reader } from "./limits";
 import { inSight, largestAbove, readings, type Judged, type Loop } from "./loop";

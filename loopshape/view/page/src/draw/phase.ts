@@ -1,6 +1,6 @@
 // Phase that goes on from frequency to frequency, brought to the turn nearest to -90 degrees at its start.
 
-import { deg, type Complex, type Real } from "./arrays";
+import { deg, type Complex, type Real } from "../numbers/arrays";
 
 export function wrappedDown(z: Complex): Real {
   const out = new Float64Array(z.re.length);

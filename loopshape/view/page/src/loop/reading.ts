@@ -1,7 +1,7 @@
 // The margins of open loops on the same lines: one pass over the lines for each (Python: core/kernels/margins.py).
 
-import type { Complex, Real } from "./arrays";
-import type { Draws } from "./dense";
+import type { Complex, Real } from "../numbers/arrays";
+import type { Draws } from "../numbers/dense";
 import { weights, type Reader } from "./limits";
 
 /** What a column of a reading holds. */

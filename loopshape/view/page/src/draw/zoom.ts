@@ -1,6 +1,6 @@
 // What a drag, the wheel, a double click and keys do to what plots show; plots over the same frequencies move together.
 
-import { focusedIn } from "./dom";
+import { focusedIn } from "../dom";
 import type { Plot } from "./plot";
 
 export class Zoom {

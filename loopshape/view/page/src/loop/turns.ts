@@ -1,6 +1,6 @@
 // How 1 + L turns along L, and how near its chords come to -1 (Python: core/kernels/encirclements.py, loop/crossings.py).
 
-import { clip, type Complex, type Real } from "./arrays";
+import { clip, type Complex, type Real } from "../numbers/arrays";
 
 /** Angle of a quotient. */
 export function angleOf(ar: number, ai: number, br: number, bi: number): number {

@@ -1,7 +1,7 @@
 // What Python puts into a report: curves of operating points, their 95 % reach, and where requirements are worst.
 
-import { complexOf, db, realOf, times, type Real } from "./arrays";
-import type { Limit, Requirements } from "./payload";
+import { complexOf, db, realOf, times, type Real } from "../numbers/arrays";
+import type { Limit, Requirements } from "../payload";
 import type { Curve } from "./plot";
 import { nicholsCurve, nicholsPlaces, responseOf, sizeDb, type Response, type Trace } from "./views";
 

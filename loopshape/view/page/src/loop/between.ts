@@ -1,12 +1,12 @@
 // What the lines step over: turns of 1 + L past resonances between them, and past those that stand close together
 // (Python: loop/between.py, and `sampling` of loop/obstacles.py).
 
-import { clip, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "./arrays";
-import * as control from "./controller";
+import { clip, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
 import { turnsPastCrowd } from "./crowd";
-import { narrowAt } from "./dense";
+import { narrowAt } from "../numbers/dense";
 import type { Loop } from "./loop";
-import type { Crowd, Hidden } from "./payload";
+import type { Crowd, Hidden } from "../payload";
 import { angleOf, chords, turnAlong } from "./turns";
 
 export interface Obstacle {

@@ -1,10 +1,10 @@
 // Resonances close together, as Python fitted them to the plant: how 1 + L turns past them in each way that the lines
 // allow (Python: `Crowd.response` of loop/crowded.py, `turns_past_crowd` of loop/between.py).
 
-import { clip, placeIn, times, TWO_PI, zeros, type Complex, type Real } from "./arrays";
-import * as control from "./controller";
+import { clip, placeIn, times, TWO_PI, zeros, type Complex, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
 import type { Loop } from "./loop";
-import type { Crowd } from "./payload";
+import type { Crowd } from "../payload";
 import { angleOf, chords, turnAlong } from "./turns";
 
 /** Least and most whole turns more than the path's, how near to -1 the likeliest way comes in each gap. */

@@ -1,10 +1,10 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
 // obstacles.py, doubt.py, holes.py). What cannot be proved here is undecided.
 
-import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "./arrays";
+import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Obstacle, type Past } from "./between";
-import * as control from "./controller";
-import { sumsOf, type Draws } from "./dense";
+import * as control from "../numbers/controller";
+import { sumsOf, type Draws } from "../numbers/dense";
 import { belowLines, holdsBelow, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
 import { angleOf, chords } from "./turns";
 

@@ -1,10 +1,10 @@
 // The plots: Bode of one response, Nichols and Nyquist of L; all operating points, the worst in front.
 
-import { fromDb, placeIn, TWO_PI, type Complex, type Real } from "./arrays";
+import { fromDb, placeIn, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { closestDb, marginCross, required, type Wished } from "./guides";
 import { wrappedDown } from "./phase";
 import type { Axis, Curve, Plot, Style } from "./plot";
-import type { Step } from "./step";
+import type { Step } from "../numbers/step";
 
 /** What there is to draw of one operating point. */
 export interface Trace {

@@ -1,11 +1,11 @@
 // One operating point under one controller: the lines that margins are read from (Python: loop/between.py, low_end.py,
 // and the first half of loop/margins.py).
 
-import { concat, joined, magnitudes, placeIn, rint, times, union, zeros, type Complex, type Real } from "./arrays";
-import * as control from "./controller";
-import type { Controller } from "./controller";
-import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "./dense";
-import type { Down, Point } from "./payload";
+import { concat, joined, magnitudes, placeIn, rint, times, union, zeros, type Complex, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
+import type { Controller } from "../numbers/controller";
+import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
+import type { Down, Point } from "../payload";
 
 /** A measured plant with what is known between its lines, with draws or without. */
 export class Plant {

@@ -1,7 +1,7 @@
 // A smoothed plant with draws of its error, on its lines and on places between them (Python: data/smoothed.py).
 
 import { clip, concat, placeIn, union, zeros, type Complex, type Real } from "./arrays";
-import type { Constants, Point } from "./payload";
+import type { Constants, Point } from "../payload";
 import { Normals, type State } from "./random";
 import { slopes, valueAt } from "./spline";
 

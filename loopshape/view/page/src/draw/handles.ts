@@ -1,8 +1,8 @@
 // What can be taken hold of on the Bode plot: where a block's handle stands, and what dragging it does.
 
-import { blockResponse, type Controller } from "./controller";
-import { db, fromDb } from "./arrays";
-import { parameterRefusal, type DesignBlock } from "./design";
+import { blockResponse, type Controller } from "../numbers/controller";
+import { db, fromDb } from "../numbers/arrays";
+import { parameterRefusal, type DesignBlock } from "../design";
 
 export interface Handle {
   block: number;

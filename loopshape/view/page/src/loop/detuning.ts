@@ -1,12 +1,12 @@
 // Detuning margin: how far the plant's frequencies, or one resonance alone, may move before something breaks (Python:
 // loop/detuning.py).
 
-import { clip, fromDb, union, type Real } from "./arrays";
-import * as control from "./controller";
-import type { Controller } from "./controller";
+import { clip, fromDb, union, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
+import type { Controller } from "../numbers/controller";
 import type { Loop, Plant } from "./loop";
 import { LOGARITHMS, PLAIN, type Interval, type Margins } from "./margins";
-import type { Constants, Limit, Requirements, Seen } from "./payload";
+import type { Constants, Limit, Requirements, Seen } from "../payload";
 import { readerOf } from "./limits";
 import * as kernel from "./reading";
 import { seenResonances, Shiftable, type Moved, type Reading } from "./shifted";

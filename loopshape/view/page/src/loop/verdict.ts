@@ -1,12 +1,12 @@
 // Margins at all operating points -> a row a requirement at its worst point (Python: loop/verdict.py, points.py).
 
-import type { Controller } from "./controller";
-import { Source } from "./dense";
+import type { Controller } from "../numbers/controller";
+import { Source } from "../numbers/dense";
 import { withDetuning, withResonances, worstReach } from "./detuning";
 import { readerOf, requirementsAt } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
-import type { Limit, Payload, PlantLoop, Requirements } from "./payload";
+import type { Limit, Payload, PlantLoop, Requirements } from "../payload";
 import { closedLoopStability } from "./stability";
 
 export type Outcome = "passed" | "failed" | "undecided";

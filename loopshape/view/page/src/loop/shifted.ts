@@ -1,11 +1,11 @@
 // A plant whose resonances have moved, all or one, and what margins and count read from it (Python: loop/shifted.py).
 
-import { clip, concat, placeIn, times, type Complex, type Real } from "./arrays";
-import * as control from "./controller";
-import { addPole, sumsOf, type Dense, type Draws } from "./dense";
+import { clip, concat, placeIn, times, type Complex, type Real } from "../numbers/arrays";
+import * as control from "../numbers/controller";
+import { addPole, sumsOf, type Dense, type Draws } from "../numbers/dense";
 import { followed, inSight, largestAbove, type Loop, type Plant } from "./loop";
 import { aboveHz } from "./margins";
-import type { Seen } from "./payload";
+import type { Seen } from "../payload";
 import type { Reader } from "./limits";
 import * as kernel from "./reading";
 import { countUnstable, swingNear } from "./stability";
