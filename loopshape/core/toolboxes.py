@@ -38,7 +38,8 @@ class Toolbox:
     """What a toolbox adds: its commands, its public names (name to module), and who reads files of which ending.
 
     `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
-    `loopshape import` uses them.
+    `loopshape import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path
+    and the noun, for `loopshape.write`.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Toolbox:
     commands: tuple[Command, ...] = ()
     names: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, str] = field(default_factory=dict)
+    writers: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

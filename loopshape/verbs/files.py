@@ -91,6 +91,12 @@ def write(what: Run | Controller | GainScheduled | Tuning | FRF, path: str | Pat
 
 @singledispatch
 def _write(what: Any, path: Path) -> None:
+    from loopshape.core.toolboxes import found, function_at
+
+    writers = {name: place for one in found().toolboxes.values() for name, place in one.writers.items()}
+    if place := writers.get(type(what).__name__):
+        function_at(place)(path, what)
+        return
     known = "a Run, a Controller, a GainScheduled, a Tuning or a FRF"
     raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
 
@@ -119,13 +125,6 @@ def _(what: GainScheduled, path: Path) -> None:
 @_write.register
 def _(what: Tuning, path: Path) -> None:
     _write(what.controller, path)
-
-
-@_write.register
-def _(what: FRF, path: Path) -> None:
-    from loopshape.toolbox.formats.frf.frf_exchange import write_frf_file
-
-    write_frf_file(path, what)
 
 
 def figure_bytes(megabytes: float) -> int:

@@ -59,4 +59,5 @@ TOOLBOX = Toolbox(
         "read_frf": "loopshape.toolbox.formats.verbs",
         "read_table": "loopshape.toolbox.formats.verbs",
     },
+    writers={"FRF": "loopshape.toolbox.formats.frf.frf_exchange:write_frf_file"},
 )

@@ -15,9 +15,10 @@ from loopshape.io.files import PART, inside, make_folder, plain_name, put, stage
 from loopshape.io.held import held
 from loopshape.io.run.run_folder import RUN_TOML
 from loopshape.io.words import refuse_doubles
-from loopshape.io.write.frf_csv import frf_csv, read_frf_csv
+from loopshape.io.write.frf_csv import frf_csv
 from loopshape.io.write.frf_words import frf_arrays
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, write_frfs
+from loopshape.toolbox.formats.frf.frf_csv import read_frf_csv
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF, Stated, frf_of
 from loopshape.toolbox.formats.frf.frf_hdf5 import read_frf_hdf5, write_frf_hdf5
 from loopshape.toolbox.formats.frf.frf_ligo import read_ligo_xml
