@@ -23,10 +23,17 @@ def installed(folder, name, entry):
 
 
 def python(folder, *words, module=()):
+    folder.mkdir(exist_ok=True)
     path = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
     command = [sys.executable, *(module or ("-m", "loopshape")), *map(str, words)]
     return subprocess.run(
-        command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, timeout=120, check=False
+        command,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+        cwd=folder,
+        timeout=120,
+        check=False,
     )
 
 
