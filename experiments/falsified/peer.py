@@ -169,9 +169,8 @@ def numbers(
     for k, o in enumerate(model.outputs):
         at, largest = f"output.{o.name}", float(np.abs(y[:, k]).max())
         out.append(Number(f"sensor_gain@{o.name}", f"{at}.gain", SHARE))
-        out.append(Number(f"sensor_delay@{o.name}", f"{at}.delay_ms", LATE_MS, 0.0))
-        if more:
-            out.append(Number(f"sensor_lag@{o.name}", f"{at}.lag_ms", LATE_MS, 0.0))
+        if not more:  # late is late where one actuator and one sensor are: two numbers would share it
+            out.append(Number(f"sensor_delay@{o.name}", f"{at}.delay_ms", LATE_MS, 0.0))
         out.append(Number(f"sensor_offset@{o.name}", f"{at}.offset", SHARE * largest))
     taken, fixed = {n.effect for n in out}, {}
     for q in model.ports:
