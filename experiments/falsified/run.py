@@ -140,13 +140,16 @@ def answered(specimen: str, machine: str, case: str, peer: bool) -> dict:
     plant.residuals(plant.prepare(run.recordings[0], run, None), {})  # compiles
     start = time.process_time()
     row = {"specimen": specimen, "machine": machine, "case": case, "label": one.label, "twins": " ".join(one.twins)}
+    row |= dict.fromkeys((*COLUMNS, *BY_OUTPUTS) if peer else COLUMNS, "")
     try:
         if peer:
             found = least_squares_name(plant, run)
+            again = marked(real, one, found["by_outputs"])
+            row |= {name: again[name.removesuffix("_by_outputs")] for name in BY_OUTPUTS}
         else:
             found = diagnose(plant, run, specimen, threads=1, table=False).to_dict()
     except Exception as error:  # an answer too: the study says which
-        return row | dict.fromkeys(COLUMNS, "") | {
+        return row | {
             "verdict": "refused", "why": str(error)[:200], "probability": 1.0,
             "seconds": round(time.process_time() - start, 1)
         }  # fmt: skip
@@ -157,6 +160,7 @@ COLUMNS = (
     "verdict", "probability", "group", "first_name", "first_probability", "rank", "rank_of_names", "place_right",
     "found", "unit", "low", "high", "size", "before", "after", "seconds", "why",
 )  # fmt: skip
+BY_OUTPUTS = ("verdict_by_outputs", "rank_of_names_by_outputs")  # of the peer
 
 
 def marked(real: Real, case: Case, a: dict) -> dict:

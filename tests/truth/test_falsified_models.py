@@ -102,3 +102,11 @@ def test_a_column_of_a_real_recording_that_is_wrong_by_a_plain_factor_is_named(s
         with pytest.raises(WrongUseError, match="mapped wrongly") as refused:
             mapped(model, Run(run.rate_hz, (), tuple(changed)))
         assert f'column = "{column}" by {1.0 / factor:.6g}' in str(refused.value)
+
+
+@pytest.mark.long
+def test_the_least_squares_peer_takes_steps_on_the_pendulum_drive(study):
+    there(study, "qube")
+    row = study["answered"]("", "qube", "gain_less", True)
+    assert row["verdict"] not in ("refused", "none"), row["why"]
+    assert float(row["after"]) < 0.3 * float(row["before"])
