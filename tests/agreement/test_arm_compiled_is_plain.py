@@ -12,7 +12,7 @@ import sys
 import numpy as np
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.experiment import Experiment
-from loopshape.core.kernels.noise import advance, fill_normal, start_state
+from loopshape.core.kernels.noise import advance, normal_pair, start_state
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.closed_loop import run
 
@@ -31,8 +31,9 @@ for way, forms in (("edges", {}), ("grid", {}), ("first", first), ("last", last)
     changes = {name: value for move in moves for name, value in move.items()} | {"converter_bits": 0.0}
     (r,) = arm.simulate([e], solver=solver, changes=changes, states=True)
     out |= {f"{way} {name}": r.columns[name] for name in r.columns}
-out["normal"] = np.empty(3001)
-state = fill_normal(start_state(5, 2), out["normal"])
+out["normal"], state = np.empty(3000), start_state(5, 2)
+for k in range(0, 3000, 2):
+    state, out["normal"][k], out["normal"][k + 1] = normal_pair(state)
 states = [state]
 for _ in range(1000):
     states.append(int(advance(states[-1])))

@@ -37,12 +37,13 @@ excites = "axis"
 """
 BEFORE = """
 from loopshape.core import stretches
-from loopshape.io import sources, tables
+from loopshape.io.run import tables
+from loopshape.toolbox.formats.tables import sources
 from loopshape.cli.estimate.frf import estimate_and_report
 from loopshape.toolbox.formats.commands.import_file import import_run
 from loopshape.cli.output import Output
 file, given, out = map(Path, sys.argv[1:4])
-from loopshape.identify import faults
+from loopshape.identify.quality import faults
 stretches.LONG = sources.LONG = tables.LONG = sources.LONG_TEXT = int(sys.argv[4])
 tables.KEPT_BYTES = int(sys.argv[5])
 stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.argv[6])
@@ -59,10 +60,11 @@ FRF = "estimate_and_report(out, Output(False, True), figures=False, settings={'r
 
 SWEEPS = """
 from loopshape.core import stretches
-from loopshape.data import excitation_parts
-from loopshape.identify import long_sweeps, long_transforms, sweep_harmonics, sweeps
+from loopshape.data.signal import excitation_parts
+from loopshape.identify.local import long_sweeps, sweep_harmonics, sweeps
+from loopshape.identify.spectra import long_transforms
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io import tables
+from loopshape.io.run import tables
 from loopshape.io.run.run_folder import read_run
 folder = Path(sys.argv[1])
 stretches.LONG = tables.LONG = 100_000

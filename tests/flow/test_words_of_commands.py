@@ -12,6 +12,7 @@ from loopshape import __version__
 from loopshape.cli.estimate.fit import root_cells
 from loopshape.cli.main import COMMANDS, app
 from loopshape.core.errors import LoopshapeError
+from loopshape.core.toolboxes import function_at
 from loopshape.core.units import TWO_PI
 from loopshape.data.response.model import Estimate
 from loopshape.data.signal.excitation import Multisine
@@ -136,7 +137,7 @@ def test_a_first_order_fit_prints_its_time_constant_and_no_delay(folder):
 def test_the_help_groups_every_command_under_a_heading():
     """Headings in the order of the work, each command once."""
     told = loopshape("--help")[1]
-    listed = [name for commands in COMMANDS.values() for name, _, _ in commands]
+    listed = [one.name for commands in COMMANDS.values() for one in commands]
     assert sorted(listed) == sorted(typer.main.get_command(app).commands)
     assert [told.index(f"{heading}:") for heading in COMMANDS] == sorted(told.index(f"{h}:") for h in COMMANDS)
 
@@ -147,17 +148,17 @@ def test_the_help_cuts_no_description_at_80_columns():
     assert max(map(len, told.splitlines())) <= 80
     listed = told[told.index("Start:") :].splitlines()
     for commands in COMMANDS.values():
-        for name, function, _ in commands:
-            (line,) = [line for line in listed if line.split()[:1] == [name]]
+        for one in commands:
+            (line,) = [line for line in listed if line.split()[:1] == [one.name]]
             assert line.endswith("."), line
             assert not line.endswith("..."), line
-            assert function.__doc__.startswith(line.split(maxsplit=1)[1]), name
+            assert function_at(one.at).__doc__.startswith(line.split(maxsplit=1)[1]), one.name
 
 
-@pytest.mark.parametrize("name", [name for commands in COMMANDS.values() for name, _, _ in commands])
+@pytest.mark.parametrize("name", [one.name for commands in COMMANDS.values() for one in commands])
 def test_every_command_has_an_example_that_it_takes(name):
     """The words of the example are parsed by the command itself: a wrong option would be refused."""
-    example = next(example for commands in COMMANDS.values() for n, _, example in commands if n == name)
+    example = next(one.example for commands in COMMANDS.values() for one in commands if one.name == name)
     program, first, *words = example.split()
     command = typer.main.get_command(app).commands[name]
     assert (program, first) == ("loopshape", name)
