@@ -110,3 +110,19 @@ def test_the_least_squares_peer_takes_steps_on_the_pendulum_drive(study):
     row = study["answered"]("", "qube", "gain_less", True)
     assert row["verdict"] not in ("refused", "none"), row["why"]
     assert float(row["after"]) < 0.3 * float(row["before"])
+
+
+@pytest.mark.long
+def test_a_window_that_runs_away_says_nothing_of_the_forces_at_a_port(study):
+    """Upright a push at the pivot ends in a fall: some windows run far off and stay finite."""
+    machine = there(study, "qube")
+    numbers = study["honest"](machine)
+    cases = {c.name: c for c in (study["HONEST"], *machine.cases(numbers))}
+    forces = []
+    for name in ("honest", "gain_less", "encoder_late"):
+        model, run = study["false"](machine, numbers, cases[name])
+        plant = OwnMachine(model)
+        ready = [plant.prepare(r, run, None) for r in run.recordings if r.info.role == "estimation"]
+        forces.append(plant._scales(ready).port["pivot"].force)
+    assert max(forces) < 2.0 * min(forces)  # the pivot is the same; with windows that ran away 1e-120 N m
+    assert 1e-4 < min(forces) < 0.1  # m g l is 0.02 N m

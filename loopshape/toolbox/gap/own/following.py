@@ -34,7 +34,7 @@ _SHARES = (1.0, 0.2)  # of a step of the initial states
 CONVERGED = 6  # rounds for initial states of what is judged, not fitted
 _STABLE, _FINEST_HZ = 1.2, 2e4  # rate of a mode times the step, half of what the integration bears; no finer steps
 _SETTLED = 3.0  # time constants, after which a state that follows the inputs has forgotten its start
-_MOST = 1e5  # floors: a simulation that is further off has run away
+RUN_AWAY = 1e5  # floors: a simulation that is further off has run away
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def off(f: Followed, y: Array) -> Array:
     """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
     times = len(y) // len(f.first)
     lacking = (np.tile(f.measured, (times, 1, 1)) - y) / f.floor
-    return np.clip(np.nan_to_num(lacking, nan=_MOST, posinf=_MOST, neginf=-_MOST), -_MOST, _MOST).reshape(len(y), -1)
+    return np.clip(np.nan_to_num(lacking, nan=RUN_AWAY, posinf=RUN_AWAY, neginf=-RUN_AWAY), -RUN_AWAY, RUN_AWAY).reshape(len(y), -1)
 
 
 def shot(
@@ -331,6 +331,6 @@ def pushed(c: Composed, f: Followed, m: Mapping[str, float], pushes: Sequence[Pu
         felt = np.flatnonzero(push.u[rows].any(axis=(1, 2))) if push.u is not None else ()
         if len(felt):
             moved[felt] += simulated(c, replace(f, first=f.first[felt]), m, at.x0[felt], push) - still[felt]
-        moved = np.clip(np.nan_to_num(moved / f.floor, nan=0.0), -_MOST, _MOST)
+        moved = np.clip(np.nan_to_num(moved / f.floor, nan=0.0), -RUN_AWAY, RUN_AWAY)
         out.append(_projected(at.slopes, moved.reshape(len(at.x0), -1)))
     return np.stack(out, axis=2)

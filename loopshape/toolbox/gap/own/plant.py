@@ -158,7 +158,7 @@ class OwnMachine:
             with np.errstate(all="ignore"):
                 pushed = following.simulated(c, f, {f"port.{name}.offset": push}, x0)
                 moved = np.mean((pushed - following.simulated(c, f, {}, x0)).std(axis=1) / f.floor, axis=1)
-            stands = np.isfinite(moved)
+            stands = moved < following.RUN_AWAY  # nan and inf are no less
             seen += float(np.sum(np.mean(f.measured.std(axis=1) / f.floor, axis=1)[stands])) / stands.size
             driven += float(np.sum(moved[stands])) / stands.size
         return push * seen / max(driven, 1e-300)
