@@ -222,8 +222,7 @@ def off(f: Followed, y: Array) -> Array:
     """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
     times = len(y) // len(f.first)
     lacking = (np.tile(f.measured, (times, 1, 1)) - y) / f.floor
-    known = np.nan_to_num(lacking, nan=RUN_AWAY, posinf=RUN_AWAY, neginf=-RUN_AWAY)
-    return np.clip(known, -RUN_AWAY, RUN_AWAY).reshape(len(y), -1)
+    return np.clip(np.nan_to_num(lacking, nan=RUN_AWAY), -RUN_AWAY, RUN_AWAY).reshape(len(y), -1)
 
 
 def shot(
