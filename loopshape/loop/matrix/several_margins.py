@@ -52,7 +52,6 @@ class _Peak(NamedTuple):
     phases: ComplexArray
     scales: Array
     beside: float
-    beside_at: int
 
 
 def several_margins(loops: LoopMatrix) -> SeveralMargins:
@@ -63,7 +62,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     same at the plant's inputs and outputs. Above the last line L is taken to stay as small as it is there (in the
     scales that show it smallest): a may be no more than 2 (1 - l)/(1 + l). Below the first line L is taken to stay as
     large as it is there, and this counts where a peak still rises towards that line. Where either decides a number,
-    that number is a bound, and `bounds` says how good it may be.
+    that number is a bound, and `bounds` says how good it may be; `at_hz` stays with the largest line.
 
     With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
     and has a 95 % interval: both from draws of the error (as in `loop.margin.margins`). For more than three loops,
@@ -112,9 +111,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
         phase_margin_deg=float(2.0 * deg(np.arctan(0.5 * a))),
         crossings_hz=(),
         phase_crossings_hz=(),
-        at_hz={
-            n: float(f[peaks[g].beside_at if n in bounds else peaks[g].at]) for n, g in FIELDS.items() if g in peaks
-        },
+        at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
         stable=stability.outcome,
         stability_reason=stability.reason,
         stability_band_hz=stability.band_hz,
@@ -210,11 +207,11 @@ def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
     else:
         size, lower, scales, phases = mu_bounds(M)
     k = int(np.argmax(size))
-    beside, at = _above_last(name, P[-1:], c[-1:]), nf - 1
-    if nf > 1 and size[0] > size[1] and (below := _below_first(name, P[:1], c[:1])) > max(beside, size[0]):
-        beside, at = below, 0
+    beside = _above_last(name, P[-1:], c[-1:])
+    if nf > 1 and size[0] > size[1]:
+        beside = max(beside, _below_first(name, P[:1], c[:1]))
     beside = float(np.log(beside)) if beside > size[k] else -np.inf
-    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales, beside, at)
+    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales, beside)
 
 
 def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:
