@@ -139,6 +139,8 @@ def _all_commands() -> tuple[dict[str, list[Command]], list[str]]:
     by_heading: dict[str, list[Command]] = {heading: [] for heading in HEADINGS}
     for one in sorted([*OWN, *(c for box in found().toolboxes.values() for c in box.commands)], key=lambda c: c.rank):
         try:
+            if any(other.name == one.name for names in by_heading.values() for other in names):
+                raise ValueError("there is a command of this name")
             app.command(one.name, epilog=f"Example: {one.example}")(function_at(one.at))
         except Exception as error:  # of a package that is not ours
             broken.append(f"the command {one.name} was left out: {type(error).__name__}: {error}")

@@ -60,7 +60,7 @@ class Found:
     @property
     def names(self) -> dict[str, str]:
         """Public names of all toolboxes, with the module that holds each."""
-        return {name: home for one in self.toolboxes.values() for name, home in one.names.items()}
+        return {name: home for one in [*self.toolboxes.values()][::-1] for name, home in one.names.items()}
 
 
 @cache
@@ -68,12 +68,19 @@ def found() -> Found:
     """What is installed. A toolbox that cannot be loaded, or is none, is left out and said."""
     made: dict[str, Toolbox] = {}
     broken: list[str] = []
-    for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
+    for point in sorted(entry_points(group=GROUP), key=lambda one: (not one.value.startswith("loopshape."), one.name)):
         try:
-            made[point.name] = _loaded(point)
+            made[_new(point.name, made)] = _loaded(point)
         except Exception as error:  # whatever a stranger's module does when it is imported
             broken.append(_sentence(point, error))
     return Found(made, tuple(broken))
+
+
+def _new(name: str, made: Mapping[str, Toolbox]) -> str:
+    """The name of a toolbox, none of those that are there: nobody replaces ours."""
+    if name in made:
+        raise ValueError("there is a toolbox of this name")
+    return name
 
 
 def _loaded(point: EntryPoint) -> Toolbox:

@@ -41,6 +41,7 @@ def test_the_band_is_new_and_the_rest_is_old(folders):
     (old,) = read_frfs(folders / "wide")
     found = loopshape("frf", folders / "band", "--renew", folders / "wide", "--no-figures", "--json")
     assert found.returncode == 0
+    assert read_frfs(folders / "band")[0].input_power is None  # per Hz of one, per line of the other
     (made,) = read_frfs(folders / "band")
     f = made.frequency_hz
     inside = (f >= 5.0) & (f <= 10.0)

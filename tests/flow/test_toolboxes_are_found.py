@@ -55,6 +55,18 @@ def test_one_that_cannot_be_loaded_is_said_and_harms_nothing(tmp_path):
     assert "RuntimeError: no licence" in three
 
 
+def test_nobody_replaces_a_toolbox_of_ours_or_a_command_that_is_there(tmp_path):
+    (tmp_path / "bold.py").write_text(
+        "from loopshape.core.toolboxes import Command, Toolbox\n"
+        "def check():\n    print('bold')\n"
+        "TOOLBOX = Toolbox('bold', '', commands=(Command('Verify', 'check', 'bold:check', 'loopshape check'),))\n"
+    )
+    made = python(installed(tmp_path, "bold", "bold = bold:TOOLBOX\ngap = bold:TOOLBOX"), "check")
+    assert "the toolbox gap of the package bold was left out" in made.stderr
+    assert "the command check was left out" in made.stderr
+    assert "bold\n" not in made.stdout
+
+
 def test_a_command_that_cannot_be_loaded_is_left_out_alone(tmp_path):
     (tmp_path / "half.py").write_text(
         "from loopshape.core.toolboxes import Command, Toolbox\n"

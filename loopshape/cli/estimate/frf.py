@@ -125,21 +125,29 @@ def estimate_and_report(
 
 
 def _renewed(earlier: Path, found: Sequence[FRF]) -> list[FRF]:
-    """The earlier run's FRFs, each renewed by the one of its loop and operating point; refuses where none is."""
+    """The earlier run's FRFs, each renewed by the one of its loop and point; a FRF of a new point stays as it is."""
     from loopshape.core.errors import WrongUseError
     from loopshape.io.write.frfs import read_frfs
 
-    pairs = [(old, new) for old in read_frfs(earlier) for new in found if _same_point(old, new)]
-    made = [replace(old.renewed(new), recording=new.recording, recordings=new.recordings) for old, new in pairs]
-    if not made:
+    made: list[FRF] = []
+    old, met = read_frfs(earlier), 0
+    for new in found:
+        same = [one for one in old if _point(one) == _point(new)]
+        if len(same) > 1:
+            what = f"several FRFs in {earlier} are of one loop and operating point"
+            raise WrongUseError(what, ", ".join(one.recording for one in same), "renew one by FRF.renewed in Python")
+        met += len(same)
+        renewed = same[0].renewed(new) if same else new
+        made.append(replace(renewed, recording=new.recording, recordings=new.recordings))
+    if not met:
         points = "; ".join(f"{one.loop} {point(one.operating_point, one.parameters)}" for one in found)
         what = f"no FRF in {earlier} is of a loop and operating point measured here"
         raise WrongUseError(what, points, "measure the point once more, or leave --renew out")
     return made
 
 
-def _same_point(one: FRF, other: FRF) -> bool:
-    return (one.loop, one.operating_point) == (other.loop, other.operating_point)
+def _point(frf: FRF) -> tuple[object, ...]:
+    return frf.loop, dict(frf.operating_point), dict(frf.parameters)
 
 
 def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:

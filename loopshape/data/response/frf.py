@@ -299,7 +299,7 @@ class FRF:
         >>> old.renewed(new).frequency_hz.tolist()
         [1.0, 2.0, 2.5, 3.0, 4.0]
         """
-        for name in ("inputs", "outputs", "rate_hz", "operating_point", "hold", "held_by"):
+        for name in ("inputs", "outputs", "rate_hz", "operating_point", "parameters", "hold", "held_by"):
             if getattr(self, name) != getattr(newer, name):
                 raise WrongUseError(
                     f"the two FRFs of loop {self.loop} differ in {name}: one does not renew the other",
@@ -310,10 +310,13 @@ class FRF:
         f, (low, high) = self.frequency_hz, new.frequency_hz[[0, -1]]
         old = self.select((f < low * (1.0 - 1e-6)) | (f > high * (1.0 + 1e-6)))  # the ends are lines of both
         order = np.argsort(np.concatenate([old.frequency_hz, new.frequency_hz]))
-        pairs = {name: (getattr(old, name), getattr(new, name)) for name in (*_ARRAYS, "trusted")}
+        alike = self.power_per == newer.power_per  # else powers of two kinds would stand in one array
+        kept = [name for name in (*_ARRAYS, "trusted") if alike or not name.endswith("_power")]
+        pairs = {name: (getattr(old, name), getattr(new, name)) for name in kept}
         arrays: dict[str, Any] = {
             n: None if a is None or b is None else np.concatenate([a, b])[order] for n, (a, b) in pairs.items()
         }
+        arrays |= {name: None for name in _ARRAYS if name not in kept}
         return replace(
             self,
             **arrays,
