@@ -95,7 +95,8 @@ def _margins(panels: dict[str, Axes], loop: Loop, margins: Margins) -> None:
     words |= {"S": ("sensitivity_peak_db", "peak"), "T": ("complementary_peak_db", "peak")}
     for name, (quantity, word) in words.items():
         text = with_interval(margins, quantity, float(loop.frequency_hz[-1]))
-        panels[name].set_title(f"{word} {text}", loc="left", fontsize=7.5, pad=2.5)
+        # not in the layout: it may be wider than its panel, which would then leave its neighbours no width
+        panels[name].set_title(f"{word} {text}", loc="left", fontsize=7.5, pad=2.5).set_in_layout(False)
 
 
 def _bar(ax: Axes, at_hz: float, low: float, high: float, gid: str) -> None:
@@ -118,7 +119,8 @@ def _bandwidth(ax: Axes, margins: Margins) -> None:
 
 def _peak(ax: Axes, margins: Margins, quantity: str) -> None:
     value, at_hz = getattr(margins, quantity), margins.at_hz.get(quantity)
-    if not at_hz or not np.isfinite(value):  # at 0 Hz it has no place on the axis
+    left_hz, right_hz = ax.get_xlim()
+    if not at_hz or not np.isfinite(value) or not left_hz <= at_hz <= right_hz:  # it has no place on the axis
         return
     low, high = margins.intervals.get(quantity, (value, value))
     limits = ax.get_ylim()
