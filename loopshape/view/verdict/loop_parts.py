@@ -74,7 +74,7 @@ def with_interval(margins: Margins, quantity: str, last_hz: float = np.inf) -> s
 
 
 def number3(value: float, places: int | None = None) -> str:
-    """Three figures, at most `places` decimals, with a true minus sign and none before zero; the infinity sign for what has no end."""
+    """Three figures, at most `places` decimals, a true minus sign (none before zero), the infinity sign for no end."""
     if np.isinf(value):
         return "∞" if value > 0.0 else "\N{MINUS SIGN}∞"
     small = places is not None and abs(value) < 10.0 ** (2 - places)
