@@ -24,7 +24,7 @@ from loopshape.toolbox.learning.picture import feedforward_page
 from loopshape.toolbox.learning.verbs import setpoint_of
 from loopshape.toolbox.planning.tone.pictures import tones_page
 from loopshape.toolbox.planning.tone.tones import Period, tones_of, without_periods
-from loopshape.view.style import COLOURS, FULL_WIDTH_IN, figure_of, png, styled
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, png, styled
 
 DOCS = Path(__file__).parent
 FIGURES, BENCH = DOCS.parent / "figures", DOCS.parent / "examples" / "motor_bench"
@@ -215,7 +215,7 @@ def structures() -> dict[str, object]:
 def _diagrams() -> dict[str, Figure]:
     """The diagrams of the page of structures, by their names there."""
     return {
-        f"diagrams/{name}": figure_of(ls.plot.diagram(one))
+        f"diagrams/{name}": ls.plot(one)
         for name, one in structures().items()
         if isinstance(one, ls.Diagram) and name not in ("D", "with_it")
     }

@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from loopshape.data.signal.recording import Recording as Recording
     from loopshape.data.signal.run import Run as Run
     from loopshape.design.decoupling.decouple import decouple as decouple
-    from loopshape.design.decoupling.decoupled import decoupled as decoupled
     from loopshape.design.tune import Tuning as Tuning
     from loopshape.toolbox.campaign.verbs import campaign as campaign
     from loopshape.toolbox.diagrams.common_diagrams import cascade as cascade
@@ -62,6 +61,7 @@ if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.common_diagrams import dual_stage as dual_stage
     from loopshape.toolbox.diagrams.common_diagrams import prefilter as prefilter
     from loopshape.toolbox.diagrams.common_diagrams import two_sensors as two_sensors
+    from loopshape.toolbox.diagrams.decoupled import decoupled as decoupled
     from loopshape.toolbox.diagrams.diagram import Diagram as Diagram
     from loopshape.toolbox.diagrams.diagram import Part as Part
     from loopshape.toolbox.diagrams.diagram_run import simulate as simulate
@@ -106,6 +106,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
+    from loopshape.verbs.estimates import estimate as estimate
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
@@ -115,7 +116,7 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import write as write
     from loopshape.verbs.several import frf_matrices as frf_matrices
     from loopshape.verbs.several import interaction as interaction
-    from loopshape.view import plot as plot
+    from loopshape.view.plot import plot as plot
 
 __version__ = "0.1.0"
 
@@ -148,7 +149,8 @@ _HOME = {
     "complex_lead": "data.control.shorthand",
     "controller": "data.control.shorthand",
     "decouple": "design.decoupling.decouple",
-    "decoupled": "design.decoupling.decoupled",
+    "decoupled": "toolbox.diagrams.decoupled",
+    "estimate": "verbs.estimates",
     "fit": "verbs.chain",
     "fixed": "data.control.fixed",
     "frf": "verbs.chain",
@@ -164,7 +166,7 @@ _HOME = {
     "notch": "data.control.shorthand",
     "pi": "data.control.shorthand",
     "pid": "data.control.shorthand",
-    "plot": "view",
+    "plot": "view.plot",
     "predict": "verbs.chain",
     "profiles": "verbs.files",
     "read": "verbs.files",
@@ -185,8 +187,6 @@ def __getattr__(name: str) -> Any:
         return __dir__()
     if name.startswith("_"):
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
-    if name == "plot":
-        return import_module("loopshape.view.plot")
     home = f"loopshape.{_HOME[name]}" if name in _HOME else _of_toolboxes().get(name)
     if home is None:
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")

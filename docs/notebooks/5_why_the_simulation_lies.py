@@ -30,7 +30,7 @@ assert report.verdict == "gas_law"
 # in time.
 
 # %%
-ls.plot.gap(report)
+ls.plot(report)
 
 # %% [markdown]
 # An effect is the most probable cause, with others beside it in the ambiguity set where the recordings do not separate

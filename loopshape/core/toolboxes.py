@@ -39,7 +39,11 @@ class Toolbox:
 
     `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
     `loopshape import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path
-    and the noun, for `loopshape.write`.
+    and the noun, for `loopshape.write`. `formats` lead from the first words of a file (`format = "mine/1"`) to a
+    function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found. `parts`
+    lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
+    a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
+    its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them.
     """
 
     name: str
@@ -48,6 +52,9 @@ class Toolbox:
     names: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, str] = field(default_factory=dict)
     writers: Mapping[str, str] = field(default_factory=dict)
+    formats: Mapping[str, str] = field(default_factory=dict)
+    parts: Mapping[str, str] = field(default_factory=dict)
+    looks: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,11 @@ class Found:
     @property
     def names(self) -> dict[str, str]:
         """Public names of all toolboxes, with the module that holds each."""
-        return {name: home for one in [*self.toolboxes.values()][::-1] for name, home in one.names.items()}
+        return self.all("names")
+
+    def all(self, what: str) -> dict[str, str]:
+        """One of the mappings (names, readers, ...) of all toolboxes; ours come first."""
+        return {key: at for one in [*self.toolboxes.values()][::-1] for key, at in getattr(one, what).items()}
 
 
 @cache

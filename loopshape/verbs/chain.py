@@ -23,7 +23,6 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
-from loopshape.identify.settings import settings_of
 from loopshape.verbs.files import read
 from loopshape.verbs.given import Plants, controller_of, met, plants_of
 from loopshape.verbs.watch import Unwatched, Watch
@@ -44,19 +43,12 @@ def frfs(
     With `realisations` multisines that are alike but for their phases give one FRF, whose variance holds what a
     nonlinear plant answers differently to each draw; a single one tells noise alone. They are taken by periods.
 
-    `settings` of single recordings are those of `loopshape frf`: estimator ("reference", "direct", in open loop "h1",
-    "h2", "hv"), method, resolution_hz, window, overlap, detrend, segment_samples. Raises WrongUseError for a loop
-    without recording, and BadSignalError for a record without excitation.
+    `settings` and warnings as in `ls.estimate`, which gives remarks besides. Raises WrongUseError for a loop without
+    recording, and BadSignalError for a record without excitation.
     """
-    from loopshape.identify import groups
-    from loopshape.identify.frequency_response import estimate_together, excited_recordings
+    from loopshape.verbs.estimates import estimate
 
-    whole = run if isinstance(run, Run) else read(run)
-    chosen = settings_of(settings)
-    names = None if loop is None else whole.loop(loop).name
-    mine = [r for r in excited_recordings(whole) if r.info.alone and names in (None, r.info.excites)]
-    grouped = groups.realisations(mine) if realisations else [[r] for r in mine]
-    return tuple(estimate_together(group, whole.loop(str(group[0].info.excites)), chosen) for group in grouped)
+    return estimate(run, loop, realisations=realisations, matrix=False, **settings).frfs
 
 
 def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None = None, **settings: Any) -> FRF:

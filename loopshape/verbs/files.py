@@ -93,8 +93,7 @@ def write(what: Run | Controller | GainScheduled | Tuning | FRF, path: str | Pat
 def _write(what: Any, path: Path) -> None:
     from loopshape.core.toolboxes import found, function_at
 
-    writers = {name: place for one in found().toolboxes.values() for name, place in one.writers.items()}
-    if place := writers.get(type(what).__name__):
+    if place := found().all("writers").get(type(what).__name__):
         function_at(place)(path, what)
         return
     known = "a Run, a Controller, a GainScheduled, a Tuning or a FRF"

@@ -8,10 +8,10 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.result.equivalent import BlockDiagram
 from loopshape.design.tune import Tuning
-from loopshape.toolbox.diagrams.diagram import Diagram
 
-Plants = FRF | Sequence[FRF] | Diagram
+Plants = FRF | Sequence[FRF] | BlockDiagram
 
 
 def controller_of(given: Controller | Tuning) -> Controller:
@@ -21,17 +21,15 @@ def controller_of(given: Controller | Tuning) -> Controller:
 
 def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
     """The plants, and the requirements with what a diagram tells of their unstable poles."""
-    if not isinstance(P, Diagram):
+    if not isinstance(P, BlockDiagram):
         return plants_of(P), R
-    from loopshape.toolbox.diagrams.equivalent import equivalent
-
-    found = equivalent(P)
+    found = P.equivalent()
     return found.plants, found.asked(R)
 
 
 def plants_of(P: Plants) -> tuple[FRF, ...]:
     """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
-    if isinstance(P, Diagram):
+    if isinstance(P, BlockDiagram):
         return met(P, Requirements(P.tuned))[0]
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:

@@ -1,18 +1,18 @@
-"""Pictures for scripts: plants, a controller and perhaps requirements in, matplotlib's Axes or Figure out."""
+"""Pictures for scripts: `ls.plot(thing)` draws what suits it, `ls.plot.bode(P, C)` and the others choose."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.interaction import Interaction
+from loopshape.data.result.equivalent import BlockDiagram
+from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import loops_of
-from loopshape.toolbox.diagrams import picture as diagrams
-from loopshape.toolbox.diagrams.diagram import Diagram
-from loopshape.toolbox.diagrams.equivalent import equivalent
-from loopshape.toolbox.gap.pictures import report as gaps
 from loopshape.view.plots import frequency
 from loopshape.view.plots import interaction as meetings
 from loopshape.view.plots import loops as pages
@@ -20,6 +20,8 @@ from loopshape.view.plots import matrix as matrices
 from loopshape.view.plots import nichols as charts
 from loopshape.view.plots.bode import bode_page
 from loopshape.view.verdict import prediction as forecasts
+from loopshape.view.verdict.nyquist import nyquist as curves
+from loopshape.view.verdict.verdicts import margins_map
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,82 +30,117 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from loopshape.data.control.loop import Loop
-    from loopshape.data.response.interaction import Interaction
-    from loopshape.data.result.prediction import Prediction
     from loopshape.design.tune import Tuning
-    from loopshape.toolbox.gap.nouns.gap_report import GapReport
 
-    Plants = FRF | Sequence[FRF] | Diagram
+    Plants = FRF | Sequence[FRF] | BlockDiagram
 
 
 def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Loop]:
     controller = C if isinstance(C, Controller) else C.controller
     asked = R or Requirements(controller.loop)
-    if isinstance(P, Diagram):
-        found = equivalent(P)
+    if isinstance(P, BlockDiagram):
+        found = P.equivalent()
         return loops_of(found.plants, controller, found.asked(asked))[0]
     return loops_of((P,) if isinstance(P, FRF) else tuple(P), controller, asked)[0]
 
 
-def diagram(D: Diagram, *, ax: Axes | None = None) -> Axes:
-    """The block diagram, plants blue and the tuned block orange; without `ax` in a figure of its size."""
-    return diagrams.diagram(D, ax=ax)
+class Plots:
+    """Plants, a controller and perhaps requirements in, matplotlib's Axes or Figure out."""
+
+    def __call__(self, thing: object) -> Figure:
+        """The picture that suits one thing: a FRF, an interaction, a verdict, a prediction, or a toolbox's noun.
+
+        Raises WrongUseError for what has none.
+        """
+        match thing:
+            case FRF() if thing.response.shape[1:] == (1, 1):
+                return self.frf(thing)
+            case FRF():
+                return self.matrix(thing)
+            case Interaction():
+                return self.interaction(thing)
+            case Prediction():
+                return self.prediction([thing])
+            case Verdict() if thing.lines:
+                return margins_map(thing)
+        if callable(draw := getattr(thing, "figure", None)):
+            made: Figure = draw()
+            return made
+        what = "there is no picture of this"
+        raise WrongUseError(what, type(thing).__name__, "a loop is drawn by ls.plot.bode(P, C), .nyquist and .nichols")
+
+    @staticmethod
+    def frf(P: FRF) -> Figure:
+        """Magnitude, phase and coherence of one FRF over frequency, with 95 % bands and the valid band."""
+        return frequency.frf_page(P)
+
+    @staticmethod
+    def matrix(P: FRF) -> Figure:
+        """Magnitude and phase of each element of a matrix FRF, with 95 % bands."""
+        return matrices.matrix_page(P)
+
+    @staticmethod
+    def interaction(found: Interaction) -> Figure:
+        """Interaction coefficients, relative gains and equivalent plants over frequency, with bounds and verdicts."""
+        return meetings.interaction_page(found)
+
+    @staticmethod
+    def prediction(predictions: Sequence[Prediction]) -> Figure:
+        """Predicted |S|, |T| and steps of one loop at all operating points, with their bands."""
+        return forecasts.prediction_page(predictions)
+
+    @staticmethod
+    def nyquist(
+        P: Plants,
+        C: Controller | Tuning,
+        R: Requirements | None = None,
+        *,
+        verdict: Verdict | None = None,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Open loops in the complex plane about -1, with the circle that a required modulus margin keeps clear."""
+        return curves(_loops(P, C, R), R, verdict=verdict, ax=_own(ax))
+
+    @staticmethod
+    def nichols(
+        P: Plants,
+        C: Controller | Tuning,
+        R: Requirements | None = None,
+        *,
+        verdict: Verdict | None = None,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Open loops in the Nichols chart (degrees, dB), with what the requirements forbid; the worst point thick.
+
+        Without `ax` in a figure of pyplot's, which a notebook shows.
+        """
+        return charts.nichols(_loops(P, C, R), R, verdict=verdict, ax=_own(ax))
+
+    @staticmethod
+    def bode(
+        P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None
+    ) -> Figure:
+        """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits."""
+        found = _loops(P, C, R)
+        if len(found) == 1:
+            return bode_page(found[0], R, verdict=verdict)
+        return pages.loop_page(found, R, verdict=verdict)
+
+    @staticmethod
+    def sensitivities(
+        P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None
+    ) -> Figure:
+        """|S|, |T|, |CS| and |PS| of all operating points in dB, each under its limit."""
+        return pages.sensitivities(_loops(P, C, R), R, verdict=verdict)
 
 
-def frf(P: FRF) -> Figure:
-    """Magnitude, phase and coherence of one FRF over frequency, with 95 % bands and the valid band."""
-    return frequency.frf_page(P)
+def _own(ax: Axes | None) -> Axes:
+    """The axes given, or those of a figure of pyplot's, which a notebook shows."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot
+
+    return pyplot.figure(figsize=(6.4, 5.2), layout="constrained").add_subplot()
 
 
-def matrix(P: FRF) -> Figure:
-    """Magnitude and phase of each element of a matrix FRF, with 95 % bands."""
-    return matrices.matrix_page(P)
-
-
-def interaction(found: Interaction) -> Figure:
-    """Interaction coefficients, relative gains and equivalent plants over frequency, with bounds and verdicts."""
-    return meetings.interaction_page(found)
-
-
-def prediction(predictions: Sequence[Prediction]) -> Figure:
-    """Predicted |S|, |T| and steps of one loop at all operating points, with their bands."""
-    return forecasts.prediction_page(predictions)
-
-
-def gap(report: GapReport) -> Figure:
-    """Where a simulation leaves the machine, which effect causes it, and how that looks in time."""
-    return gaps.gap_figure(report)
-
-
-def nichols(
-    P: Plants,
-    C: Controller | Tuning,
-    R: Requirements | None = None,
-    *,
-    verdict: Verdict | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Open loops in the Nichols chart (degrees, dB), with what the requirements forbid; the worst point thick.
-
-    Without `ax` in a figure of pyplot's, which a notebook shows.
-    """
-    if ax is None:
-        from matplotlib import pyplot
-
-        ax = pyplot.figure(figsize=(6.4, 5.2), layout="constrained").add_subplot()
-    return charts.nichols(_loops(P, C, R), R, verdict=verdict, ax=ax)
-
-
-def bode(P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None) -> Figure:
-    """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits."""
-    found = _loops(P, C, R)
-    if len(found) == 1:
-        return bode_page(found[0], R, verdict=verdict)
-    return pages.loop_page(found, R, verdict=verdict)
-
-
-def sensitivities(
-    P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None
-) -> Figure:
-    """|S|, |T|, |CS| and |PS| of all operating points in dB, each under its limit."""
-    return pages.sensitivities(_loops(P, C, R), R, verdict=verdict)
+plot = Plots()

@@ -117,14 +117,13 @@ def _each(
 ) -> _Found:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     from loopshape.design.tune import tune as tune_loop
+    from loopshape.io.write.check_files import read_diagram
     from loopshape.io.write.frfs import read_frfs
-    from loopshape.toolbox.diagrams.equivalent import equivalent
-    from loopshape.toolbox.diagrams.files import read_diagram
     from loopshape.verbs.chain import disturbances_of
 
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
-        met = equivalent(read_diagram(diagram, run))
+        met = read_diagram(diagram, run).equivalent()
         frfs, fits, requirements = met.plants, (), tuple(map(met.asked, requirements))
     found = []
     for required in requirements:

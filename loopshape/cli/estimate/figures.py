@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from loopshape.data.response.model import Fit
     from loopshape.data.result.verdict import Verdict
     from loopshape.io.write.check_files import MatrixCheck
-    from loopshape.toolbox.diagrams.diagram import Diagram
 
 
 def figures(
@@ -81,15 +80,6 @@ def draw_estimates(
                 for name in (p.name for p in own[0].parameters):
                     drawn.append(save(figure_of(parameter_map(own, name)), folder / f"fit_{loop}_{name}.png"))
     return [str(path) for path in drawn]
-
-
-def draw_diagram(folder: Path, made: Diagram) -> str:
-    """The picture of a block diagram."""
-    from loopshape.cli.pictures import save
-    from loopshape.toolbox.diagrams.picture import diagram
-    from loopshape.view.style import figure_of
-
-    return str(save(figure_of(diagram(made)), folder / "diagram.png"))
 
 
 def draw_loops(

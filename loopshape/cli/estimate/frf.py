@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +13,8 @@ from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.response.frf import FRF
-    from loopshape.data.signal.recording import Recording
+    from loopshape.data.result.estimates import Estimates
     from loopshape.data.signal.run import Run
-    from loopshape.identify.settings import Settings
 
 
 def frf(
@@ -79,138 +76,29 @@ def estimate_and_report(
     realisations: bool = False,
     matrix: bool = False,
     renew: Path | None = None,
-    extra: Mapping[str, Any] | None = None,
+    ended_early: Sequence[str] = (),
     made: Run | None = None,
 ) -> None:
-    """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording ended early.
+    """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording `ended_early`.
 
-    The plant's matrix is estimated where it is asked for, and where recordings excite several loops at once, which
-    give no FRF of one loop. `made` is the run in the folder where it was read already.
+    `made` is the run in the folder where it was read already.
     """
-    from loopshape.core.errors import BadSignalError
-    from loopshape.identify.frequency_response import excited_recordings
-    from loopshape.identify.settings import Settings
-    from loopshape.io.held import held
-    from loopshape.io.run.run_folder import check_recordings, read_run
-    from loopshape.io.write.frfs import frf_csv, write_frfs, write_matrices
-    from loopshape.toolbox.gap.two_runs.levels import level_dependences
-    from loopshape.verbs.several import matrices_of
+    from loopshape.verbs.estimates import estimate, store
+    from loopshape.verbs.files import read
 
-    run = made or read_run(folder)
-    warnings = check_recordings(run)
+    run = made or read(folder)
     for note in run.extra.get("notes", ()):
         output.say(str(note))
-    chosen = Settings(**(settings or {}))
-    recordings = excited_recordings(run)
-    alone = [r for r in recordings if r.info.alone]
-    found = _estimate(run, alone, chosen, realisations, output, warnings)
-    found = found if renew is None else _renewed(renew, found)
-    wanted = matrix or len(alone) < len(recordings)
-    matrices = matrices_of(run, recordings, chosen, output) if wanted else []
-    if not found and not matrices:
-        raise BadSignalError(f"no recording of {folder} gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
-    with held(folder):
-        write_frfs(folder, found, run)
-        if matrices or matrix:
-            write_matrices(folder, matrices, run)
-    if csv:
-        for one in [*found, *matrices]:
-            frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
-    warnings += _growing(run, recordings)
-    drawn = draw_frfs(folder, found, output) + draw_matrices(folder, matrices) if figures else []
-    told = {"distortion": distortion_words(run, alone), "levels": level_dependences(run, found)}
-    report(found, output, folder, drawn, warnings, dict(extra or {}) | told, matrices)
-    if (extra or {}).get("ended_early"):
+    chosen = {"realisations": realisations, "matrix": matrix or None, "renew": renew, **(settings or {})}
+    found = estimate(run, watch=output, **chosen)
+    store(folder, run, found, matrices=matrix, csv=csv)
+    drawn = draw_frfs(folder, found.frfs, output) + draw_matrices(folder, found.matrices) if figures else []
+    report(found, output, folder, drawn, ended_early)
+    if ended_early:
         raise typer.Exit(2)
 
 
-def _renewed(earlier: Path, found: Sequence[FRF]) -> list[FRF]:
-    """The earlier run's FRFs, each renewed by the one of its loop and point; a FRF of a new point stays as it is."""
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.write.frfs import read_frfs
-
-    made: list[FRF] = []
-    old, met = read_frfs(earlier), 0
-    for new in found:
-        same = [one for one in old if _point(one) == _point(new)]
-        if len(same) > 1:
-            what = f"several FRFs in {earlier} are of one loop and operating point"
-            raise WrongUseError(what, ", ".join(one.recording for one in same), "renew one by FRF.renewed in Python")
-        met += len(same)
-        renewed = same[0].renewed(new) if same else new
-        made.append(replace(renewed, recording=new.recording, recordings=new.recordings))
-    if not met:
-        points = "; ".join(f"{one.loop} {point(one.operating_point, one.parameters)}" for one in found)
-        what = f"no FRF in {earlier} is of a loop and operating point measured here"
-        raise WrongUseError(what, points, "measure the point once more, or leave --renew out")
-    return made
-
-
-def _point(frf: FRF) -> tuple[object, ...]:
-    return frf.loop, dict(frf.operating_point), dict(frf.parameters)
-
-
-def _growing(run: Run, recordings: Sequence[Recording]) -> list[str]:
-    """Warnings of tones in the excited loops' outputs that grow and that the excitation does not explain.
-
-    Recordings that are not held whole are left to `loopshape tones`: the look would take longer than their estimate.
-    """
-    from loopshape.core.errors import BadSignalError
-    from loopshape.core.stretches import LongSignal
-    from loopshape.data.signal.channel import sum_terms
-    from loopshape.toolbox.planning.tone.tones import SHORTEST
-    from loopshape.toolbox.planning.tone.verbs import tones_in
-
-    words: list[str] = []
-    for recording in recordings:
-        columns = dict.fromkeys(c for name in recording.info.excited for c in sum_terms(run.loop(name).output))
-        with suppress(BadSignalError):  # a column that the FRF does without may hold what is no number
-            stored = recording.stored(next(iter(columns)))
-            if stored.size >= SHORTEST and not isinstance(stored, LongSignal):
-                words += [w for found in tones_in(run, recording, list(columns)) for w in found.warnings]
-    return words
-
-
-def _estimate(
-    run: Run, recordings: list[Recording], settings: Settings, realisations: bool, output: Output, warnings: list[str]
-) -> list[FRF]:
-    """FRFs of single loops; a recording that ended early and gives none is a warning."""
-    from loopshape.core.errors import BadSignalError
-    from loopshape.identify import groups
-    from loopshape.identify.frequency_response import estimate_together
-
-    grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
-    found = []
-    with output.progress("estimate", len(grouped)) as step:
-        for group in grouped:
-            loop = run.loop(str(group[0].info.excites))
-            try:
-                found.append(estimate_together(group, loop, settings))
-            except BadSignalError as error:
-                info = group[0].info
-                if info.ended_early is None:
-                    raise
-                warnings.append(f"{info.name}: {info.ended_early}; no FRF from it ({error.what})")
-            step(group[0].info.name)
-    return found
-
-
-def distortion_words(run: Run, recordings: list[Recording]) -> list[str]:
-    """What periodic recordings with lines left out say of distortion: a sentence for each loop and operating point."""
-    from loopshape.identify.quality.distortion import distortion
-
-    words: list[str] = []
-    first: dict[Any, Recording] = {}
-    for recording in (r for r in recordings if r.info.period_s is not None):
-        first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
-    for recording in first.values():
-        found = distortion(recording, run.loop(str(recording.info.excites)))
-        if found.told:
-            words.append(f"{recording.info.name}: {found.verdict}")
-    return words
-
-
-def draw_frfs(folder: Path, frfs: list[FRF], output: Output) -> list[str]:
+def draw_frfs(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str]:
     """A page for each FRF, an overview of each loop."""
     from loopshape.cli.pictures import save
     from loopshape.view.plots.frequency import frf_overview, frf_page
@@ -228,56 +116,44 @@ def draw_frfs(folder: Path, frfs: list[FRF], output: Output) -> list[str]:
     return drawn
 
 
-def report(
-    frfs: list[FRF],
-    output: Output,
-    folder: Path,
-    drawn: list[str],
-    warnings: list[str],
-    extra: Mapping[str, Any],
-    matrices: Sequence[FRF] = (),
-) -> None:
+def report(found: Estimates, output: Output, folder: Path, drawn: list[str], ended_early: Sequence[str]) -> None:
     """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
     from loopshape.data.response.method import by_loop
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
-    told = any(one.noise_covariance is not None for one in frfs)
+    told = any(one.noise_covariance is not None for one in found.frfs)
     columns += ["of it distortion [%]"] if told else []
     rows = []
-    for one in frfs:
+    for one in found.frfs:
         lines = _valid(one)
         spread = float(20.0 * np.log10(1.0 + np.median(lines.modulus_std[:, 0, 0])))
         share = [distortion_share(lines)] if told else []
         rows.append([one.recording, one.loop, *_where(one), spread, *share])
     if rows:
         output.table("Frequency responses", columns, rows)
-    matrix_rows = matrix_table(matrices, output)
-    for words in extra.get("distortion", ()):
-        output.say(words)
-    for found in extra.get("levels", ()):
-        output.say(found.sentence)
-    for line in by_loop([*frfs, *matrices]):
+    matrix_rows = matrix_table(found.matrices, output)
+    for remark in found.remarks:
+        output.say(remark.sentence)
+    for line in by_loop([*found.frfs, *found.matrices]):
         output.say(f"method: {line}")
-    early = list(extra.get("ended_early", ()))
-    notes = [f"{one.recording}: {note}" for one in [*frfs, *matrices] for note in one.notes]
-    output.warn([*warnings, *early, *notes])
+    warnings = [*found.warnings, *ended_early, *found.notes]
+    output.warn(warnings)
     if drawn:
         output.say(f"{len(drawn)} figures in {folder / 'figures'}")
     keys = ["recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db"]
     keys += ["distortion_percent"] if told else []
+    frfs = zip(rows, found.frfs, strict=True)
     output.json(
         {
             "run": str(folder),
-            "frfs": [
-                dict(zip(keys, r, strict=True)) | {"method": one.method} for r, one in zip(rows, frfs, strict=True)
-            ],
+            "frfs": [dict(zip(keys, row, strict=True)) | {"method": one.method} for row, one in frfs],
             "matrices": matrix_rows,
-            "distortion": extra.get("distortion", ()),
-            "levels": extra.get("levels", ()),
+            "distortion": found.of("distortion"),
+            "levels": found.of("levels"),
             "figures": drawn,
-            "warnings": [*warnings, *early, *notes],
+            "warnings": warnings,
         }
     )
 

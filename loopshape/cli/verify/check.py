@@ -210,11 +210,12 @@ def _write(reports: Reports, found: Checks, compared: Baseline | None) -> None:
 
 
 def _draw(folder: Path, found: Checks) -> list[str]:
-    from loopshape.cli.estimate.figures import draw_diagram, draw_loops, draw_several
+    from loopshape.cli.estimate.figures import draw_loops, draw_several
+    from loopshape.cli.pictures import save
 
     if found.matrix is not None:
         return draw_several(folder, found.matrix)
-    first = [] if found.diagram is None else [draw_diagram(folder, found.diagram)]
+    first = [] if found.diagram is None else [str(save(found.diagram.figure(), folder / "diagram.png"))]
     return first + [
         path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
     ]

@@ -14,19 +14,18 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.data.result.equivalent import Equivalent
 from loopshape.data.result.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.fit.fit import modes
 from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
-from loopshape.io.write.check_files import fits_of
+from loopshape.io.write.check_files import fits_of, read_diagram
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
 from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check_loops
-from loopshape.toolbox.diagrams.equivalent import Equivalent, equivalent
-from loopshape.toolbox.diagrams.files import read_diagram
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries, together
 
@@ -49,7 +48,7 @@ def gather(
     controllers = read_controllers(controller) if controller is not None else ()
     requirements = read_requirements(require) if require is not None else ()
     drawn = read_diagram(diagram, folder) if diagram is not None else None
-    met = None if drawn is None else equivalent(drawn)
+    met = None if drawn is None else drawn.equivalent()
     checked = _checked(frfs, controllers, requirements, fits, met)
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.control.loop_matrix import LoopMatrix
@@ -16,6 +17,7 @@ from loopshape.data.requirement.requirements import Requirements, SeveralRequire
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Checked, Comparison
+from loopshape.data.result.equivalent import BlockDiagram, Equivalent
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
@@ -28,9 +30,6 @@ from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
 from loopshape.loop.matrix.several import loop_matrices, verdict_on_matrices
 from loopshape.loop.verdict import check_loops
-from loopshape.toolbox.diagrams.diagram import Diagram
-from loopshape.toolbox.diagrams.equivalent import Equivalent, equivalent
-from loopshape.toolbox.diagrams.files import read_diagram
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ class Checks:
     verdicts: tuple[Verdict, ...]
     loops: tuple[LoopCheck, ...] = ()
     matrix: MatrixCheck | None = None
-    diagram: Diagram | None = None
+    diagram: BlockDiagram | None = None
 
     @property
     def single(self) -> tuple[LoopCheck, ...]:
@@ -115,6 +114,16 @@ class Baseline(Plain):
         return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
 
 
+def read_diagram(path: Path, run: Path) -> BlockDiagram:
+    """The block diagram of a file, with a run's FRFs in the place of its plants; refuses where no toolbox reads one."""
+    place = found().all("formats").get("loopshape-diagram/1")
+    if place is None:
+        what = "no toolbox of this installation reads a block diagram"
+        raise WrongUseError(what, str(path), "install loopshape whole, or leave the diagram out")
+    made: BlockDiagram = function_at(place)(path, run)
+    return made
+
+
 def check_files(
     run: Path, controller: Path, require: Path | None, profile: Profile | None = None
 ) -> tuple[LoopCheck, ...]:
@@ -147,7 +156,7 @@ def check_all(
     controllers = read_controllers(controller)
     if not matrix and several is None:
         drawn = None if diagram is None else read_diagram(diagram, run)
-        met = None if drawn is None else equivalent(drawn)
+        met = None if drawn is None else drawn.equivalent()
         loops = _single_loops(run, controllers, requirements, profile, disturbance, met)
         inner = () if met is None else tuple(met.inner.values())
         return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)

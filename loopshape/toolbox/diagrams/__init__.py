@@ -10,6 +10,8 @@ from loopshape.core.toolboxes import Toolbox
 TOOLBOX = Toolbox(
     "diagrams",
     "Block diagrams around one tuned block: a diagram and measured plants come in, equivalent plants go out",
+    formats={"loopshape-diagram/1": "loopshape.toolbox.diagrams.files:read_diagram"},
+    parts={"Block diagram": "loopshape.toolbox.diagrams.report_parts:diagram"},
     names={
         "cascade": "loopshape.toolbox.diagrams.common_diagrams",
         "disturbance_observer": "loopshape.toolbox.diagrams.common_diagrams",

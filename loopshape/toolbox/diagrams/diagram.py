@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,11 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.toolbox.learning.taps import Feedforward
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from loopshape.data.result.equivalent import Equivalent
 
 _TERM = re.compile(r"\s*([+-]?)\s*([A-Za-z_]\w*)")
 
@@ -236,6 +241,19 @@ class Diagram:
         after = self.followers(without)
         reach = {one: _reached(after, one) for one in after}
         return {one for one in reach[name] if name in reach[one]}
+
+    def equivalent(self) -> Equivalent:
+        """What `ls.equivalent` finds."""
+        from loopshape.toolbox.diagrams.equivalent import equivalent
+
+        return equivalent(self)
+
+    def figure(self) -> Figure:
+        """The diagram, plants blue and the tuned block orange, in a figure of its size."""
+        from loopshape.toolbox.diagrams.picture import diagram
+        from loopshape.view.style import figure_of
+
+        return figure_of(diagram(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON: the diagram with what stands in its blocks."""

@@ -17,6 +17,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.control.shorthand import controller, gain
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.result.equivalent import Equivalent, hidden
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import check_loops, loops_of
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
@@ -24,40 +25,6 @@ from loopshape.toolbox.diagrams.transfer import transfer
 
 #: controllers in inner loops that are tried in every order of closing
 MOST = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Equivalent:
-    """The plants that a diagram's tuned block meets (one an operating point), and the verdicts on its inner loops.
-
-    `unstable_poles` is what is left unstable with the tuned block open, None where it is not known; of `integrators`
-    there are so many left at least.
-    """
-
-    plants: tuple[FRF, ...]
-    inner: Mapping[str, Verdict]
-    unstable_poles: int | None
-    integrators: int = 0
-
-    def __repr__(self) -> str:
-        """One line: how many operating points, the unstable poles, and the inner loops' outcomes."""
-        points = f"{len(self.plants)} operating point{'s' * (len(self.plants) != 1)}"
-        inner = "".join(f", inner loop {name} {verdict.outcome}" for name, verdict in self.inner.items())
-        poles = "unknown" if self.unstable_poles is None else self.unstable_poles
-        return f"Equivalent: {points}, unstable poles {poles}{inner}"
-
-    def asked(self, R: Requirements) -> Requirements:
-        """Requirements with the number of unstable poles; refuses another one declared, and too few integrators."""
-        if R.integrators is not None and max(R.integrators, 0) < self.integrators:
-            raise _hidden(self.integrators, R.integrators, R.loop)
-        if self.unstable_poles is None or R.unstable_poles == self.unstable_poles:
-            return R
-        if R.unstable_poles is not None:
-            raise WrongUseError(
-                "the requirements declare other unstable poles than the diagram has with its tuned block open",
-                f"{R.unstable_poles} and {self.unstable_poles}", "declare them at the plants, and leave them out here",
-            )  # fmt: skip
-        return replace(R, unstable_poles=self.unstable_poles)
 
 
 def equivalent(D: Diagram) -> Equivalent:
@@ -195,17 +162,8 @@ def _integrators_left(D: Diagram, plants: Sequence[FRF], closings: _Closings) ->
         left.append(max(0, total - closings.integrators))
         seen = _seen(plant)
         if seen is not None and seen < left[-1]:
-            raise _hidden(left[-1], seen, D.tuned)
+            raise hidden(left[-1], seen, D.tuned)
     return max(left)
-
-
-def _hidden(left: int, seen: int, tuned: str) -> WrongUseError:
-    """Two integrators that share one error drift against each other, and the error shows nothing of it."""
-    return WrongUseError(
-        "the diagram has an integrator that the tuned block does not see, and that nothing holds",
-        f"{left} are left by the inner loops, {tuned} sees {seen}",
-        "leave one out of the controllers, or declare integrators at the plants",
-    )
 
 
 def _seen(frf: FRF) -> int | None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from base64 import b64encode
 
+from loopshape.data.result.equivalent import BlockDiagram
 from loopshape.data.result.run_report import RunReport, asked_outcome
-from loopshape.toolbox.diagrams.diagram import Diagram
-from loopshape.toolbox.diagrams.picture import diagram as drawn
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.verdict_parts import margins_of
 from loopshape.view.html.words import badge
-from loopshape.view.style import figure_of, png
+from loopshape.view.style import png
 
 
-def diagram(report: RunReport) -> Markup:
-    """The picture of the diagram, then every loop that is closed within, with its margins."""
+def diagram(report: RunReport) -> Markup | None:
+    """The picture of the diagram, then every loop that is closed within, with its margins; None without a diagram."""
     D = report.diagram
-    assert D is not None
+    if D is None:
+        return None
     words = (
         f"The plant of loop {D.tuned} in this report is what block {D.tuned} meets with everything else closed, found"
         " from the run's frequency responses with their covariance."
@@ -29,7 +29,7 @@ def diagram(report: RunReport) -> Markup:
     return joined([_picture(D), tag("p", words), *inner])
 
 
-def _picture(D: Diagram) -> Markup:
-    source = Markup(f"data:image/png;base64,{b64encode(png(figure_of(drawn(D)))).decode('ascii')}")
+def _picture(D: BlockDiagram) -> Markup:
+    source = Markup(f"data:image/png;base64,{b64encode(png(D.figure())).decode('ascii')}")
     alt = f"Block diagram{f' {D.name}' if D.name else ''}; tuned is block {D.tuned}"
     return tag("div", tag("figure", tag("img", src=source, alt=alt)), class_="pictures")

@@ -16,6 +16,7 @@ TOOLBOX = Toolbox(
             "Diagnose", "effects", "loopshape.toolbox.gap.commands.effects:effects", "loopshape effects arm-1dof", 20
         ),
     ),
+    looks={"levels": "loopshape.toolbox.gap.two_runs.levels:remarks"},
     names={
         "axis": "loopshape.toolbox.gap.nouns.axis",
         "GapReport": "loopshape.toolbox.gap.nouns.gap_report",

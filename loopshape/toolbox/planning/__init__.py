@@ -22,6 +22,7 @@ TOOLBOX = Toolbox(
             "Estimate", "tones", "loopshape.toolbox.planning.commands.tones:tones", "loopshape tones runs/axis", 50
         ),
     ),
+    looks={"growth": "loopshape.toolbox.planning.tone.verbs:growing"},
     names={
         "tones": "loopshape.toolbox.planning.tone.verbs",
         "plan": "loopshape.toolbox.planning.verbs",

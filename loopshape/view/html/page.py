@@ -7,11 +7,11 @@ from importlib.resources import files
 from typing import Any
 
 from loopshape.core.json_ready import json_ready
+from loopshape.core.toolboxes import found, function_at
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.run_report import CheckedLoop, RunReport
 from loopshape.data.result.verdict import Verdict
-from loopshape.toolbox.diagrams import report_parts as diagram_parts
 from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
@@ -77,7 +77,7 @@ def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, lis
     r, checked = report, report.checked
     every: list[tuple[str, str, object, Callable[[], Content]]] = [
         ("verdict", "Verdict", True, lambda: verdict_parts.verdict(r)),
-        ("diagram", "Block diagram", r.diagram, lambda: diagram_parts.diagram(r)),
+        *((title.lower().replace(" ", "-"), title, part, lambda part=part: part) for title, part in _of_toolboxes(r)),
         ("missing", "What is missing", r.missing, lambda: run_parts.missing(r.missing)),
         ("requirements", "Requirements", checked, lambda: _each(checked, verdict_parts.requirements)),
         ("margins", "Margins at every operating point", checked, lambda: _each(checked, verdict_parts.margins)),
@@ -91,6 +91,11 @@ def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, lis
         ("provenance", "Provenance", True, lambda: source_parts.provenance(r)),
     ]
     return [(key, title, inside()) for key, title, there, inside in every if there]
+
+
+def _of_toolboxes(report: RunReport) -> list[tuple[str, Markup | None]]:
+    """Sections that toolboxes add, by their titles."""
+    return [(title, function_at(place)(report)) for title, place in found().all("parts").items()]
 
 
 def _each(checked: Sequence[CheckedLoop], part: Callable[[CheckedLoop], Markup]) -> Markup:

@@ -58,7 +58,7 @@ def _arm(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
 
     tables = Output(quiet=output.as_json or output.quiet)
     made = record(examples / "identify.toml", run, output)
-    estimate_and_report(run, tables, figures=False, extra={"ended_early": ended_early(made)}, made=made)
+    estimate_and_report(run, tables, figures=False, ended_early=ended_early(made), made=made)
     tables.say("")
     fit_run(run, tables, structure="third_order", loop="theta2")
     fit_run(run, tables, structure="integrator", loop="p_ab")

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from loopshape.core.units import Array
 from loopshape.toolbox.gap.nouns.effect import Fix
 from loopshape.toolbox.gap.nouns.gap_table import GapTable
 from loopshape.toolbox.rig.study import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMAT = "loopshape-gap/1"
 SMALLEST_GAP = 1.5  # floors; below there is no gap to shrink
@@ -266,6 +269,12 @@ class GapReport:
     windows_s: Sequence[float] = ()
     floors: Sequence[Floor] = ()
     fix: Fix | None = None
+
+    def figure(self) -> Figure:
+        """Where the simulation leaves the machine, which effect causes it, and how that looks in time."""
+        from loopshape.toolbox.gap.pictures.report import gap_figure
+
+        return gap_figure(self)
 
     @property
     def probability(self) -> float:

@@ -19,6 +19,7 @@ from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.level_dependence import Bend, Change, LevelDependence
+from loopshape.data.result.estimates import Remark
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
@@ -56,6 +57,11 @@ def level_dependences(run: Run, frfs: Iterable[FRF]) -> tuple[LevelDependence, .
         with suppress(BadSignalError):  # no excitation was recorded: the estimator went without
             found += [at_level(run, recording, f)] if recording else []
     return dependences(found)
+
+
+def remarks(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> list[Remark]:
+    """Level dependences as what `loopshape frf` tells."""
+    return [Remark("levels", one.sentence, data=one) for one in level_dependences(run, frfs)]
 
 
 def at_level(run: Run, recording: Recording, frf: FRF) -> AtLevel:

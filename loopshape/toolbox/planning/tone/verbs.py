@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
 from loopshape.data.arrays import rate, real_array
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.estimates import Remark
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.excitation_parts import is_sweep, rows_of_a_period
 from loopshape.data.signal.recording import Recording
@@ -18,7 +21,7 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.signals import has_instrument, moved_signal
 from loopshape.identify.spectra.transforms import measured_period
 from loopshape.toolbox.planning.tone.nouns import Tones
-from loopshape.toolbox.planning.tone.tones import CHANCE, Period, tones_of, without_periods
+from loopshape.toolbox.planning.tone.tones import CHANCE, SHORTEST, Period, tones_of, without_periods
 from loopshape.verbs.files import read
 
 
@@ -71,6 +74,20 @@ def tones_in(run: Run, recording: Recording, channels: Sequence[str] = (), chanc
         )
         for name, (signal, column) in signals.items()
     ]  # fmt: skip
+
+
+def growing(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> Iterator[Remark]:
+    """Warnings of tones in the excited loops' outputs that grow and that the excitation does not explain.
+
+    Recordings that are not held whole are left to `loopshape tones`: the look would take longer than their estimate.
+    """
+    for recording in recordings:
+        columns = dict.fromkeys(c for name in recording.info.excited for c in sum_terms(run.loop(name).output))
+        with suppress(BadSignalError):  # a column that the FRF does without may hold what is no number
+            stored = recording.stored(next(iter(columns)))
+            if stored.size >= SHORTEST and not isinstance(stored, LongSignal):
+                for found in tones_in(run, recording, list(columns)):
+                    yield from (Remark("growth", words, warning=True) for words in found.warnings)
 
 
 def signal_of(run: Run, recording: Recording, found: Tones) -> np.ndarray:

@@ -64,7 +64,7 @@ def measure(
         complain(stopped)
         early = [*ended_early(read_run(out)), *([str(stopped)] if as_json else [])]
         try:
-            estimate_and_report(out, output, extra={"ended_early": early})
+            estimate_and_report(out, output, ended_early=early)
         except LoopshapeError as error:
             complain(error)
         except typer.Exit:
@@ -75,7 +75,7 @@ def measure(
     ended = ended_early(made)
     if any(r.info.excites is not None for r in made.recordings):
         try:
-            estimate_and_report(out, output, extra={"ended_early": ended}, made=made)
+            estimate_and_report(out, output, ended_early=ended, made=made)
         except typer.Exit as early:
             raise typer.Exit(1 if _is_target(study) else early.exit_code) from None
         except LoopshapeError as error:

@@ -1,0 +1,152 @@
+"""A run -> its FRFs, with all that looks at them: what `loopshape frf`, `ls.estimate` and `ls.frf` do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.toolboxes import found, function_at
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.estimates import Estimates, Remark
+from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
+from loopshape.identify.settings import Settings, settings_of
+from loopshape.verbs.files import read
+from loopshape.verbs.several import matrices_of
+from loopshape.verbs.watch import Unwatched, Watch
+
+
+def estimate(
+    run: Run | str | Path,
+    loop: str | None = None,
+    *,
+    realisations: bool = False,
+    matrix: bool | None = None,
+    renew: str | Path | None = None,
+    watch: Watch | None = None,
+    **settings: Any,
+) -> Estimates:
+    """All FRFs of a run with what a user has to know of them: what `loopshape frf` prints and stores.
+
+    FRFs of all recordings that excite one loop alone (or `loop`), in order. With `realisations` multisines that are
+    alike but for their phases give one FRF, whose variance holds what a nonlinear plant answers differently to each
+    draw; they are taken by periods. The plant's matrix at each operating point comes too with `matrix`, by default
+    where recordings excite several loops at once, which give no FRF of one loop. `renew` is an earlier run of the
+    same plant: its FRFs get this run's valid lines in their band (`FRF.renewed`). `settings` are estimator
+    ("reference", "direct", in open loop "h1", "h2", "hv"), method, resolution_hz, window, overlap, detrend,
+    segment_samples.
+
+    `warnings` tell faults of the recordings, loops that recordings ended early left without a FRF, and tones that
+    grow; `remarks` distortion and how the response depends on the excitation's level. Where nobody watches each
+    warning is Python's too. Raises WrongUseError for a loop without recording, BadSignalError where no recording
+    gives a FRF.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> u = np.random.default_rng(1).standard_normal(60_000)
+    >>> found = ls.estimate(ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=1000.0))
+    >>> len(found.frfs), found.warnings
+    (1, ())
+    """
+    from loopshape.identify.frequency_response import excited_recordings
+
+    alone_here, chosen = watch is None, settings_of(settings)
+    watch = watch or Unwatched()
+    whole = run if isinstance(run, Run) else read(run)
+    name = None if loop is None else whole.loop(loop).name
+    recordings = [r for r in excited_recordings(whole) if name is None or (r.info.alone and r.info.excites == name)]
+    alone = [r for r in recordings if r.info.alone]
+    frfs, warnings = _single(whole, alone, chosen, realisations, watch)
+    frfs = frfs if renew is None else _renewed(Path(renew), frfs)
+    several = matrix is not False and (matrix or len(alone) < len(recordings))
+    matrices = matrices_of(whole, recordings, chosen, watch) if several else []
+    if not frfs and not matrices and (alone if matrix is False else recordings):
+        raise BadSignalError("no recording of the run gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
+    looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs)]
+    warnings += [one.sentence for one in looked if one.warning]
+    if alone_here:
+        watch.warn(warnings)
+    return Estimates(tuple(frfs), tuple(matrices), tuple(warnings), tuple(x for x in looked if not x.warning))
+
+
+def _single(
+    run: Run, recordings: list[Recording], settings: Settings, realisations: bool, watch: Watch
+) -> tuple[list[FRF], list[str]]:
+    """FRFs of single loops; a recording that ended early and gives none is a warning."""
+    from loopshape.identify import groups
+    from loopshape.identify.frequency_response import estimate_together
+    from loopshape.io.run.run_folder import check_recordings
+
+    grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
+    made, warnings = [], check_recordings(replace(run, recordings=tuple(recordings))) if recordings else []
+    with watch.progress("estimate", len(grouped)) as step:
+        for group in grouped:
+            info = group[0].info
+            try:
+                made.append(estimate_together(group, run.loop(str(info.excites)), settings))
+            except BadSignalError as error:
+                if info.ended_early is None:
+                    raise
+                warnings.append(f"{info.name}: {info.ended_early}; no FRF from it ({error.what})")
+            step(info.name)
+    return made, warnings
+
+
+def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
+    """What periodic recordings with lines left out say of distortion: one for each loop and operating point."""
+    from loopshape.identify.quality.distortion import distortion
+
+    first: dict[Any, Recording] = {}
+    for recording in (r for r in recordings if r.info.period_s is not None):
+        first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
+    for recording in first.values():
+        it = distortion(recording, run.loop(str(recording.info.excites)))
+        if it.told:
+            yield Remark("distortion", f"{recording.info.name}: {it.verdict}")
+
+
+def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> Iterable[Remark]:
+    for place in found().all("looks").values():
+        yield from function_at(place)(run, recordings, frfs)
+
+
+def _renewed(earlier: Path, new: Sequence[FRF]) -> list[FRF]:
+    """The earlier run's FRFs, each renewed by the one of its loop and point; a FRF of a new point stays as it is."""
+    from loopshape.io.write.frfs import read_frfs
+
+    made: list[FRF] = []
+    old, met = read_frfs(earlier), 0
+    for frf in new:
+        same = [one for one in old if _point(one) == _point(frf)]
+        if len(same) > 1:
+            what = f"several FRFs in {earlier} are of one loop and operating point"
+            raise WrongUseError(what, ", ".join(one.recording for one in same), "renew one by FRF.renewed in Python")
+        met += len(same)
+        renewed = same[0].renewed(frf) if same else frf
+        made.append(replace(renewed, recording=frf.recording, recordings=frf.recordings))
+    if not met:
+        points = "; ".join(f"{one.loop} {dict(one.operating_point) or ''}".strip() for one in new)
+        what = f"no FRF in {earlier} is of a loop and operating point measured here"
+        raise WrongUseError(what, points, "measure the point once more, or leave --renew out")
+    return made
+
+
+def _point(frf: FRF) -> tuple[object, ...]:
+    return frf.loop, dict(frf.operating_point), dict(frf.parameters)
+
+
+def store(folder: Path, run: Run, found: Estimates, *, matrices: bool = False, csv: bool = False) -> None:
+    """Write estimates into the run's folder; with `matrices` also that there is none, with `csv` as tables too."""
+    from loopshape.io.held import held
+    from loopshape.io.write.frfs import frf_csv, write_frfs, write_matrices
+
+    with held(folder):
+        write_frfs(folder, found.frfs, run)
+        if found.matrices or matrices:
+            write_matrices(folder, found.matrices, run)
+    for one in [*found.frfs, *found.matrices] if csv else ():
+        frf_csv(folder / "frf" / f"{one.recording}.{one.loop}.csv", one)
