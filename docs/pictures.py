@@ -35,7 +35,7 @@ def shown() -> dict[str, dict[str, list[float]]]:
 
     Those of the shipped controller: the pictures of the report show where the tour's `tune` ends, which is another one.
     """
-    P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+    P = ls.frf(ls.formats.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
     model = ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")
     (own,) = ls.read_controllers(BENCH / "controller.toml")
     (R,) = ls.read_requirements(BENCH / "requirements.toml")
@@ -55,7 +55,7 @@ def shown() -> dict[str, dict[str, list[float]]]:
 def diagnosed() -> GapReport:
     """The diagnosis of the page of gaps and of the demo: an arm with an effect that the model leaves out."""
     with TemporaryDirectory() as here:
-        run = ls.measure(DOCS.parent / "examples" / "arm" / "gap.toml", Path(here) / "gap")
+        run = ls.rig.measure(DOCS.parent / "examples" / "arm" / "gap.toml", Path(here) / "gap")
         return ls.gap(run, table=False, name="gap")
 
 
@@ -141,13 +141,13 @@ def _feedforward() -> Figure:
         rate_hz=1000.0,
     )
     C = ls.controller(ls.gain(0.5), rate_hz=1000.0)
-    F = ls.feedforward(P, band_hz=(0.1, 8.0))
+    F = ls.learning.feedforward(P, band_hz=(0.1, 8.0))
     r = setpoint_of(0.35, 0.6, 2.0, 12.0, rate_hz=1000.0, rest_s=4.0)
     return feedforward_page(
         F,
         {
-            "without": ls.tracking_error(P, C, r),
-            "with feedforward": ls.tracking_error(P, C, r, F),
+            "without": ls.learning.tracking_error(P, C, r),
+            "with feedforward": ls.learning.tracking_error(P, C, r, F),
         },
     )
 
@@ -217,7 +217,7 @@ def _diagrams() -> dict[str, Figure]:
     return {
         f"diagrams/{name}": ls.plot(one)
         for name, one in structures().items()
-        if isinstance(one, ls.Diagram) and name not in ("D", "with_it")
+        if isinstance(one, ls.diagrams.Diagram) and name not in ("D", "with_it")
     }
 
 

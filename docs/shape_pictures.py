@@ -14,7 +14,7 @@ SIZES = {1440: 940, 1024: 900, 390: 844}
 
 def walk() -> tuple[ls.FRF, ls.Controller, ls.Requirements]:
     """The motor bench at the end of the walk in shape.md."""
-    P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+    P = ls.frf(ls.formats.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
     (R,) = ls.read_requirements(BENCH / "requirements.toml")
     blocks = (
         ls.gain(12.0),

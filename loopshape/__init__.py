@@ -7,7 +7,8 @@
     C = ls.tune(P, R, [ls.gain(), ls.lead_lag(), ls.notch()])
     v = ls.check(P, C, R)
 
-Names are loaded when they are first used; `dir(loopshape)` lists them.
+Names are loaded when they are first used; `dir(loopshape)` lists them. What stands beside this bench is found by its
+toolbox: `ls.rig.measure`, `ls.diagrams.cascade`, `ls.gap(run)`, which is `ls.gap.gap`.
 """
 
 from __future__ import annotations
@@ -18,12 +19,11 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from loopshape.core.errors import LoopshapeError as LoopshapeError
-    from loopshape.data.algebra.multirate import multirate as multirate
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
-    from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
-    from loopshape.data.control.gain_scheduled import gain_scheduled as gain_scheduled
     from loopshape.data.control.shorthand import biquad as biquad
     from loopshape.data.control.shorthand import complex_lead as complex_lead
     from loopshape.data.control.shorthand import controller as controller
@@ -46,58 +46,19 @@ if TYPE_CHECKING:
     from loopshape.data.response.frf import FRF as FRF
     from loopshape.data.response.interaction import Interaction as Interaction
     from loopshape.data.response.model import Fit as Fit
-    from loopshape.data.result.prediction import Comparison as Comparison
     from loopshape.data.result.prediction import Prediction as Prediction
     from loopshape.data.result.verdict import Outcome as Outcome
     from loopshape.data.result.verdict import Verdict as Verdict
     from loopshape.data.signal.disturbance import Disturbance as Disturbance
     from loopshape.data.signal.recording import Recording as Recording
     from loopshape.data.signal.run import Run as Run
-    from loopshape.design.decoupling.decouple import decouple as decouple
     from loopshape.design.tune import Tuning as Tuning
-    from loopshape.toolbox.campaign.verbs import campaign as campaign
-    from loopshape.toolbox.diagrams.common_diagrams import cascade as cascade
-    from loopshape.toolbox.diagrams.common_diagrams import disturbance_observer as disturbance_observer
-    from loopshape.toolbox.diagrams.common_diagrams import dual_stage as dual_stage
-    from loopshape.toolbox.diagrams.common_diagrams import prefilter as prefilter
-    from loopshape.toolbox.diagrams.common_diagrams import two_sensors as two_sensors
-    from loopshape.toolbox.diagrams.decoupled import decoupled as decoupled
-    from loopshape.toolbox.diagrams.diagram import Diagram as Diagram
-    from loopshape.toolbox.diagrams.diagram import Part as Part
-    from loopshape.toolbox.diagrams.diagram_run import simulate as simulate
-    from loopshape.toolbox.diagrams.equivalent import Equivalent as Equivalent
-    from loopshape.toolbox.diagrams.equivalent import equivalent as equivalent
-    from loopshape.toolbox.diagrams.transfer import transfer as transfer
-    from loopshape.toolbox.diagrams.wired import Wired as Wired
-    from loopshape.toolbox.formats.verbs import export as export
-    from loopshape.toolbox.formats.verbs import read_frf as read_frf
-    from loopshape.toolbox.formats.verbs import read_table as read_table
-    from loopshape.toolbox.gap.nouns.axis import axis as axis
-    from loopshape.toolbox.gap.nouns.gap_report import GapReport as GapReport
-    from loopshape.toolbox.gap.nouns.machine import Input as Input
-    from loopshape.toolbox.gap.nouns.machine import Model as Model
-    from loopshape.toolbox.gap.nouns.machine import ModelParameter as ModelParameter
-    from loopshape.toolbox.gap.nouns.machine import Output as Output
-    from loopshape.toolbox.gap.nouns.machine import Port as Port
-    from loopshape.toolbox.gap.verbs import gap as gap
-    from loopshape.toolbox.gap.verbs import identifiability as identifiability
-    from loopshape.toolbox.learning.feedforward import feedforward as feedforward
-    from loopshape.toolbox.learning.learning import learning as learning
-    from loopshape.toolbox.learning.next_trial import next_trial as next_trial
-    from loopshape.toolbox.learning.repetitive import repetitive as repetitive
-    from loopshape.toolbox.learning.verbs import tracking_error as tracking_error
-    from loopshape.toolbox.limits.bound import Bound as Bound
-    from loopshape.toolbox.limits.verbs import bound as bound
-    from loopshape.toolbox.limits.verbs import reach as reach
-    from loopshape.toolbox.limits.verbs import schedule as schedule
-    from loopshape.toolbox.planning.tone.verbs import tones as tones
-    from loopshape.toolbox.planning.verbs import plan as plan
-    from loopshape.toolbox.planning.verbs import write_plan as write_plan
-    from loopshape.toolbox.rig.study import Study as Study
-    from loopshape.toolbox.rig.verbs.machine import connect as connect
-    from loopshape.toolbox.rig.verbs.machine import emulator as emulator
-    from loopshape.toolbox.rig.verbs.machine import measure as measure
-    from loopshape.toolbox.rig.verbs.stop import stop as stop
+    from loopshape.toolbox import diagrams as diagrams
+    from loopshape.toolbox import formats as formats
+    from loopshape.toolbox import limits as limits
+    from loopshape.toolbox import planning as planning
+    from loopshape.toolbox import rig as rig
+    from loopshape.toolbox import schedules as schedules
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
@@ -110,7 +71,6 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
-    from loopshape.verbs.files import read_gain_scheduled as read_gain_scheduled
     from loopshape.verbs.files import read_requirements as read_requirements
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
@@ -118,17 +78,19 @@ if TYPE_CHECKING:
     from loopshape.verbs.several import interaction as interaction
     from loopshape.view.plot import plot as plot
 
+    gap: Any  # these three are called, too
+    campaign: Any
+    learning: Any
+
 __version__ = "0.1.0"
 
 #: public name -> the module that holds it
 _HOME = {
     "AtPoints": "data.requirement.limits_over",
-    "Comparison": "data.result.prediction",
     "Controller": "data.control.controller",
     "Disturbance": "data.signal.disturbance",
     "FRF": "data.response.frf",
     "Fit": "data.response.model",
-    "GainScheduled": "data.control.gain_scheduled",
     "Interaction": "data.response.interaction",
     "LoopshapeError": "core.errors",
     "Margins": "data.requirement.requirements",
@@ -148,8 +110,6 @@ _HOME = {
     "compare": "verbs.chain",
     "complex_lead": "data.control.shorthand",
     "controller": "data.control.shorthand",
-    "decouple": "design.decoupling.decouple",
-    "decoupled": "toolbox.diagrams.decoupled",
     "estimate": "verbs.estimates",
     "fit": "verbs.chain",
     "fixed": "data.control.fixed",
@@ -158,11 +118,9 @@ _HOME = {
     "frfs": "verbs.chain",
     "from_control": "data.response.control_frd",
     "gain": "data.control.shorthand",
-    "gain_scheduled": "data.control.gain_scheduled",
     "interaction": "verbs.several",
     "lead_lag": "data.control.shorthand",
     "low_pass": "data.control.shorthand",
-    "multirate": "data.algebra.multirate",
     "notch": "data.control.shorthand",
     "pi": "data.control.shorthand",
     "pid": "data.control.shorthand",
@@ -171,7 +129,6 @@ _HOME = {
     "profiles": "verbs.files",
     "read": "verbs.files",
     "read_controllers": "verbs.files",
-    "read_gain_scheduled": "verbs.files",
     "read_requirements": "verbs.files",
     "report": "verbs.files",
     "resonator": "data.control.shorthand",
@@ -187,9 +144,18 @@ def __getattr__(name: str) -> Any:
         return __dir__()
     if name.startswith("_"):
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
-    home = f"loopshape.{_HOME[name]}" if name in _HOME else _of_toolboxes().get(name)
-    if home is None:
-        raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
+    if name in _HOME:
+        return _public(f"loopshape.{_HOME[name]}", name)
+    boxes = _toolboxes()
+    if name in boxes:
+        return boxes[name]
+    there = [f"loopshape.{box}.{name}" for box, names in boxes.items() if name in dir(names)]
+    hint = f"; there is {', '.join(there)}" if there else ""
+    raise AttributeError(f"module 'loopshape' has no attribute {name!r}{hint}")
+
+
+def _public(home: str, name: str) -> Any:
+    """What stands in a module under a name; a function behind the gate of its arguments."""
     found = getattr(import_module(home), name)
     return _behind_gate(found) if isinstance(found, FunctionType) else found
 
@@ -201,11 +167,33 @@ def _behind_gate(function: Any) -> Any:
     return gated(function)
 
 
-def _of_toolboxes() -> dict[str, str]:
+class _Names:
+    """The names of a toolbox, loaded when they are used; called, it does what the verb of the toolbox's name does."""
+
+    def __init__(self, name: str, purpose: str, homes: Mapping[str, str]) -> None:
+        self.__name__, self.__doc__, self.__homes = name, purpose, homes
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self.__homes:
+            raise AttributeError(f"loopshape.{self.__name__} has no {name!r}: it has {', '.join(dir(self))}")
+        return _public(self.__homes[name], name)
+
+    def __dir__(self) -> list[str]:
+        return sorted(self.__homes)
+
+    def __repr__(self) -> str:
+        return f"loopshape.{self.__name__}: {', '.join(dir(self))}"
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return getattr(self, self.__name__)(*arguments, **named)
+
+
+@cache
+def _toolboxes() -> dict[str, _Names]:
     from loopshape.core.toolboxes import found
 
-    return found().names
+    return {key: _Names(key, one.purpose, one.names) for key, one in found().toolboxes.items() if one.names}
 
 
 def __dir__() -> list[str]:
-    return sorted(["__version__", *_HOME, *_of_toolboxes()])
+    return sorted(["__version__", *_HOME, *_toolboxes()])

@@ -16,7 +16,7 @@ RATE_HZ = 1000.0
 @cache
 def bench() -> tuple[ls.FRF, ls.Requirements, Controller]:
     """The motor bench with its shipped requirements and controller."""
-    P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+    P = ls.frf(ls.formats.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
     return P, ls.read_requirements(BENCH / "requirements.toml")[0], ls.read_controllers(BENCH / "controller.toml")[0]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import loopshape as ls
 
 BENCH = Path("../../examples/motor_bench")
-P = ls.frf(ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
+P = ls.frf(ls.formats.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml"))
 model = ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")
 (C,), (R,) = (
     ls.read_controllers(BENCH / "controller.toml"),

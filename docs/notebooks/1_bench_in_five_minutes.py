@@ -16,7 +16,7 @@ from pathlib import Path
 import loopshape as ls
 
 BENCH = Path("../../examples/motor_bench")
-run = ls.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml")
+run = ls.formats.read_table(BENCH / "multisine_type_a.parquet", BENCH / "map.toml")
 run
 
 # %% [markdown]

@@ -104,4 +104,4 @@ ls.plot.nichols(P, C, R, verdict=v)
 
 # %% [markdown]
 # The worst case is drawn thick. ``loopshape schedule`` says what one controller for all costs at each point, and
-# ``ls.bound`` which bandwidth no linear controller of any order exceeds.
+# ``ls.limits.bound`` which bandwidth no linear controller of any order exceeds.

@@ -13,7 +13,7 @@ from tempfile import mkdtemp
 
 import loopshape as ls
 
-run = ls.measure(Path("../../examples/arm2/study.toml"), mkdtemp())
+run = ls.rig.measure(Path("../../examples/arm2/study.toml"), mkdtemp())
 run
 
 # %% [markdown]

@@ -28,9 +28,9 @@ study.write_text(given.replace("watchdog_ms = 250", "watchdog_ms = 5000"))
 # refused in a sentence.
 
 # %%
-with ls.emulator() as port:
+with ls.rig.emulator() as port:
     try:
-        ls.measure(study, folder / "run", port=port)
+        ls.rig.measure(study, folder / "run", port=port)
     except ls.LoopshapeError as refused:
         print(refused)
 
@@ -39,8 +39,8 @@ with ls.emulator() as port:
 # every finished recording is kept.
 
 # %%
-with ls.emulator() as port:
-    run = ls.measure(study, folder / "run", port=port, arm=True)
+with ls.rig.emulator() as port:
+    run = ls.rig.measure(study, folder / "run", port=port, arm=True)
 assert all(r.info.ended_early is None for r in run.recordings)
 run
 

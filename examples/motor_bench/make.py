@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 
 def main() -> int:
     """Import, estimate, fit, tune, check; 1 where the controller does not hold, and then nothing is kept of it."""
-    P = ls.frf(ls.read_table(HERE / "multisine_type_a.parquet", HERE / "map.toml"))
+    P = ls.frf(ls.formats.read_table(HERE / "multisine_type_a.parquet", HERE / "map.toml"))
     fits = [ls.fit(P, "rational", numerator=2, denominator=4, delay=True, weighting="relative")]
     (R,) = ls.read_requirements(HERE / "requirements.toml")
     tuning = ls.tune(P, R, fits=fits)

@@ -33,7 +33,7 @@ def main() -> None:
     """Measure, decouple, measure behind the matrix, tune both joints on either plant, check as one, move."""
     own = ARM.default_controllers(1000.0)
     P = plant({})
-    W = ls.decouple(P, MATRIX_HZ)
+    W = ls.diagrams.decouple(P, MATRIX_HZ)
     behind = plant(W.weights)
     plants = {"without": P, "predicted": W.applied(P), "run behind it": behind}
     write("coupling.csv", coupling_rows(plants))

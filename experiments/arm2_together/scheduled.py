@@ -30,7 +30,7 @@ Set = Sequence[Controller | GainScheduled]
 def main() -> None:
     """Measure behind the middle's matrix, tune the nodes and one for all, check each frozen point, move."""
     (middle,) = measured(NODES_BAR[1:2], {})
-    W = ls.decouple(middle, MATRIX_HZ).weights
+    W = ls.diagrams.decouple(middle, MATRIX_HZ).weights
     plants = measured((*NODES_BAR, *BETWEEN_BAR), W)
     at_nodes = plants[: len(NODES_BAR)]
     own = ARM.default_controllers(1000.0)
@@ -70,7 +70,7 @@ def asked_of_nodes() -> list[ls.Requirements]:
 
 def over_p_c(nodes: Sequence[Controller]) -> GainScheduled:
     """A schedule that follows p_C's reference."""
-    return ls.gain_scheduled(list(nodes), [{"p_c_bar": p} for p in NODES_BAR], {"p_c_bar": "p_c"})
+    return ls.schedules.gain_scheduled(list(nodes), [{"p_c_bar": p} for p in NODES_BAR], {"p_c_bar": "p_c"})
 
 
 def frozen(controllers: Set, P: ls.FRF) -> list[Controller]:

@@ -28,22 +28,22 @@ def motion(t, x, u, p):  # type: ignore[no-untyped-def]
     return x[1], (u[0] - drag - p.coulomb * way + p.offset) / p.mass
 
 
-def model(n: Numbers) -> ls.Model:
+def model(n: Numbers) -> ls.gap.Model:
     """The axis with these numbers; a number of 0 is one that the model does not have."""
 
-    def own(name: str, unit: str, tolerance: float, effect: str) -> ls.ModelParameter:
-        return ls.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
+    def own(name: str, unit: str, tolerance: float, effect: str) -> ls.gap.ModelParameter:
+        return ls.gap.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
 
-    return ls.Model(
+    return ls.gap.Model(
         "EMPS", motion, ("position", "speed"),
         (
             own("mass", "kg", 0.03, "parameter_error@mass"), own("viscous", "N s/m", 0.15, "viscous_error@axis"),
             own("viscous_bias", "N s/m", 0.15, "none"), own("coulomb", "N", 0.15, "coulomb_friction@axis"),
             own("offset", "N", 0.15, "force_offset@axis"),
         ),
-        (ls.Input("drive", "force_n", n["factor"], unit="N"),),
-        (ls.Output("encoder", "position", "position_m", n["scale"], unit="m"),),
-        (ls.Port("axis", "drive", "position", "speed", unit="N"),),
+        (ls.gap.Input("drive", "force_n", n["factor"], unit="N"),),
+        (ls.gap.Output("encoder", "position", "position_m", n["scale"], unit="m"),),
+        (ls.gap.Port("axis", "drive", "position", "speed", unit="N"),),
         window_s=WINDOW_S, derived=lambda v: P(*v),
     )  # fmt: skip
 

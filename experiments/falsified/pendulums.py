@@ -38,14 +38,14 @@ def motion(t, x, u, p):  # type: ignore[no-untyped-def]
     return x[2], x[3], (m22 * a - m12 * b) / det, (m11 * b - m12 * a) / det
 
 
-def model(n: Numbers) -> ls.Model:
+def model(n: Numbers) -> ls.gap.Model:
     """The pendulum with these numbers; a number of 0 is one that the model does not have."""
 
-    def own(name: str, unit: str, tolerance: float, effect: str = "") -> ls.ModelParameter:
+    def own(name: str, unit: str, tolerance: float, effect: str = "") -> ls.gap.ModelParameter:
         effect = effect or f"parameter_error@{name}"
-        return ls.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
+        return ls.gap.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
 
-    return ls.Model(
+    return ls.gap.Model(
         "double pendulum", motion, ("angle1", "angle2", "speed1", "speed2"),
         (
             own("moment1", "kg m", 0.03), own("inertia1", "kg m2", 0.03), own("mass2", "kg", 0.03),
@@ -56,16 +56,16 @@ def model(n: Numbers) -> ls.Model:
             own("coulomb2", "N m", 0.2, "coulomb_friction@joint2"),
         ),
         (
-            ls.Input("motor1", "torque1_nm", n["factor1"], unit="N m"),
-            ls.Input("motor2", "torque2_nm", n["factor2"], unit="N m"),
+            ls.gap.Input("motor1", "torque1_nm", n["factor1"], unit="N m"),
+            ls.gap.Input("motor2", "torque2_nm", n["factor2"], unit="N m"),
         ),
         (
-            ls.Output("encoder1", "angle1", "angle1_rad", n["scale1"], unit="rad"),
-            ls.Output("encoder2", "angle2", "angle2_rad", n["scale2"], unit="rad"),
+            ls.gap.Output("encoder1", "angle1", "angle1_rad", n["scale1"], unit="rad"),
+            ls.gap.Output("encoder2", "angle2", "angle2_rad", n["scale2"], unit="rad"),
         ),
         (
-            ls.Port("joint1", "motor1", "angle1", "speed1", unit="N m"),
-            ls.Port("joint2", "motor2", "angle2", "speed2", unit="N m"),
+            ls.gap.Port("joint1", "motor1", "angle1", "speed1", unit="N m"),
+            ls.gap.Port("joint2", "motor2", "angle2", "speed2", unit="N m"),
         ),
         window_s=0.3, derived=lambda v: P(*v),
     )  # fmt: skip

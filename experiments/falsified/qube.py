@@ -35,29 +35,29 @@ def motion(t, x, u, p):  # type: ignore[no-untyped-def]
     return x[2], x[3], (second * a - across * b) / det, (arm * b - across * a) / det
 
 
-def model(n: Numbers) -> ls.Model:
+def model(n: Numbers) -> ls.gap.Model:
     """The pendulum drive with these numbers; a number of 0 is one that the model does not have."""
 
-    def own(name: str, unit: str, tolerance: float, effect: str) -> ls.ModelParameter:
-        return ls.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
+    def own(name: str, unit: str, tolerance: float, effect: str) -> ls.gap.ModelParameter:
+        return ls.gap.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
 
-    return ls.Model(
+    return ls.gap.Model(
         "QUBE", motion, ("arm", "pendulum", "arm_speed", "pendulum_speed"),
         (
             own("arm_inertia", "kg m2", 0.03, "parameter_error@arm_inertia"),
             own("damping", "N m s/rad", 0.15, "viscous_error@arm"), own("coulomb", "N m", 0.15, "coulomb_friction@arm"),
             own("mass", "kg", 0.03, "parameter_error@mass"), own("half_length", "m", 0.02, "length_error@pendulum"),
             own("pivot_damping", "N m s/rad", 0.3, "viscous_error@pivot"),
-            ls.ModelParameter("lean", n["lean"], "rad", 0.0, "base_tilt@base", (-0.1, 0.1)),
+            ls.gap.ModelParameter("lean", n["lean"], "rad", 0.0, "base_tilt@base", (-0.1, 0.1)),
         ),
-        (ls.Input("drive", "u_v", n["factor"], unit="N m"), ls.Input("push", None, unit="N m")),
+        (ls.gap.Input("drive", "u_v", n["factor"], unit="N m"), ls.gap.Input("push", None, unit="N m")),
         (
-            ls.Output("arm_encoder", "arm", "theta_rad", n["arm_scale"], unit="rad"),
-            ls.Output("pendulum_encoder", "pendulum", "alpha_rad", n["pendulum_scale"], unit="rad"),
+            ls.gap.Output("arm_encoder", "arm", "theta_rad", n["arm_scale"], unit="rad"),
+            ls.gap.Output("pendulum_encoder", "pendulum", "alpha_rad", n["pendulum_scale"], unit="rad"),
         ),
         (
-            ls.Port("arm", "drive", "arm", "arm_speed", unit="N m"),
-            ls.Port("pivot", "push", "pendulum", "pendulum_speed", unit="N m"),
+            ls.gap.Port("arm", "drive", "arm", "arm_speed", unit="N m"),
+            ls.gap.Port("pivot", "push", "pendulum", "pendulum_speed", unit="N m"),
         ),
         window_s=WINDOW_S, derived=lambda v: P(*v),
     )  # fmt: skip

@@ -33,14 +33,14 @@ def motion(t, x, u, p):  # type: ignore[no-untyped-def]
     return x[2], x[3], motor / p.motor_inertia, load / p.load_inertia
 
 
-def model(n: Numbers) -> ls.Model:
+def model(n: Numbers) -> ls.gap.Model:
     """The bench with these numbers; a number of 0 is one that the model does not have."""
 
-    def own(name: str, unit: str, tolerance: float, effect: str = "") -> ls.ModelParameter:
+    def own(name: str, unit: str, tolerance: float, effect: str = "") -> ls.gap.ModelParameter:
         effect = effect or f"parameter_error@{name}"
-        return ls.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
+        return ls.gap.ModelParameter(name, n[name], unit, tolerant(n[name], tolerance), effect if n[name] else "none")
 
-    return ls.Model(
+    return ls.gap.Model(
         "bench", motion, ("motor", "load", "motor_speed", "load_speed"),
         (
             own("motor_inertia", "A s2/rad", 0.03), own("load_inertia", "A s2/rad", 0.03),
@@ -51,14 +51,14 @@ def model(n: Numbers) -> ls.Model:
             own("load_coulomb", "A", 0.15, "coulomb_friction@load"),
             own("offset", "A", 0.5, "none"), own("rest", "rad", 0.5, "none"),
         ),
-        (ls.Input("drive", "iq_a", n["factor"], unit="A"), ls.Input("push", None, unit="A")),
+        (ls.gap.Input("drive", "iq_a", n["factor"], unit="A"), ls.gap.Input("push", None, unit="A")),
         (
-            ls.Output("motor_encoder", "motor", "motor_rad", n["motor_scale"], unit="rad"),
-            ls.Output("load_encoder", "load", "load_rad", n["load_scale"], unit="rad"),
+            ls.gap.Output("motor_encoder", "motor", "motor_rad", n["motor_scale"], unit="rad"),
+            ls.gap.Output("load_encoder", "load", "load_rad", n["load_scale"], unit="rad"),
         ),
         (
-            ls.Port("motor", "drive", "motor", "motor_speed", unit="A"),
-            ls.Port("load", "push", "load", "load_speed", unit="A"),
+            ls.gap.Port("motor", "drive", "motor", "motor_speed", unit="A"),
+            ls.gap.Port("load", "push", "load", "load_speed", unit="A"),
         ),
         window_s=WINDOW_S, derived=lambda v: P(*v),
     )  # fmt: skip

@@ -50,7 +50,7 @@ def main() -> None:
     if not (DATA / FIRST).exists():
         print("the KAGRA measurements are absent: set LOOPSHAPE_DATA to the folder of recordings")
         return
-    first = ls.read_frf(DATA / FIRST)
+    first = ls.formats.read_frf(DATA / FIRST)
     pairs = measured_twice(first)
     write("responses.csv", responses(first))
     write("coverage.csv", coverage(pairs))

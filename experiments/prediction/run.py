@@ -61,7 +61,7 @@ COLUMNS = (
 
 def main() -> None:
     """Identify, fit, (tune,) predict, measure again, compare, check; a row for each loop and equilibrium."""
-    frfs = ls.frfs(ls.measure(ARM / "identify.toml", OUT / "arm"))
+    frfs = ls.frfs(ls.rig.measure(ARM / "identify.toml", OUT / "arm"))
     fits = [ls.fit(frf, NAMES[frf.loop]) for frf in frfs]
     if "--tune" in sys.argv:
         tuned_twice(frfs, fits)
@@ -82,7 +82,7 @@ def main() -> None:
 def verified(controllers: Path) -> Run:
     """The run of verify.toml under these controllers, in a folder of their own."""
     folder = OUT / f"verify-{sha256(controllers.read_bytes()).hexdigest()[:8]}"
-    return ls.measure(ARM / "verify.toml", folder, controllers=read_controllers(controllers))
+    return ls.rig.measure(ARM / "verify.toml", folder, controllers=read_controllers(controllers))
 
 
 def tuned_twice(frfs: Sequence[FRF], fits: Sequence[Fit]) -> None:

@@ -41,7 +41,7 @@ def rows() -> Iterable[Sequence[object]]:
            "judged", "stable", "disk_margin", "theta2_hz", "p_ab_hz")  # fmt: skip
     for theta, p in POINTS:
         before = plant(theta, p, 9)
-        W = ls.decouple(before, BANDS_HZ[0])
+        W = ls.diagrams.decouple(before, BANDS_HZ[0])
         after = plant(theta, p, 10, W.weights)
         print(theta, p, W, flush=True)
         for what, P in (("without", before), ("predicted", W.applied(before)), ("run behind it", after)):
@@ -49,7 +49,7 @@ def rows() -> Iterable[Sequence[object]]:
             yield from ((theta, p, what, *told, *x, *together(P)) for x in coupled(P))
         fresh = plant(theta, p, 11)
         for order in ORDERS:
-            P = ls.decouple(before, (BANDS_HZ[0][0], BANDS_HZ[-1][1]), order).applied(fresh)
+            P = ls.diagrams.decouple(before, (BANDS_HZ[0][0], BANDS_HZ[-1][1]), order).applied(fresh)
             what = f"behind order {order} of both bands on another recording"
             yield from ((theta, p, what, 0.0, 0.0, 0.0, 0.0, *x, *together(P)) for x in coupled(P))
 

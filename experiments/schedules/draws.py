@@ -59,7 +59,7 @@ def rows(theta2_deg: float, p_ab_bar: float) -> Iterable[Sequence[object]]:
     loop = run.loop("theta2")
     half = DRAWS // 2
     truth = estimate_realisations(made[half:], loop)  # type: ignore[arg-type]
-    (schedule,) = ls.read_gain_scheduled(HERE / "controller.toml")
+    (schedule,) = ls.schedules.read_gain_scheduled(HERE / "controller.toml")
     C = schedule.at(truth.operating_point)
     (asked,) = read_requirements(HERE / "requirements.toml")
     for size in (1, 4):

@@ -43,7 +43,7 @@ def main() -> None:
     nodes = {place: tuned(place, first, wanted) for place in places}
     points = [{"theta2_deg": t, "p_ab_bar": p} for t, p in nodes]
     follows = {"theta2_deg": "theta2", "p_ab_bar": "p_ab"}
-    scheduled = ls.gain_scheduled(list(nodes.values()), points, follows, lag_s=SETTINGS["lag_s"])
+    scheduled = ls.schedules.gain_scheduled(list(nodes.values()), points, follows, lag_s=SETTINGS["lag_s"])
     robust = ls.tune(list(first.values()), wanted, starts=SETTINGS["starts"]).controller
     ls.write(scheduled, HERE / "controller.toml")
     plants = measured((*places, *cells), **SETTINGS["checked"])
@@ -106,7 +106,7 @@ def summary_rows(
     plants: dict[Place, ls.FRF],
     nodes: Iterable[Place],
     verdicts: dict[str, ls.Verdict],
-    controllers: dict[str, ls.Controller | ls.GainScheduled],
+    controllers: dict[str, ls.Controller | ls.schedules.GainScheduled],
 ) -> Iterable[Sequence[object]]:
     """Lowest bandwidth and worst margins over the grid, and what the move showed."""
     yield ("controller", "outcome", "lowest_hz", "lowest_at_nodes_hz", "worst_peak_db", "worst_phase_deg",
@@ -122,12 +122,12 @@ def summary_rows(
         )  # fmt: skip
 
 
-def moved(controller: ls.Controller | ls.GainScheduled) -> tuple[object, ...]:
+def moved(controller: ls.Controller | ls.schedules.GainScheduled) -> tuple[object, ...]:
     """Error while moving and in the last three seconds at rest, degrees; largest z in V; why it ended early."""
     folder = Path(tempfile.mkdtemp())
     try:
         (pressure,) = [c for c in ls.read_controllers(ROOT / "examples/arm/controller.toml") if c.loop == "p_ab"]
-        run = ls.measure(HERE / "move.toml", folder / "run", controllers=[controller, pressure])
+        run = ls.rig.measure(HERE / "move.toml", folder / "run", controllers=[controller, pressure])
         r = run.recordings[0]
         error = deg(r.column("r_theta2_rad") - r.column("theta2_rad"))
         rest = error[-3000:]

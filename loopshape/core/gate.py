@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from enum import Enum, StrEnum
 from functools import cache, wraps
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.toolboxes import found
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: numbers from here on are none that anything can be computed with
@@ -37,9 +39,14 @@ class _Public(dict[str, Any]):
 
     def __missing__(self, name: str) -> Any:
         face = sys.modules["loopshape"]
-        if not name[:1].isupper() or name not in face.__all__:
+        if not name[:1].isupper():
             raise KeyError(name)
-        return getattr(face, name)
+        if name in face.__all__:
+            return getattr(face, name)
+        at = found().all("names").get(name)
+        if at is None:
+            raise KeyError(name)
+        return getattr(import_module(at), name)
 
 
 def _hint(annotation: Any, module: str) -> Any:

@@ -64,11 +64,6 @@ class Found:
     toolboxes: Mapping[str, Toolbox]
     broken: tuple[str, ...]
 
-    @property
-    def names(self) -> dict[str, str]:
-        """Public names of all toolboxes, with the module that holds each."""
-        return self.all("names")
-
     def all(self, what: str) -> dict[str, str]:
         """One of the mappings (names, readers, ...) of all toolboxes; ours come first."""
         return {key: at for one in [*self.toolboxes.values()][::-1] for key, at in getattr(one, what).items()}

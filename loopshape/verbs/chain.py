@@ -1,7 +1,7 @@
 """What a script does: read or make a run, estimate its FRFs, fit, tune, check. Each verb takes nouns and gives one.
 
 A plant is a FRF, several where one controller serves several operating points, or a diagram, whose tuned block meets
-the plant that `ls.equivalent` finds; python-control's systems with data
+the plant that `ls.diagrams.equivalent` finds; python-control's systems with data
 (`control.frd`) are taken where their error is stated first: `ls.FRF.from_control`.
 """
 
@@ -222,7 +222,7 @@ def check(
     plant is told by `R.unstable_poles`, or counted from the loop that was recorded; where nothing tells, the verdict is
     undecided. Raises WrongUseError for a controller at another rate than the FRF.
 
-    A schedule (`ls.gain_scheduled`) is checked at each FRF's operating point by the controller that runs there.
+    A schedule (`ls.schedules.gain_scheduled`) is checked at each FRF's operating point by the controller that runs there.
 
     With a sequence of controllers, one a loop, `P` is a square matrix FRF (`ls.frf_matrices`) and all loops are closed
     at once: each is checked with the others closed (`R`, one a loop), then all `together`: stability by det(I + L), and

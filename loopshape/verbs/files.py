@@ -46,8 +46,8 @@ def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
     --------
     >>> import loopshape as ls, tempfile
     >>> soft, stiff = (ls.controller(ls.gain(k), rate_hz=1000.0, loop="theta") for k in (10.0, 4.0))
-    >>> C = ls.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
-    >>> ls.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
+    >>> C = ls.schedules.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
+    >>> ls.schedules.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
     {'p_bar': 1.4}
     """
     from loopshape.io.write.controllers import read_gain_scheduled as read_file

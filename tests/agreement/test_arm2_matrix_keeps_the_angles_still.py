@@ -19,7 +19,7 @@ def linear_matrix() -> dict[str, dict[str, float]]:
     H = linearise2(numbers(), *MIDDLE).response(f_hz)
     names = Arm2().loops
     P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
-    W = ls.decouple(P, (0.3, 1.2)).matrix
+    W = ls.diagrams.decouple(P, (0.3, 1.2)).matrix
     return {a: dict(zip(names, W[k].tolist(), strict=True)) for k, a in enumerate(names)}
 
 

@@ -1,4 +1,4 @@
-"""A diagram of controllers runs on a target as `ls.simulate` runs it: the core in C, the target in Python, the arm."""
+"""A diagram of controllers runs on a target as `ls.diagrams.simulate` runs it: the core in C, the target in Python, the arm."""
 
 import struct
 from dataclasses import replace
@@ -45,27 +45,27 @@ def diagrams(name):
     slow = controller(ls.gain(3.0), ls.lead_lag(4.0, 50.0))
     wires = {"r": "r_axis1_rad", "y": "angle1_rad", "u": "z1_v"}
     if name == "prefilter":
-        return ls.prefilter(P, controller(ls.low_pass(3.0, order=1))).with_part("C", C), {"P": one}, wires
+        return ls.diagrams.prefilter(P, controller(ls.low_pass(3.0, order=1))).with_part("C", C), {"P": one}, wires
     if name == "observer":
         nominal = control.tf([380.0], [1.0, 33.0, 0.0])
-        D = ls.disturbance_observer(P, nominal, ls.low_pass(4.0, 0.7)).with_part("C", slow)
+        D = ls.diagrams.disturbance_observer(P, nominal, ls.low_pass(4.0, 0.7)).with_part("C", slow)
         return D, {"P": one}, wires
     two_inputs = {"r": "r_axis1_rad", "y1": "angle1_rad", "y2": "angle2_rad", "u1": "z1_v", "u2": "z2_v"}
     if name == "dual stage":  # the fine one's displacement is added to the coarse one's error, as it is measured
         parts = (
-            ls.Part("C1", "e1", "u1", slow), ls.Part("C2", "e", "u2", C), ls.Part("P", ("u1", "u2"), ("y1", "y2"), G)
+            ls.diagrams.Part("C1", "e1", "u1", slow), ls.diagrams.Part("C2", "e", "u2", C), ls.diagrams.Part("P", ("u1", "u2"), ("y1", "y2"), G)
         )  # fmt: skip
-        return ls.Diagram(parts, {"y": "y1 + y2", "e": "r - y", "e1": "e + y2"}, "C1"), {"P": two}, two_inputs
+        return ls.diagrams.Diagram(parts, {"y": "y1 + y2", "e": "r - y", "e1": "e + y2"}, "C1"), {"P": two}, two_inputs
     late = controller(ls.gain(1.0), computation_delay_s=0.3)
     parts = (  # a cascade whose inner controller also reads what both gave 300 samples ago, in a circle
-        ls.Part("outer", "e", "v", slow), ls.Part("inner", "ei", "u1", controller(ls.gain(2.0))),
-        ls.Part("late", "both", "w", late),
-        ls.Part("second", "y2", "u2", controller(ls.gain(-1.0), ls.low_pass(90.0, 0.7))),
-        ls.Part("P", ("u1", "u2"), ("y1", "y2"), G),
+        ls.diagrams.Part("outer", "e", "v", slow), ls.diagrams.Part("inner", "ei", "u1", controller(ls.gain(2.0))),
+        ls.diagrams.Part("late", "both", "w", late),
+        ls.diagrams.Part("second", "y2", "u2", controller(ls.gain(-1.0), ls.low_pass(90.0, 0.7))),
+        ls.diagrams.Part("P", ("u1", "u2"), ("y1", "y2"), G),
     )  # fmt: skip
     sums = {"e": "r - y1", "ei": "v - y2 - w", "both": "u1 + u2"}
     weak = {"outer": controller(ls.gain(2.0)), "inner": controller(ls.gain(0.4))}
-    D = ls.Diagram(parts, sums, "outer")
+    D = ls.diagrams.Diagram(parts, sums, "outer")
     return D.with_part("outer", weak["outer"]).with_part("inner", weak["inner"]), {"P": two}, two_inputs
 
 
@@ -87,10 +87,10 @@ def test_the_target_in_python_is_the_simulation(tmp_path, name):
         return one
 
     with Running(quiet) as running:
-        ls.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=ls.Wired(D, wires))
+        ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=ls.diagrams.Wired(D, wires))
     found = table(tmp_path / "run", "one", count=count)
     first = next(n for n, c in wires.items() if c == "angle1_rad")
-    signals = ls.simulate(D, models, {"r": found["r1"], first: -found["n1"]})
+    signals = ls.diagrams.simulate(D, models, {"r": found["r1"], first: -found["n1"]})
     for signal, column in wires.items():
         if column.startswith("z"):
             z = found[f"z{column[1]}"]
@@ -106,7 +106,7 @@ def on_bench(name):
 
     D, models, wires = diagrams(name)
     loops = [LoopSetup(f"axis{k}", f"r_axis{k}_rad", None, f"z{k}_v", f"angle{k}_rad", None) for k in (1, 2)]
-    return D, models, wires, blocks(ls.Wired(D, wires), loops, RATE)
+    return D, models, wires, blocks(ls.diagrams.Wired(D, wires), loops, RATE)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -117,7 +117,7 @@ def test_the_core_in_c_steps_as_the_simulation(name):
     rng = np.random.default_rng(3)
     noise = np.r_[0.0, 0.1 * rng.standard_normal(n - 1)]
     first = next(s for s, c in wires.items() if c == "angle1_rad")
-    signals = ls.simulate(D, models, {"r": np.zeros(n), first: noise})
+    signals = ls.diagrams.simulate(D, models, {"r": np.zeros(n), first: noise})
     sensors = np.zeros((n, 3))
     for signal, column in wires.items():
         if column.startswith("angle"):
@@ -180,11 +180,13 @@ def test_the_emulated_arm_under_a_diagram(tmp_path, divisor):
         ls.controller(ls.low_pass(2.0, order=1), rate_hz=rate),
         ls.controller(ls.gain(6.0), ls.low_pass(9.0, 0.7), rate_hz=rate),
     )
-    wired = ls.Wired(ls.prefilter(P, F).with_part("C", C), {"r": "r_theta2_rad", "y": "theta2_rad", "u": "z_theta2_v"})
+    wired = ls.diagrams.Wired(
+        ls.diagrams.prefilter(P, F).with_part("C", C), {"r": "r_theta2_rad", "y": "theta2_rad", "u": "z_theta2_v"}
+    )
     (tmp_path / "study.toml").write_text(HEAD + ARM_ON_A_TARGET + MOVED)
     with emulator() as port:
-        run = ls.measure(tmp_path / "study.toml", tmp_path / "run", port=port, arm=True, diagram=wired)
-        (shown,) = ls.connect(port).show(tmp_path / "study.toml", diagram=wired).experiments()
+        run = ls.rig.measure(tmp_path / "study.toml", tmp_path / "run", port=port, arm=True, diagram=wired)
+        (shown,) = ls.rig.connect(port).show(tmp_path / "study.toml", diagram=wired).experiments()
     names = ("r_theta2_rad", "theta2_rad", "n_theta2_rad", "z_theta2_v")
     r, y, n, z = (run.recording("moved").column(name) for name in names)
     e = through(F, r[::divisor]) - (y - n)[::divisor]
@@ -307,32 +309,48 @@ def refused(tmp_path, wired, words, rig="target", **board):
     study = write_study(tmp_path, study_text(count=1).replace('rig = "target"', f'rig = "{rig}"'))
     one = target(1, **board)
     with Running(lambda: one) as running, pytest.raises(WrongUseError, match=words):
-        ls.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=wired)
+        ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=wired)
     assert Ask.CONFIGURE not in [kind for kind, _ in one.log]
 
 
 def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):
     D, _, wires = diagrams("prefilter")
-    refused(tmp_path, ls.Wired(D, wires), "the target takes no block diagram; received 2 blocks", most_blocks=0)
-    refused(tmp_path, ls.Wired(D, wires | {"y": "elbow_rad"}), "wired to no loop's column; received y is elbow_rad")
-    refused(tmp_path, ls.Wired(D, {"y": "angle1_rad", "u": "z1_v"}), "not known on the target; received r comes from")
-    refused(tmp_path, ls.Wired(D.with_part("C", None), wires), "not known on the target; received u is what C gives")
-    with pytest.raises(WrongUseError, match="no such signal; received x"):
-        ls.Wired(D, {"x": "angle1_rad"})
-    loop = (
-        ls.Part("C", "e", "u", controller(ls.gain(1.0))),
-        D.part("P"),
-        ls.Part("Q", "u", "q", controller(ls.gain(1.0))),
+    refused(
+        tmp_path, ls.diagrams.Wired(D, wires), "the target takes no block diagram; received 2 blocks", most_blocks=0
     )
-    circle = ls.Diagram(loop, {"e": "r - y - q"}, "C")
-    refused(tmp_path, ls.Wired(circle, wires), "controllers alone close a circle; received C, Q")
+    refused(
+        tmp_path, ls.diagrams.Wired(D, wires | {"y": "elbow_rad"}), "wired to no loop's column; received y is elbow_rad"
+    )
+    refused(
+        tmp_path,
+        ls.diagrams.Wired(D, {"y": "angle1_rad", "u": "z1_v"}),
+        "not known on the target; received r comes from",
+    )
+    refused(
+        tmp_path,
+        ls.diagrams.Wired(D.with_part("C", None), wires),
+        "not known on the target; received u is what C gives",
+    )
+    with pytest.raises(WrongUseError, match="no such signal; received x"):
+        ls.diagrams.Wired(D, {"x": "angle1_rad"})
+    loop = (
+        ls.diagrams.Part("C", "e", "u", controller(ls.gain(1.0))),
+        D.part("P"),
+        ls.diagrams.Part("Q", "u", "q", controller(ls.gain(1.0))),
+    )
+    circle = ls.diagrams.Diagram(loop, {"e": "r - y - q"}, "C")
+    refused(tmp_path, ls.diagrams.Wired(circle, wires), "controllers alone close a circle; received C, Q")
     third = ls.controller(ls.gain(1.0), rate_hz=300.0)
     P = ls.FRF.from_arrays(F_HZ[F_HZ < 140.0], 1.0 / (1.0 + 1j * F_HZ[F_HZ < 140.0]), relative_std=0.1, rate_hz=300.0)
-    odd = ls.Diagram((ls.Part("C", "e", "u", third), ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
-    refused(tmp_path, ls.Wired(odd, wires), "a whole part of it; received 300 Hz, the target 1000 Hz")
+    odd = ls.diagrams.Diagram(
+        (ls.diagrams.Part("C", "e", "u", third), ls.diagrams.Part("P", "u", "y", P)), {"e": "r - y"}, "C"
+    )
+    refused(tmp_path, ls.diagrams.Wired(odd, wires), "a whole part of it; received 300 Hz, the target 1000 Hz")
     half = D.with_part("C", controller(ls.gain(1.0), computation_delay_s=0.0005))
     refused(
-        tmp_path, ls.Wired(half, wires), "the delay of C is no whole number of its samples up to 65535; received 0.5"
+        tmp_path,
+        ls.diagrams.Wired(half, wires),
+        "the delay of C is no whole number of its samples up to 65535; received 0.5",
     )
 
 
@@ -340,4 +358,4 @@ def test_a_simulated_rig_refuses_a_diagram(tmp_path):
     D, _, wires = diagrams("prefilter")
     (tmp_path / "s.toml").write_text(HEAD.replace('"target"', '"simulated"') + MOVED)
     with pytest.raises(WrongUseError, match="runs a controller in each loop, no diagram"):
-        ls.measure(tmp_path / "s.toml", tmp_path / "run", diagram=ls.Wired(D, wires))
+        ls.rig.measure(tmp_path / "s.toml", tmp_path / "run", diagram=ls.diagrams.Wired(D, wires))

@@ -34,11 +34,11 @@ def node(gain: float, f_hz: float) -> ls.Controller:
 
 
 @pytest.fixture
-def moving() -> tuple[ls.GainScheduled, np.ndarray, np.ndarray, np.ndarray]:
+def moving() -> tuple[ls.schedules.GainScheduled, np.ndarray, np.ndarray, np.ndarray]:
     """A schedule over two variables, errors, where the operating point is, and what it answers."""
     points = [{"theta_deg": t, "p_bar": p} for t in (-30.0, 0.0, 30.0) for p in (0.8, 1.4)]
     nodes = [node(4.0 + k, 5.0 + 0.3 * k) for k in range(6)]
-    C = ls.gain_scheduled(nodes, points, {"theta_deg": "theta", "p_bar": "p"}, lag_s=0.02)
+    C = ls.schedules.gain_scheduled(nodes, points, {"theta_deg": "theta", "p_bar": "p"}, lag_s=0.02)
     t = np.arange(3000) / 1000.0
     at = np.stack([50.0 * np.sin(3.0 * t), 1.1 + 0.4 * np.cos(2.0 * t)], axis=1)
     error = np.random.default_rng(3).standard_normal(t.size)
@@ -50,7 +50,7 @@ def moving() -> tuple[ls.GainScheduled, np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_the_header_answers_as_the_kernel(moving, tmp_path: Path):
     C, error, at, answer = moving
-    ls.export(C, tmp_path, "c")
+    ls.formats.export(C, tmp_path, "c")
     (tmp_path / "driver.c").write_text(DRIVER)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-shared", "-fPIC"]
     subprocess.run(["cc", *flags, "-o", tmp_path / "d.so", tmp_path / "driver.c"], check=True, timeout=60)
@@ -63,7 +63,7 @@ def test_the_header_answers_as_the_kernel(moving, tmp_path: Path):
 def test_the_json_has_all_that_is_needed(moving, tmp_path: Path):
     """Interpolated by numpy from the file alone at a frozen operating point, against the response of `at`."""
     C, *_ = moving
-    (path,) = ls.export(C, tmp_path, "json")
+    (path,) = ls.formats.export(C, tmp_path, "json")
     told = json.loads(path.read_text())
     assert [v["name"] for v in told["variables"]] == ["theta_deg", "p_bar"]
     weights = {(0.0, 0.8): 0.375, (0.0, 1.4): 0.375, (30.0, 0.8): 0.125, (30.0, 1.4): 0.125}  # at 7.5 deg, 1.1 bar
@@ -76,4 +76,4 @@ def test_the_json_has_all_that_is_needed(moving, tmp_path: Path):
 
 def test_a_format_without_schedules_is_refused(moving, tmp_path: Path):
     with pytest.raises(WrongUseError, match="not written in every format"):
-        ls.export(moving[0], tmp_path, "matlab")
+        ls.formats.export(moving[0], tmp_path, "matlab")

@@ -183,7 +183,7 @@ def test_a_diagnostics_test_gives_responses_and_their_error(tmp_path):
     f = 0.5 * np.arange(20)
     H = np.stack([1.0 / (1.0 + 1j * f), 0.1 * np.exp(-0.3j * f)])
     (tmp_path / "a.xml").write_text(diagnostics(H, np.full(20, 0.8)))
-    P = ls.read_frf(tmp_path / "a.xml")
+    P = ls.formats.read_frf(tmp_path / "a.xml")
     assert (P.outputs, P.inputs) == (("K1_Y_ONE_1", "K1_Y_TWO_1"), ("K1_EXC_1",))
     np.testing.assert_allclose(P.response[:, :, 0], H.T[1:], rtol=1e-6)
     averages = 5.0 / (1.0 + 2.0 / 36.0 * (1.0 - 1.0 / 5.0))
@@ -195,14 +195,14 @@ def test_xml_that_is_no_diagnostics_file_or_grows_is_refused(tmp_path):
     for text, word in ((bomb, "entities"), ("<html/>", "LIGO_LW"), ("<LIGO_LW>", "XML"), ("<LIGO_LW/>", "excitation")):
         (tmp_path / "a.xml").write_text(text)
         with pytest.raises(UnreadableInputError, match=word):
-            ls.read_frf(tmp_path / "a.xml")
+            ls.formats.read_frf(tmp_path / "a.xml")
 
 
 def test_intervals_of_five_averages_cover_kagra_s_scatter_between_lines():
     """Where |H| is smooth, a line off the mean of its neighbours two bandwidths away is noise: F(2, 2 (K - 1))."""
     inside = []
     for name in ("TML", "TMP"):
-        P = ls.read_frf(real("kagra", f"BS_{name}_exc_20200730a.xml"))
+        P = ls.formats.read_frf(real("kagra", f"BS_{name}_exc_20200730a.xml"))
         assert len(P.outputs) == 12
         for j in [j for j, output in enumerate(P.outputs) if "OPLEV_PIT" in output or "OPLEV_YAW" in output]:
             smooth = P.frequency_hz > 3.0
@@ -218,7 +218,7 @@ def test_intervals_of_five_averages_cover_kagra_s_scatter_between_lines():
 
 def test_a_repeat_92_minutes_later_lies_within_the_intervals_of_five_averages():
     """KAGRA's crew measured twice; under a Hann window one line in 1.94 is worth one, and three sigma are allowed."""
-    first = ls.read_frf(real("kagra", "BS_TML_exc_20200730a.xml"))
+    first = ls.formats.read_frf(real("kagra", "BS_TML_exc_20200730a.xml"))
     pairs = runpy.run_path(str(Path(__file__).parents[2] / "experiments" / "kagra" / "run.py"))["measured_twice"](first)
     lines = [one.frequency_hz.size for one in pairs]
     assert lines == [144, 162, 162]

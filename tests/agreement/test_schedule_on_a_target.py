@@ -341,7 +341,7 @@ def test_a_study_with_a_schedule_measures_alike_on_both_rigs(tmp_path, port, dec
         study = tmp_path / f"{rig}.toml"
         study.write_text(STUDY.format(rig=rig, more=more))
         words = {"port": port, "arm": True} if rig == "target" else {}
-        found[rig] = ls.measure(study, tmp_path / rig, decoupling=decoupling, **words).recording("moved")
+        found[rig] = ls.rig.measure(study, tmp_path / rig, decoupling=decoupling, **words).recording("moved")
     for name, expected in found["simulated"].columns.items():
         mine = found["target"].column(name)
         assert np.abs(mine - expected).max() <= SAME * max(np.abs(expected).max(), 1e-3), name

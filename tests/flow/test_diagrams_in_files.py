@@ -93,14 +93,14 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     C2 = ls.controller(ls.gain(0.3), ls.low_pass(30.0, order=1), rate_hz=RATE)
     nominal = control.tf([4000.0], [1.0, 20.0, 100.0])
     D, models = {
-        "parallel": (ls.dual_stage(P1, P2, C2).with_part("C1", C), MODELS),
+        "parallel": (ls.diagrams.dual_stage(P1, P2, C2).with_part("C1", C), MODELS),
         "observer": (
-            ls.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
+            ls.diagrams.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
         ),
         "decoupled": decoupled_by_filters(C),
-        "repetitive": (ls.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
+        "repetitive": (ls.learning.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
     }[kind]  # fmt: skip
-    ls.export(D, tmp_path, "c")
+    ls.formats.export(D, tmp_path, "c")
     outputs = ["u"] if kind in ("observer", "repetitive") else ["u1", "u2"]
     inputs = ["r1", "r2", "y1", "y2"] if kind == "decoupled" else ["r", "y"]
     read = " ".join(["%lf"] * len(inputs))
@@ -114,7 +114,9 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     )
     command = ["cc", "-std=c99", "-Wall", "-Werror", "-ffp-contract=off", "main.c", "-o", "main"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    signals = ls.simulate(D, models, {r: np.sin((0.02 + 0.01 * k) * np.arange(300)) for k, r in enumerate(D.external)})
+    signals = ls.diagrams.simulate(
+        D, models, {r: np.sin((0.02 + 0.01 * k) * np.arange(300)) for k, r in enumerate(D.external)}
+    )
     rows = np.stack([signals[name] for name in inputs], axis=1).tolist()
     lines = "\n".join(" ".join(map(repr, row)) for row in rows)
     done = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True, check=True, timeout=60)
@@ -123,19 +125,19 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(values, signals[name], atol=1e-9 * np.abs(signals[name]).max())
 
 
-def decoupled_by_filters(C: ls.Controller) -> tuple[ls.Diagram, dict[str, control.StateSpace]]:
+def decoupled_by_filters(C: ls.Controller) -> tuple[ls.diagrams.Diagram, dict[str, control.StateSpace]]:
     """Two loops that share an actuator's lag, behind filters of second order, and the plant's model."""
     both = control.append(MODELS["P1"], MODELS["P2"])
     mixed = control.ss(both.A, both.B, np.array([[1.0, 0.4], [0.3, 1.0]]) @ both.C, both.D, both.dt)
     P = ls.FRF.from_control(mixed, F, relative_std=0.01, inputs=("a_v", "b_v"))
-    return ls.decoupled(P, ls.decouple(P, (2.0, 100.0), 2), {"a_v": C, "b_v": C}), {"P": mixed}
+    return ls.diagrams.decoupled(P, ls.diagrams.decouple(P, (2.0, 100.0), 2), {"a_v": C, "b_v": C}), {"P": mixed}
 
 
 def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
     P = ls.FRF.from_control(MODELS["P1"], F)
-    D = ls.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
+    D = ls.diagrams.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
     with pytest.raises(WrongUseError, match="no controller yet"):
-        ls.export(D, tmp_path, "c")
+        ls.formats.export(D, tmp_path, "c")
 
 
 def test_a_diagram_is_exported_by_the_command_as_by_the_function(run: Path) -> None:
@@ -148,7 +150,7 @@ def test_a_diagram_is_exported_by_the_command_as_by_the_function(run: Path) -> N
         assert told["diagram"] == str(out / name)
         D = read_diagram(run.parent / "diagram.toml", run)
         (C1,) = ls.read_controllers(run.parent / "c.toml")
-        for path in ls.export(D.with_part("C1", C1), run.parent / f"{to}2", to):
+        for path in ls.formats.export(D.with_part("C1", C1), run.parent / f"{to}2", to):
             assert path.read_bytes() == (out / path.name).read_bytes()
     for half in (words[:2], words[2:]):
         done = loopshape("export-controller", run.parent / "c.toml", "--to", "c", "--out", run.parent / "x", *half)
@@ -165,7 +167,7 @@ def test_a_report_shows_the_diagram_and_the_loops_within(run: Path) -> None:
     page = (run / "report.html").read_text()
     D = read_diagram(run.parent / "diagram.toml", run)
     (C1,) = ls.read_controllers(run.parent / "c.toml")
-    met = ls.equivalent(D)
+    met = ls.diagrams.equivalent(D)
     verdict = ls.check(met.plants, C1, met.asked(ls.Requirements("C1", sensitivity_peak_db=6.0, integrators=0)))
     assert told["outcome"] == verdict.outcome == "passed"
     assert 'alt="Block diagram; tuned is block C1"' in page
@@ -191,7 +193,7 @@ def test_decoupling_filters_run_on_a_target_as_they_are_drawn() -> None:
     D, _ = decoupled_by_filters(ls.controller(ls.gain(0.8), ls.lead_lag(20.0, 200.0), rate_hz=RATE))
     columns = {"y1": "a_rad", "y2": "b_rad", "u1": "z_a_v", "u2": "z_b_v", "r1": "r_a_rad", "r2": "r_b_rad"}
     loops = [LoopSetup(n, f"r_{n}_rad", f"n_{n}_rad", f"z_{n}_v", f"{n}_rad", None) for n in ("a", "b")]
-    made, given = blocks(ls.Wired(D, columns), loops, RATE)
+    made, given = blocks(ls.diagrams.Wired(D, columns), loops, RATE)
     near = int(np.argmin(np.abs(F - 7.0)))
     z = np.exp(-2j * np.pi * F[near] / RATE)
     for k, moved in enumerate(("r1", "r2", "y1", "y2")):
@@ -202,5 +204,5 @@ def test_decoupling_filters_run_on_a_target_as_they_are_drawn() -> None:
                 value *= (b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2)
             signals.append(value)
         for loop, to in (("a", "u1"), ("b", "u2")):
-            wanted = ls.transfer(D, moved, to, opened=("P",)).siso[near]
+            wanted = ls.diagrams.transfer(D, moved, to, opened=("P",)).siso[near]
             assert signals[4 + given[loop]] == pytest.approx(wanted, rel=1e-9)

@@ -188,7 +188,7 @@ def test_what_a_good_model_leaves_stands_beside_the_column_whatever_the_model_is
         stated = words.replace(f'column = "{column}"', f'column = "{column}", leaves = 0.004')
         (winch / "model.toml").write_text(stated)
         model = read_model(winch / "model.toml")
-        found.append([o.leaves for o in (model if isinstance(model, ls.Model) else machine(model)).outputs])
+        found.append([o.leaves for o in (model if isinstance(model, ls.gap.Model) else machine(model)).outputs])
     assert found == [[0.004], [0.004], [None, 0.004]]
 
 

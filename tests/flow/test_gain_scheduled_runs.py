@@ -26,9 +26,9 @@ def node(gain: float) -> ls.Controller:
     return ls.controller(*blocks, rate_hz=1000.0, loop="theta2")
 
 
-def schedule(low: float, high: float, lag_s: float = 0.0) -> ls.GainScheduled:
+def schedule(low: float, high: float, lag_s: float = 0.0) -> ls.schedules.GainScheduled:
     points = [{"p_ab_bar": 0.8}, {"p_ab_bar": 1.4}]
-    return ls.gain_scheduled([node(low), node(high)], points, {"p_ab_bar": "p_ab"}, lag_s=lag_s)
+    return ls.schedules.gain_scheduled([node(low), node(high)], points, {"p_ab_bar": "p_ab"}, lag_s=lag_s)
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def study(tmp_path: Path) -> Path:
 
 def test_it_is_read_as_it_was_written(tmp_path: Path):
     C = schedule(11.0, 8.0, 0.05)
-    (back,) = ls.read_gain_scheduled(ls.write(C, tmp_path / "controller.toml"))
+    (back,) = ls.schedules.read_gain_scheduled(ls.write(C, tmp_path / "controller.toml"))
     assert (back.loop, back.variables, back.lag_s) == (C.loop, C.variables, C.lag_s)
     np.testing.assert_array_equal(back.coefficients, C.coefficients)
     with pytest.raises(WrongUseError, match="holds a schedule"):
@@ -49,8 +49,8 @@ def test_it_is_read_as_it_was_written(tmp_path: Path):
 
 def test_with_alike_nodes_the_arm_does_what_it_does_under_the_plain_controller(study: Path, tmp_path: Path):
     """The two realisations differ in rounding alone, which converters and PWM edges hardly enlarge in three seconds."""
-    plain = ls.measure(study, tmp_path / "plain", controllers=[node(11.0)])
-    scheduled = ls.measure(study, tmp_path / "scheduled", controllers=[schedule(11.0, 11.0)])
+    plain = ls.rig.measure(study, tmp_path / "plain", controllers=[node(11.0)])
+    scheduled = ls.rig.measure(study, tmp_path / "scheduled", controllers=[schedule(11.0, 11.0)])
     for name in ("theta2_rad", "z_theta2_v"):
         a, b = (run.recordings[0].column(name) for run in (plain, scheduled))
         assert np.abs(a - b).max() < 0.02 * np.ptp(a)
@@ -58,7 +58,7 @@ def test_with_alike_nodes_the_arm_does_what_it_does_under_the_plain_controller(s
 
 def test_the_arm_runs_it_and_the_logged_z_is_that_of_the_interpolated_controller(study: Path, tmp_path: Path):
     """z from the logged r and y by coefficients that are interpolated here, sample by sample, in direct form I."""
-    run = ls.measure(study, tmp_path / "run", controllers=[schedule(11.0, 6.0)])
+    run = ls.rig.measure(study, tmp_path / "run", controllers=[schedule(11.0, 6.0)])
     r = run.recordings[0]
     assert r.info.ended_early is None
     assert run.loops[0].controller is None
@@ -87,7 +87,7 @@ def test_each_operating_point_is_checked_under_the_controller_that_runs_there():
         )
         for k, p in ((1.0, 0.8), (2.0, 1.1), (3.0, 1.4))
     ]  # fmt: skip
-    C = ls.gain_scheduled(
+    C = ls.schedules.gain_scheduled(
         [ls.controller(ls.gain(k), rate_hz=1000.0, loop="x") for k in (6.0, 2.0)],
         [{"p_ab_bar": 0.8}, {"p_ab_bar": 1.4}],
         {"p_ab_bar": "p_ab"},
@@ -104,10 +104,12 @@ def test_what_cannot_be_a_schedule_is_refused():
     points = [{"p_ab_bar": 0.8}, {"p_ab_bar": 1.4}]
     other = ls.controller(ls.gain(1.0), rate_hz=1000.0, loop="theta2")
     with pytest.raises(WrongUseError, match="one structure"):
-        ls.gain_scheduled([node(1.0), other], points, {"p_ab_bar": "p_ab"})
+        ls.schedules.gain_scheduled([node(1.0), other], points, {"p_ab_bar": "p_ab"})
     with pytest.raises(WrongUseError, match="fill a grid"):
-        ls.gain_scheduled([other] * 3, [{"a": 0, "b": 0}, {"a": 1, "b": 0}, {"a": 0, "b": 1}], {"a": "a", "b": "b"})
+        ls.schedules.gain_scheduled(
+            [other] * 3, [{"a": 0, "b": 0}, {"a": 1, "b": 0}, {"a": 0, "b": 1}], {"a": "a", "b": "b"}
+        )
     with pytest.raises(WrongUseError, match="changes its sign"):
-        ls.gain_scheduled([node(1.0), node(-1.0)], points, {"p_ab_bar": "p_ab"})
+        ls.schedules.gain_scheduled([node(1.0), node(-1.0)], points, {"p_ab_bar": "p_ab"})
     with pytest.raises(WrongUseError, match="names its variables"):
         schedule(2.0, 1.0).at({"theta2_deg": 0.0})

@@ -21,7 +21,7 @@ CHECK = """
 from importlib.resources import files
 import loopshape as ls
 bench = files("loopshape") / "examples" / "motor_bench"
-run = ls.read_table(bench / "multisine_type_a.parquet", bench / "map.toml")
+run = ls.formats.read_table(bench / "multisine_type_a.parquet", bench / "map.toml")
 (controller,) = ls.read_controllers(bench / "controller.toml")
 (required,) = ls.read_requirements(bench / "requirements.toml")
 P = ls.frf(run)

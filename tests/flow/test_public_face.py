@@ -204,7 +204,7 @@ def test_predicted_and_bounded_from_the_same_nouns() -> None:
     S = ls.predict(P, C)[0].sensitivity
     truth = 1.0 / (1.0 + C.response(S.frequency_hz) * exact(PLANT, S.frequency_hz))
     assert np.allclose(S.siso, truth, rtol=0.05)
-    found = ls.bound(P, C, R)
+    found = ls.limits.bound(P, C, R)
     assert found.found[P.recording or "frf 1"] < found.together.bound_hz
 
 
@@ -272,14 +272,14 @@ def test_files_go_out_and_come_back(tmp_path: Path, arrays: dict[str, np.ndarray
     P = ls.FRF.from_control(PLANT, F_HZ, rate_hz=RATE_HZ, relative_std=0.01)
     for ending in ("csv", "mat", "uff"):
         stated = {"relative_std": 0.01, "rate_hz": RATE_HZ} if ending == "uff" else {}
-        found = ls.read_frf(ls.write(P, tmp_path / f"P.{ending}"), **stated)
+        found = ls.formats.read_frf(ls.write(P, tmp_path / f"P.{ending}"), **stated)
         np.testing.assert_allclose(found.siso, P.siso, rtol=1e-6)
     C = ls.controller(ls.gain(0.5), ls.pi(1.0), rate_hz=RATE_HZ, loop="x")
     with pytest.raises(ls.LoopshapeError, match="the name of its loop"):
         ls.write(replace(C, loop=""), tmp_path / "c.toml")
     (read,) = ls.read_controllers(ls.write(C, tmp_path / "c.toml"))
     np.testing.assert_array_equal(read.response(F_HZ), C.response(F_HZ))
-    (header,) = ls.export(C, tmp_path / "c", "c")
+    (header,) = ls.formats.export(C, tmp_path / "c", "c")
     assert header.suffix == ".h"
     with pytest.raises(ls.LoopshapeError, match=r"what of ls\.write must be a Run, a Controller"):
         ls.write(3, tmp_path / "x")  # type: ignore[arg-type]
@@ -290,8 +290,8 @@ def test_a_study_is_measured_and_told_from_python(tmp_path: Path) -> None:
     """A simulated arm, a few periods; that its FRF is its linearisation is tested elsewhere."""
     study = tmp_path / "study.toml"
     study.write_text(STUDY)
-    run = ls.measure(study, tmp_path / "run")
-    again = ls.measure(study, tmp_path / "run")
+    run = ls.rig.measure(study, tmp_path / "run")
+    again = ls.rig.measure(study, tmp_path / "run")
     assert [r.info.name for r in again.recordings] == [r.info.name for r in run.recordings] == ["noise"]
     assert np.isfinite(ls.frf(run).siso).all()
 
@@ -301,12 +301,12 @@ def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
     """The emulated arm: refused without arm, shown what is about to happen, recorded with it, stopped."""
     study, seen = tmp_path / "study.toml", []
     study.write_text(TARGET_STUDY)
-    with ls.emulator() as port:
+    with ls.rig.emulator() as port:
         with pytest.raises(ls.LoopshapeError, match="no motion"):
-            ls.measure(study, tmp_path / "run", port=port, confirm=lambda motion: bool(seen.append(motion)))
+            ls.rig.measure(study, tmp_path / "run", port=port, confirm=lambda motion: bool(seen.append(motion)))
         assert seen[0].identity.emulated
         assert not (tmp_path / "run").exists()
-        with ls.connect(port) as rig:
+        with ls.rig.connect(port) as rig:
             assert (rig.identity.board, rig.state()) == (seen[0].identity.board, "idle")
             (shown,) = rig.show(study).experiments()
             assert shown.name == "noise"
@@ -315,7 +315,7 @@ def test_a_target_moves_only_when_armed(tmp_path: Path) -> None:
             assert len(run.recordings) == 1
             assert rig.stop(clear=True).startswith("vented")
             assert rig.state() == "idle"
-        assert ls.stop(port).startswith("vented")
+        assert ls.rig.stop(port).startswith("vented")
 
 
 def test_an_error_that_is_stated_is_the_error_that_the_frf_has():

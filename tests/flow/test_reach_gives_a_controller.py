@@ -24,18 +24,18 @@ ASKED = {
 @pytest.mark.hour
 def test_a_controller_of_four_poles_passes_the_check_below_the_bound():
     P, R = frf_of(MODEL, lines=100), limits(**ASKED)
-    found = ls.reach(P, gain(), R, 4)
+    found = ls.limits.reach(P, gain(), R, 4)
     assert found.controller.order() <= 4
     assert ls.check(P, found.controller, R).passed
-    most = ls.bound(P, found.controller, R).bound_hz
+    most = ls.limits.bound(P, found.controller, R).bound_hz
     assert 0.4 * most < found.bandwidth_hz <= most
 
 
 def test_an_order_below_one_is_refused():
     with pytest.raises(WrongUseError, match="at least one pole"):
-        ls.reach(frf_of(MODEL), gain(), limits(**ASKED), 0)
+        ls.limits.reach(frf_of(MODEL), gain(), limits(**ASKED), 0)
 
 
 def test_without_a_limit_to_design_for_it_says_so():
     with pytest.raises(WrongUseError, match="no convex design"):
-        ls.reach(frf_of(MODEL), gain(), limits(phase_margin_deg=45.0, integrators=1, unstable_poles=0), 4)
+        ls.limits.reach(frf_of(MODEL), gain(), limits(phase_margin_deg=45.0, integrators=1, unstable_poles=0), 4)

@@ -483,11 +483,11 @@ def circle(gain):
     late = Controller("axis1", (Block("gain", {"gain": gain}),), 1000.0, computation_delay_s=5e-3)
     plant = ls.FRF.from_arrays([1.0, 2.0], [1.0, 0.5j], relative_std=0.01)
     parts = (
-        ls.Part("C", "e", "u", Controller("axis1", (Block("gain", {"gain": 1.0}),), 1000.0)),
-        ls.Part("L", "u", "w", late), ls.Part("P", "u", "y", plant),
+        ls.diagrams.Part("C", "e", "u", Controller("axis1", (Block("gain", {"gain": 1.0}),), 1000.0)),
+        ls.diagrams.Part("L", "u", "w", late), ls.diagrams.Part("P", "u", "y", plant),
     )  # fmt: skip
     wires = {"r": "r_axis1_rad", "y": "angle1_rad", "u": "z1_v"}
-    return ls.Wired(ls.Diagram(parts, {"e": "r - y - w"}, "C"), wires)
+    return ls.diagrams.Wired(ls.diagrams.Diagram(parts, {"e": "r - y - w"}, "C"), wires)
 
 
 @pytest.mark.parametrize("late", [1, 2, 7])
@@ -508,7 +508,7 @@ def test_the_poles_of_blocks_alone_are_those_of_their_equation(late, weight):
 def test_a_diagram_that_is_unstable_by_itself_is_refused(tmp_path, gain, stable):
     study = write_study(tmp_path, study_text(target=REAL, point=0.0))
     with Running(real) as running:
-        machine, wired = ls.connect(running.port), circle(gain)
+        machine, wired = ls.rig.connect(running.port), circle(gain)
         if stable:
             machine.show(study, diagram=wired)
             return

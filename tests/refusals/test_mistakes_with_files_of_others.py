@@ -143,7 +143,7 @@ def test_names_of_many_outputs_make_a_loop_and_a_bad_one_leaves_no_folder(tmp_pa
     outputs = tuple(f"K1_VIS_BS_OPLEV_NUMBER_{k}_1" for k in range(12))
     one = ls.FRF.from_arrays(f, np.ones((2, 12, 1), complex), relative_std=0.1, outputs=outputs, inputs=("u_1",))
     ls.write(one, tmp_path / "a.mat")
-    found = ls.read_frf(tmp_path / "a.mat", loop="")
+    found = ls.formats.read_frf(tmp_path / "a.mat", loop="")
     assert add_frfs(tmp_path / "run", [found])
     bad = ls.FRF.from_arrays(f, [1.0, 1j], relative_std=0.1, loop="a|b")
     with pytest.raises(LoopshapeError, match="--loop"):
@@ -158,4 +158,4 @@ def test_entities_are_refused_in_every_encoding(tmp_path):
         text = f'<?xml version="1.0" encoding="{code}"?><!DOCTYPE a [<!ENTITY b "x">]><LIGO_LW>&b;</LIGO_LW>'
         (tmp_path / "a.xml").write_bytes(text.encode(code))
         with pytest.raises(LoopshapeError, match="entities"):
-            ls.read_frf(tmp_path / "a.xml", relative_std=0.1)
+            ls.formats.read_frf(tmp_path / "a.xml", relative_std=0.1)

@@ -25,7 +25,7 @@ C = ls.controller(ls.gain(0.5), rate_hz=RATE)
 R = ls.Requirements(sensitivity_peak_db=6.0, integrators=1, unstable_poles=0)
 RUN = ls.Run.from_arrays(u=U, y=Y, rate_hz=RATE)
 FIT = ls.fit(P, "integrator")
-D = ls.Diagram((ls.Part("C", "e", "u"), ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
+D = ls.diagrams.Diagram((ls.diagrams.Part("C", "e", "u"), ls.diagrams.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
 CONTROL = control.tf([50.0], [1.0, 0.0])
 MASK = ls.Mask("S", ((0.1, -40.0), (10.0, 0.0)))
 
@@ -108,12 +108,12 @@ CALLS = {
                  lambda at: used_requirements(ls.Requirements(at=(at,), unstable_poles=0))),
     "Objective": (ls.Objective, dict(
         bandwidth=1.0, disturbance=0.5, disturbance_below_hz=2.0, weighted_norm=0.0), repr),
-    "Part": (ls.Part, dict(name="P", inputs="u", outputs="y", what=P, integrators=1, unstable_poles=0), lambda part:
-             used_diagram(ls.Diagram((ls.Part("C", "e", "u"), part), {"e": "r - y"}, "C"))),
-    "Diagram": (ls.Diagram, dict(parts=D.parts, sums={"e": "r - y"}, tuned="C", name=""), used_diagram),
+    "Part": (ls.diagrams.Part, dict(name="P", inputs="u", outputs="y", what=P, integrators=1, unstable_poles=0), lambda part:
+             used_diagram(ls.diagrams.Diagram((ls.diagrams.Part("C", "e", "u"), part), {"e": "r - y"}, "C"))),
+    "Diagram": (ls.diagrams.Diagram, dict(parts=D.parts, sums={"e": "r - y"}, tuned="C", name=""), used_diagram),
     "Disturbance.from_spectrum": (ls.Disturbance.from_spectrum, dict(
         frequency_hz=F, density=abs(G), held_by=None, loop=""), lambda one: ls.check(P, C, R, disturbance=one)),
-    "gain_scheduled": (ls.gain_scheduled, dict(
+    "gain_scheduled": (ls.schedules.gain_scheduled, dict(
         controllers=[C, C], at=[{"p": 1.0}, {"p": 2.0}], follows={"p": "loop"}, lag_s=0.1),
         lambda one: (repr(one), one.at({"p": 1.5}))),
     "fixed": (ls.fixed, dict(system=([1.0], [1.0, 2.0]), rate_hz=None, prewarp_hz=None), repr),
@@ -128,53 +128,53 @@ CALLS = {
     "check, several": (ls.check, dict(P=P2, C=[C, C], R=[R, R], fits=(), together=None, loops=None,
                                       recorded_under=[C, C]), repr),
     "check, schedule": (ls.check, dict(
-        P=P, C=ls.gain_scheduled([C, C], [{"p": 1.0}, {"p": 2.0}], {"p": "l"}), R=R), repr),
+        P=P, C=ls.schedules.gain_scheduled([C, C], [{"p": 1.0}, {"p": 2.0}], {"p": "l"}), R=R), repr),
     "check, diagram": (ls.check, dict(P=D, C=C, R=R), repr),
     "predict": (ls.predict, dict(P=P, C=C, fits=(FIT,), seed=0), repr),
     "compare": (ls.compare, dict(run=RUN, predictions=(), tolerance_db=0.0), repr),
     "interaction": (ls.interaction, dict(P=P2, loops=None), repr),
-    "tones": (ls.tones, dict(signals=Y, rate_hz=RATE, channels=(), chance=0.01), repr),
-    "multirate": (ls.multirate, dict(P=P, fast=ls.controller(ls.gain(1.0), rate_hz=4000.0), rate_hz=RATE), used_frf),
-    "transfer": (ls.transfer, dict(D=D, source="r", to="y", opened=("C",), point=0), used_frf),
-    "equivalent": (ls.equivalent, dict(D=D), repr),
-    "cascade": (ls.cascade, dict(G=P2, inner=C, requirements=None, loop="outer"), repr),
-    "prefilter": (ls.prefilter, dict(P=P, F=ls.controller(ls.low_pass(20.0, order=1), rate_hz=RATE), to="input"), repr),
-    "dual_stage": (ls.dual_stage, dict(P1=P, P2=P, C2=C, kind="parallel", estimate=None), repr),
-    "two_sensors": (ls.two_sensors, dict(G=P2, H1=C, H2=C), repr),
-    "disturbance_observer": (ls.disturbance_observer, dict(
+    "tones": (ls.planning.tones, dict(signals=Y, rate_hz=RATE, channels=(), chance=0.01), repr),
+    "multirate": (ls.diagrams.multirate, dict(P=P, fast=ls.controller(ls.gain(1.0), rate_hz=4000.0), rate_hz=RATE), used_frf),
+    "transfer": (ls.diagrams.transfer, dict(D=D, source="r", to="y", opened=("C",), point=0), used_frf),
+    "equivalent": (ls.diagrams.equivalent, dict(D=D), repr),
+    "cascade": (ls.diagrams.cascade, dict(G=P2, inner=C, requirements=None, loop="outer"), repr),
+    "prefilter": (ls.diagrams.prefilter, dict(P=P, F=ls.controller(ls.low_pass(20.0, order=1), rate_hz=RATE), to="input"), repr),
+    "dual_stage": (ls.diagrams.dual_stage, dict(P1=P, P2=P, C2=C, kind="parallel", estimate=None), repr),
+    "two_sensors": (ls.diagrams.two_sensors, dict(G=P2, H1=C, H2=C), repr),
+    "disturbance_observer": (ls.diagrams.disturbance_observer, dict(
         P=P, nominal=([50.0], [1.0, 0.0]), q_filter=ls.low_pass(20.0, 0.7)), repr),
-    "decouple": (ls.decouple, dict(P=P2, at_hz=10.0, order=0), repr),
-    "feedforward": (ls.feedforward, dict(P=P, band_hz=(1.0, 50.0), taps=8, preview=2, integrators=1), repr),
+    "decouple": (ls.diagrams.decouple, dict(P=P2, at_hz=10.0, order=0), repr),
+    "feedforward": (ls.learning.feedforward, dict(P=P, band_hz=(1.0, 50.0), taps=8, preview=2, integrators=1), repr),
     "learning": (ls.learning, dict(P=P, C=C, band_hz=(1.0, 50.0), taps=8, preview=2, integrators=1), repr),
-    "repetitive": (ls.repetitive, dict(P=P, C=C, period_s=0.1, q_filter=0.9), repr),
-    "tracking_error": (ls.tracking_error, dict(P=P, C=C, setpoint=np.minimum(np.arange(N) / 50.0, 1.0), F=None,
+    "repetitive": (ls.learning.repetitive, dict(P=P, C=C, period_s=0.1, q_filter=0.9), repr),
+    "tracking_error": (ls.learning.tracking_error, dict(P=P, C=C, setpoint=np.minimum(np.arange(N) / 50.0, 1.0), F=None,
                                                integrators=1), repr),
-    "simulate": (ls.simulate, dict(D=D.with_part("C", C), models={"P": CONTROL}, signals={"r": U}), repr),
-    "plan": (ls.plan, dict(run=RUN, recording=None, std=0.05, controllers=C, at_hz=10.0, max_amplitude=1.0,
+    "simulate": (ls.diagrams.simulate, dict(D=D.with_part("C", C), models={"P": CONTROL}, signals={"r": U}), repr),
+    "plan": (ls.planning.plan, dict(run=RUN, recording=None, std=0.05, controllers=C, at_hz=10.0, max_amplitude=1.0,
                            longest_s=60.0, kind="odd"), repr),
-    "export": (ls.export, dict(controllers=C, folder=Path("export"), to="json"), repr),
+    "export": (ls.formats.export, dict(controllers=C, folder=Path("export"), to="json"), repr),
     "write": (ls.write, dict(what=C, path=Path("c.toml")), repr),
     "read": (ls.read, dict(folder=Path("none")), repr),
-    "read_frf": (ls.read_frf, dict(file=Path("none.csv"), relative_std=0.01, rate_hz=RATE), repr),
-    "read_table": (ls.read_table, dict(file=Path("none.csv"), map_file=Path("none.toml")), repr),
+    "read_frf": (ls.formats.read_frf, dict(file=Path("none.csv"), relative_std=0.01, rate_hz=RATE), repr),
+    "read_table": (ls.formats.read_table, dict(file=Path("none.csv"), map_file=Path("none.toml")), repr),
     "read_controllers": (ls.read_controllers, dict(file=Path("none.toml")), repr),
-    "read_gain_scheduled": (ls.read_gain_scheduled, dict(file=Path("none.toml")), repr),
+    "read_gain_scheduled": (ls.schedules.read_gain_scheduled, dict(file=Path("none.toml")), repr),
     "read_requirements": (ls.read_requirements, dict(file=Path("none.toml")), repr),
     "profiles": (ls.profiles, dict(file=None), repr),
     "report": (ls.report, dict(run_folder=Path("none"), out=None, controllers=None, figures_mb=0.7), repr),
     "gap": (ls.gap, dict(run=RUN, model=None, table=False, name=None), repr),
-    "stop": (ls.stop, dict(what="none", clear=False, baud=921600), repr),
-    "measure": (ls.measure, dict(study=Path("none.toml"), out=Path("o"), controllers=(), effects=()), repr),
+    "stop": (ls.rig.stop, dict(what="none", clear=False, baud=921600), repr),
+    "measure": (ls.rig.measure, dict(study=Path("none.toml"), out=Path("o"), controllers=(), effects=()), repr),
     "campaign": (ls.campaign, dict(file=Path("none.toml"), out=Path("o"), workers=1, part=None), repr),
-    "next_trial": (ls.next_trial, dict(L=ls.learning(P, C, band_hz=(1.0, 50.0), taps=8, preview=2, integrators=1),
+    "next_trial": (ls.learning.next_trial, dict(L=ls.learning(P, C, band_hz=(1.0, 50.0), taps=8, preview=2, integrators=1),
                                        run=RUN, loop=None, recordings=(), period_s=None), repr),
-    "axis": (ls.axis, dict(numbers={}, effort="u_v", position="y_rad", rotary=True, window_s=1.0), repr),
+    "axis": (ls.gap.axis, dict(numbers={}, effort="u_v", position="y_rad", rotary=True, window_s=1.0), repr),
     "shape": (ls.shape, dict(P=P, C=C, R=R, out=Path("shape.html"), fits=()), repr),
     "tune": (ls.tune, dict(P=P, R=R, structure=[ls.gain()], fits=(), start=None, seed=0, starts=1, grow=0,
                            least_gain=0.01, disturbance=None), repr),
-    "bound": (ls.bound, dict(P=P, C=C, R=R, fits=()), repr),
-    "schedule": (ls.schedule, dict(P=P, R=R, C=C, fits=(), seed=0, starts=1), repr),
-    "reach": (ls.reach, dict(P=P, C=C, R=R, order=1, fits=(), seed=0), repr),
+    "bound": (ls.limits.bound, dict(P=P, C=C, R=R, fits=()), repr),
+    "schedule": (ls.schedules.schedule, dict(P=P, R=R, C=C, fits=(), seed=0, starts=1), repr),
+    "reach": (ls.limits.reach, dict(P=P, C=C, R=R, order=1, fits=(), seed=0), repr),
 }  # fmt: skip
 #: calls whose right answer takes seconds: they are given fewer draws
 SLOW = ("tune", "bound", "schedule", "reach", "shape")
@@ -220,7 +220,9 @@ def test_whatever_is_given_ends_in_an_answer_or_a_sentence(tmp_path, monkeypatch
 
 @pytest.mark.parametrize("band_hz", [[1.0, 50.0], np.array([1.0, 50.0])])
 def test_a_list_stands_for_a_tuple(band_hz):
-    assert np.array_equal(ls.feedforward(P, band_hz=band_hz).taps, ls.feedforward(P, band_hz=(1.0, 50.0)).taps)
+    assert np.array_equal(
+        ls.learning.feedforward(P, band_hz=band_hz).taps, ls.learning.feedforward(P, band_hz=(1.0, 50.0)).taps
+    )
 
 
 def test_a_weight_too_large_for_a_number_is_refused_in_a_sentence():

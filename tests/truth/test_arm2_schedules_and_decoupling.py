@@ -38,7 +38,10 @@ def assert_alike(a, b):
 
 
 def one_node(C: ls.Controller) -> dict:
-    return {"controller": None, "schedule": ls.gain_scheduled([C], [{"theta1_deg": 0.0}], {"theta1_deg": "theta1"})}
+    return {
+        "controller": None,
+        "schedule": ls.schedules.gain_scheduled([C], [{"theta1_deg": 0.0}], {"theta1_deg": "theta1"}),
+    }
 
 
 def test_a_schedule_of_one_gain_is_that_gain_bit_for_bit():
@@ -96,7 +99,7 @@ def test_the_logged_z_is_that_of_the_interpolated_controller(follows: str):
     """theta1's controller follows theta2, behind a lag; z from the logged r and y."""
     nodes = node(4.0, 12.0), node(9.0, 7.0)
     points = [{"theta2_deg": 1.0}, {"theta2_deg": 3.5}]
-    S = ls.gain_scheduled(list(nodes), points, {"theta2_deg": ("theta2", follows)}, lag_s=0.05)
+    S = ls.schedules.gain_scheduled(list(nodes), points, {"theta2_deg": ("theta2", follows)}, lag_s=0.05)
     r = simulated({"theta1": {"controller": None, "schedule": S}}, 700)
     seen = np.degrees(r.column("r_theta2_rad" if follows == "reference" else "theta2_rad"))
     at, lag = seen.copy(), np.exp(-1.0 / (1000.0 * 0.05))
@@ -117,7 +120,7 @@ def test_every_loop_runs_its_own_schedule():
         knots = [{f"x_{unit}": 0.0}, {f"x_{unit}": 6.0 if unit == "deg" else 0.9}]
         setups[loop] = {
             "controller": None,
-            "schedule": ls.gain_scheduled([low, high], knots, {f"x_{unit}": loop}, lag_s=0.0),
+            "schedule": ls.schedules.gain_scheduled([low, high], knots, {f"x_{unit}": loop}, lag_s=0.0),
         }
     r = simulated(setups)
     outputs = (r.column("theta1_rad"), r.column("theta2_rad"), r.column("p_a_bar"), r.column("p_c_bar"))
@@ -151,18 +154,18 @@ def weighted(loop: LoopSetup, row: np.ndarray, names: tuple[str, ...]) -> LoopSe
 
 
 def test_the_study_s_schedule_and_matrix_reach_the_arm(tmp_path):
-    """By the public verb: `ls.measure(..., controllers, decoupling)` writes them with the run and reads them back."""
+    """By the public verb: `ls.rig.measure(..., controllers, decoupling)` writes them with the run and reads them back."""
     study = tmp_path / "study.toml"
     study.write_text(
         'format = "loopshape-study/1"\nrig = "simulated"\nplant = "arm-2dof"\n'
         "operating_points = [{ theta1_deg = 0.0, theta2_deg = 0.0, p_a_bar = 0.4, p_c_bar = 0.4 }]\n"
         '[[experiment]]\nname = "rest"\nduration_s = 0.2\n'
     )
-    S = ls.gain_scheduled(
+    S = ls.schedules.gain_scheduled(
         [node(4.0, 12.0), node(9.0, 7.0)], [{"theta2_deg": -1.0}, {"theta2_deg": 3.0}], {"theta2_deg": "theta2"}
     )
     weights = {"theta1": {"theta1": 1.0, "p_c": 0.5}}
-    ls.measure(study, tmp_path / "run", controllers=[S], decoupling=weights)
+    ls.rig.measure(study, tmp_path / "run", controllers=[S], decoupling=weights)
     run = ls.read(tmp_path / "run")
     assert run.loops[0].schedule.variables == S.variables
     assert run.loops[0].decoupling == weights["theta1"]

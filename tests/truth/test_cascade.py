@@ -41,7 +41,7 @@ def in_z(controller):
 
 
 def test_the_outer_plant_is_that_of_the_closed_inner_loop():
-    found = ls.equivalent(ls.cascade(both(), INNER, ASKED))
+    found = ls.diagrams.equivalent(ls.diagrams.cascade(both(), INNER, ASKED))
     assert found.inner["speed"].passed
     z = np.exp(1j * angular(F) / RATE)
     G1, G2 = (control.c2d(one, 1.0 / RATE)(z) for one in (MOTOR, LOAD))
@@ -54,7 +54,9 @@ def test_the_outer_plant_is_that_of_the_closed_inner_loop():
 
 def test_errors_that_both_measurements_share_are_counted_once():
     def met(seed):
-        return ls.transfer(ls.cascade(both(std=0.01, seed=seed), INNER), "r1", "angle", opened=("outer",))
+        return ls.diagrams.transfer(
+            ls.diagrams.cascade(both(std=0.01, seed=seed), INNER), "r1", "angle", opened=("outer",)
+        )
 
     drawn = np.array([met(k).siso for k in range(80)])
     told = met(0).variance[:, 0, 0]
@@ -63,7 +65,7 @@ def test_errors_that_both_measurements_share_are_counted_once():
 
 
 def test_an_outer_loop_that_is_tuned_is_stable_with_the_inner_one_closed():
-    structure = ls.cascade(both(std=0.003), INNER, ASKED)
+    structure = ls.diagrams.cascade(both(std=0.003), INNER, ASKED)
     wished = ls.Requirements("outer", phase_margin_deg=45.0, sensitivity_peak_db=6.0)
     made = ls.tune(structure, wished, [ls.gain(), ls.lead_lag()], starts=2)
     assert made.verdict.passed
@@ -77,6 +79,6 @@ def test_an_outer_loop_that_is_tuned_is_stable_with_the_inner_one_closed():
 def test_an_inner_loop_that_is_not_stable_and_other_shapes_are_refused():
     fast = ls.controller(ls.gain(200.0), ls.pi(300.0), rate_hz=RATE)
     with pytest.raises(WrongUseError, match="certified stable"):
-        ls.equivalent(ls.cascade(both(), fast, ASKED))
+        ls.diagrams.equivalent(ls.diagrams.cascade(both(), fast, ASKED))
     with pytest.raises(WrongUseError, match="one actuator to two sensors"):
-        ls.cascade(channels(both(), ["speed"]), INNER, ASKED)
+        ls.diagrams.cascade(channels(both(), ["speed"]), INNER, ASKED)

@@ -27,7 +27,7 @@ def drawn(P: ls.FRF, rng: np.random.Generator) -> ls.FRF:
 
 def test_the_true_matrix_is_found_and_leaves_a_diagonal_plant():
     P = plant()
-    W = ls.decouple(P, at_hz=2.0)
+    W = ls.diagrams.decouple(P, at_hz=2.0)
     np.testing.assert_allclose(W.matrix, [[1.0, W12], [W21, 1.0]], atol=1e-12)
     behind = W.applied(P).response
     assert np.abs(behind[:, [0, 1], [1, 0]]).max() < 1e-12 * np.abs(behind).max()
@@ -37,8 +37,8 @@ def test_the_true_matrix_is_found_and_leaves_a_diagonal_plant():
 def test_its_deviation_is_that_of_draws(at_hz):
     """400 draws: a deviation is known to 3.5 %, and four times that is allowed."""
     P, rng = plant(), np.random.default_rng(5)
-    W = ls.decouple(P, at_hz=at_hz)
-    found = np.array([ls.decouple(drawn(P, rng), at_hz=at_hz).matrix for _ in range(400)])
+    W = ls.diagrams.decouple(P, at_hz=at_hz)
+    found = np.array([ls.diagrams.decouple(drawn(P, rng), at_hz=at_hz).matrix for _ in range(400)])
     for i, j in ((0, 1), (1, 0)):
         assert found[:, i, j].std() == pytest.approx(W.std[i, j], rel=0.14)
 
@@ -46,7 +46,7 @@ def test_its_deviation_is_that_of_draws(at_hz):
 def test_the_plant_behind_it_has_its_covariance():
     """Of P W by draws of P, W as it stands."""
     P, rng = plant(), np.random.default_rng(6)
-    W = ls.decouple(P, at_hz=2.0)
+    W = ls.diagrams.decouple(P, at_hz=2.0)
     spread = np.std([drawn(P, rng).response @ W.matrix for _ in range(400)], axis=0)
     stated = np.sqrt(np.real(np.einsum("fii->fi", W.applied(P).covariance))).reshape(-1, 2, 2).transpose(0, 2, 1)
     assert np.mean(spread / stated) == pytest.approx(1.0, abs=0.02)
@@ -54,4 +54,4 @@ def test_the_plant_behind_it_has_its_covariance():
 
 def test_a_band_without_a_valid_frequency_is_refused():
     with pytest.raises(WrongUseError, match="no valid frequency"):
-        ls.decouple(plant(), at_hz=(30.0, 40.0))
+        ls.diagrams.decouple(plant(), at_hz=(30.0, 40.0))

@@ -74,20 +74,23 @@ def every():
     both = (frf(COARSE, "a"), frf(FINE, "b"))
     sensors = control.ss(REAL.A, REAL.B, np.vstack([REAL.C, REAL.C]), np.zeros((2, 1)), 1.0 / RATE)
     return {
-        "parallel": (ls.dual_stage(*both, C2).with_part("C1", C1), stages),
-        "master-slave": (ls.dual_stage(*both, C2, kind="master-slave", estimate=PRE).with_part("C1", C1), stages),
-        "displacement": (ls.dual_stage(*both, C2, kind="master-slave").with_part("C1", C1), stages),
+        "parallel": (ls.diagrams.dual_stage(*both, C2).with_part("C1", C1), stages),
+        "master-slave": (
+            ls.diagrams.dual_stage(*both, C2, kind="master-slave", estimate=PRE).with_part("C1", C1),
+            stages,
+        ),
+        "displacement": (ls.diagrams.dual_stage(*both, C2, kind="master-slave").with_part("C1", C1), stages),
         "cascade": (
-            ls.cascade(frf(MOTOR, "m", outputs=("speed", "angle")), SPEED).with_part(
+            ls.diagrams.cascade(frf(MOTOR, "m", outputs=("speed", "angle")), SPEED).with_part(
                 "outer", ls.controller(ls.gain(6.0), rate_hz=RATE)
             ),
             {"G": MOTOR},
         ),
-        "two sensors": (ls.two_sensors(frf(sensors, "s"), LOW, HIGH).with_part("C", LEAD), {"G": sensors}),
-        "setpoint": (ls.prefilter(frf(REAL, "p"), PRE).with_part("C", LEAD), {"P": REAL}),
-        "input": (ls.prefilter(frf(REAL, "p"), PRE, to="input").with_part("C", LEAD), {"P": REAL}),
+        "two sensors": (ls.diagrams.two_sensors(frf(sensors, "s"), LOW, HIGH).with_part("C", LEAD), {"G": sensors}),
+        "setpoint": (ls.diagrams.prefilter(frf(REAL, "p"), PRE).with_part("C", LEAD), {"P": REAL}),
+        "input": (ls.diagrams.prefilter(frf(REAL, "p"), PRE, to="input").with_part("C", LEAD), {"P": REAL}),
         "observer": (
-            ls.disturbance_observer(frf(REAL, "p"), NOMINAL, ls.low_pass(20.0, 0.7)).with_part("C", LEAD),
+            ls.diagrams.disturbance_observer(frf(REAL, "p"), NOMINAL, ls.low_pass(20.0, 0.7)).with_part("C", LEAD),
             {"P": REAL},
         ),
     }
@@ -99,7 +102,7 @@ def test_a_whole_diagram_is_that_of_python_control(name):
     structure, models = every()[name]
     truth, out = whole(structure, models)
     H = np.asarray(truth.frequency_response(angular(F), squeeze=True).frdata).ravel()
-    np.testing.assert_allclose(ls.transfer(structure, "r", out).siso, H, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(ls.diagrams.transfer(structure, "r", out).siso, H, rtol=1e-9, atol=1e-12)
     mine = np.linalg.eigvals(states(structure, models).A)
     for pole in control.poles(truth):
         assert np.abs(mine - pole).min() < 1e-5
@@ -123,8 +126,8 @@ def test_margins_are_those_of_the_loop_broken_at_the_tuned_block(name):
     """|S| of `check` at its peak is that of the diagram's own response at the tuned block's output."""
     structure, _ = every()[name]
     tuned = structure.part(structure.tuned)
-    (plant,) = ls.equivalent(structure).plants
-    S = ls.transfer(structure, tuned.outputs[0], tuned.outputs[0]).siso
+    (plant,) = ls.diagrams.equivalent(structure).plants
+    S = ls.diagrams.transfer(structure, tuned.outputs[0], tuned.outputs[0]).siso
     np.testing.assert_allclose(S, 1.0 / (1.0 + tuned.what.response(F) * plant.siso), rtol=1e-9)
     (m,) = ls.check(structure, tuned.what).margins.values()
     assert m.sensitivity_peak_db == pytest.approx(20.0 * np.log10(np.abs(S).max()), abs=0.1)
@@ -136,14 +139,14 @@ def test_the_error_of_what_the_tuned_block_meets_is_that_of_draws(kind):
 
     def made(seed):
         if kind == "parallel":
-            return ls.dual_stage(frf(COARSE, "a", 0.01, seed), frf(FINE, "b", 0.01, 1000 + seed), C2)
-        return ls.disturbance_observer(frf(REAL, "p", 0.01, seed), NOMINAL, ls.low_pass(20.0, 0.7))
+            return ls.diagrams.dual_stage(frf(COARSE, "a", 0.01, seed), frf(FINE, "b", 0.01, 1000 + seed), C2)
+        return ls.diagrams.disturbance_observer(frf(REAL, "p", 0.01, seed), NOMINAL, ls.low_pass(20.0, 0.7))
 
     one = made(0)
     signal = one.part(one.tuned)
     path = {"opened": (one.tuned,), "source": signal.outputs[0], "to": signal.inputs[0]}
-    drawn = np.array([ls.transfer(made(k), **path).siso for k in range(80)])
-    ratio = np.var(drawn, axis=0) / ls.transfer(one, **path).variance[:, 0, 0]
+    drawn = np.array([ls.diagrams.transfer(made(k), **path).siso for k in range(80)])
+    ratio = np.var(drawn, axis=0) / ls.diagrams.transfer(one, **path).variance[:, 0, 0]
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.04)
 
 
@@ -153,12 +156,12 @@ def test_what_was_measured_together_is_counted_once():
     shared = 1e-4 * np.abs(H[:, :1]) ** 2 * np.ones((2, 2))
     G = ls.FRF.from_arrays(F, H, covariance=shared + 0j, rate_hz=RATE, open_loop=True)
     half, minus = (ls.controller(ls.gain(g), rate_hz=RATE) for g in (1.0, -1.0))
-    D = ls.two_sensors(G, half, minus)
-    assert np.all(ls.transfer(D, "u", "y", opened=("C",)).variance < 1e-12 * shared[:, :1, :1])
+    D = ls.diagrams.two_sensors(G, half, minus)
+    assert np.all(ls.diagrams.transfer(D, "u", "y", opened=("C",)).variance < 1e-12 * shared[:, :1, :1])
 
 
 def test_a_tuned_dual_stage_is_stable_and_faster_than_the_coarse_actuator_alone():
-    D = ls.dual_stage(frf(COARSE, "a", 0.003), frf(FINE, "b", 0.003, 1), C2)
+    D = ls.diagrams.dual_stage(frf(COARSE, "a", 0.003), frf(FINE, "b", 0.003, 1), C2)
     R = ls.Requirements("C1", sensitivity_peak_db=6.0, integrators=0)
     made = ls.tune(D, R, [ls.gain(), ls.lead_lag((5.0, 60.0), (60.0, 600.0))], starts=1)
     assert made.verdict.passed
@@ -170,18 +173,20 @@ def test_a_tuned_dual_stage_is_stable_and_faster_than_the_coarse_actuator_alone(
 def test_inner_loops_that_are_not_certified_are_refused():
     fine = frf(FINE, "b")
     with pytest.raises(WrongUseError, match="inner loop C2 is unstable"):
-        ls.equivalent(ls.dual_stage(frf(COARSE, "a"), fine, ls.controller(ls.gain(30.0), rate_hz=RATE)))
+        ls.diagrams.equivalent(
+            ls.diagrams.dual_stage(frf(COARSE, "a"), fine, ls.controller(ls.gain(30.0), rate_hz=RATE))
+        )
     unknown = frf(FINE, "b", open_loop=False)
     with pytest.raises(WrongUseError, match="inner loop C2 is undecided"):
-        ls.equivalent(ls.dual_stage(frf(COARSE, "a"), unknown, C2))
+        ls.diagrams.equivalent(ls.diagrams.dual_stage(frf(COARSE, "a"), unknown, C2))
 
 
 def test_integrators_that_drift_against_each_other_are_refused():
     """A double integrator beside a fine actuator whose controller integrates: the state matrix has a pole at 1."""
     free = control.c2d(control.ss(control.tf([400.0], [1.0, 0.0, 0.0])), 1.0 / RATE)
-    D = ls.dual_stage(frf(free, "a"), frf(FINE, "b"), ls.controller(ls.gain(0.1), ls.pi(2.0), rate_hz=RATE))
+    D = ls.diagrams.dual_stage(frf(free, "a"), frf(FINE, "b"), ls.controller(ls.gain(0.1), ls.pi(2.0), rate_hz=RATE))
     with pytest.raises(WrongUseError, match="does not see"):
-        ls.equivalent(D)
+        ls.diagrams.equivalent(D)
     poles = np.linalg.eigvals(states(D.with_part("C1", C1), {"P1": free, "P2": FINE}).A)
     assert np.abs(poles - 1.0).min() < 1e-4
 
@@ -189,10 +194,12 @@ def test_integrators_that_drift_against_each_other_are_refused():
 def test_unstable_poles_go_to_the_loop_that_holds_them():
     """An unstable coarse actuator: the tuned block meets one unstable pole, and another number is refused."""
     falling = control.c2d(control.ss(control.tf([900.0], [1.0, 2.0, -100.0])), 1.0 / RATE)
-    plain = ls.dual_stage(frf(falling, "a", open_loop=False), frf(FINE, "b"), C2)
-    parts = tuple(ls.Part("P1", "u1", "y1", p.what, unstable_poles=1) if p.name == "P1" else p for p in plain.parts)
-    D = ls.Diagram(parts, plain.sums, "C1")
-    assert ls.equivalent(D).unstable_poles == 1
+    plain = ls.diagrams.dual_stage(frf(falling, "a", open_loop=False), frf(FINE, "b"), C2)
+    parts = tuple(
+        ls.diagrams.Part("P1", "u1", "y1", p.what, unstable_poles=1) if p.name == "P1" else p for p in plain.parts
+    )
+    D = ls.diagrams.Diagram(parts, plain.sums, "C1")
+    assert ls.diagrams.equivalent(D).unstable_poles == 1
     lead = ls.controller(ls.gain(1.5), ls.lead_lag(3.0, 60.0), rate_hz=RATE)
     (m,) = ls.check(D, lead, ls.Requirements("C1", integrators=0)).margins.values()
     stable = np.abs(np.linalg.eigvals(states(D.with_part("C1", lead), {"P1": falling, "P2": FINE}).A)).max() < 1.0
@@ -202,18 +209,20 @@ def test_unstable_poles_go_to_the_loop_that_holds_them():
 
 
 def test_diagrams_that_make_no_sense_are_refused():
-    P = ls.Part("P", "u", "y", frf(REAL))
-    C = ls.Part("C", "e", "u")
+    P = ls.diagrams.Part("P", "u", "y", frf(REAL))
+    C = ls.diagrams.Part("C", "e", "u")
     with pytest.raises(WrongUseError, match="one block or sum"):
-        ls.Diagram((C, P), {"y": "r - u"}, "C")
+        ls.diagrams.Diagram((C, P), {"y": "r - u"}, "C")
     with pytest.raises(WrongUseError, match="circle"):
-        ls.Diagram((C, P), {"e": "r - a", "a": "e + y"}, "C")
+        ls.diagrams.Diagram((C, P), {"e": "r - a", "a": "e + y"}, "C")
     with pytest.raises(WrongUseError, match="no such block"):
-        ls.Diagram((C, P), {"e": "r - y"}, "D")
+        ls.diagrams.Diagram((C, P), {"e": "r - y"}, "D")
     with pytest.raises(WrongUseError, match="signals with signs"):
-        ls.Diagram((C, P), {"e": "r * y"}, "C")
+        ls.diagrams.Diagram((C, P), {"e": "r * y"}, "C")
     with pytest.raises(WrongUseError, match="no controller yet"):
-        ls.transfer(ls.Diagram((C, P), {"e": "r - y"}, "C"), "r", "y")
+        ls.diagrams.transfer(ls.diagrams.Diagram((C, P), {"e": "r - y"}, "C"), "r", "y")
     F2 = ls.controller(ls.gain(1.0), rate_hz=2.0 * RATE)
     with pytest.raises(WrongUseError, match="one rate"):
-        ls.Diagram((C, P, ls.Part("F", "r", "rf", F2), ls.Part("H", "y", "h", C1)), {"e": "rf - h"}, "C")
+        ls.diagrams.Diagram(
+            (C, P, ls.diagrams.Part("F", "r", "rf", F2), ls.diagrams.Part("H", "y", "h", C1)), {"e": "rf - h"}, "C"
+        )

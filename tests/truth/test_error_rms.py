@@ -108,7 +108,7 @@ def test_the_recorded_controller_gives_back_the_recorded_rms():
 def test_a_recording_under_the_new_controller_shows_what_was_predicted():
     rng = np.random.default_rng(3)
     rms, (low, high) = found(ls.check(measured(rng), gain(NEW), R, disturbance=recorded(rng)))
-    (after,) = ls.tones(recorded(rng, NEW), channels=["y_m"])
+    (after,) = ls.planning.tones(recorded(rng, NEW), channels=["y_m"])
     assert low < after.rms_interval[1]
     assert after.rms_interval[0] < high
     assert rms == pytest.approx(after.rms, rel=0.1)

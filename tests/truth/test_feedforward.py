@@ -56,7 +56,7 @@ R = setpoint_of(1.0, 1.0, 4.0, 40.0, rate_hz=RATE, rest_s=2.0)
 
 def test_a_known_plant_is_inverted_between_lines_too():
     """Within 5 % over the lower half of the band; at its end F begins to let go, and says how much."""
-    F = ls.feedforward(measured(relative=1e-4), band_hz=(0.1, 20.0), taps=60, integrators=1)
+    F = ls.learning.feedforward(measured(relative=1e-4), band_hz=(0.1, 20.0), taps=60, integrators=1)
     f = np.geomspace(0.1, 10.0, 77)
     assert np.abs(1.0 - plant(f) * F.response(f)).max() < 0.05
     assert F.inverse_error == pytest.approx(np.abs(1.0 - plant(F.frequency_hz) * F.response(F.frequency_hz)), abs=1e-4)
@@ -64,7 +64,7 @@ def test_a_known_plant_is_inverted_between_lines_too():
 
 
 def test_the_signal_is_the_response():
-    F = ls.feedforward(measured(), band_hz=(0.1, 20.0), integrators=1)
+    F = ls.learning.feedforward(measured(), band_hz=(0.1, 20.0), integrators=1)
     k = np.arange(4000)
     sine = np.sin(2.0 * np.pi * 5.0 * k / RATE)
     wanted = np.imag(F.response([5.0])[0] * np.exp(2j * np.pi * 5.0 * k / RATE))
@@ -74,8 +74,8 @@ def test_the_signal_is_the_response():
 @pytest.mark.parametrize("helped", [False, True])
 def test_the_predicted_error_is_that_of_the_loop_sample_by_sample(helped):
     P = measured(relative=1e-4)
-    F = ls.feedforward(P, band_hz=(0.1, 20.0), taps=60, integrators=1) if helped else None
-    found = ls.tracking_error(P, C, R, F, integrators=1)
+    F = ls.learning.feedforward(P, band_hz=(0.1, 20.0), taps=60, integrators=1) if helped else None
+    found = ls.learning.tracking_error(P, C, R, F, integrators=1)
     e = followed(R, F.signal(R) if F else None)
     assert found.error == pytest.approx(e, abs=0.01 * np.abs(followed(R)).max())
     assert found.rms == pytest.approx(np.sqrt(np.mean(e**2)), rel=0.05, abs=5e-5)  # rad, of 0.1 without
@@ -88,8 +88,8 @@ def test_feedforward_from_noisy_data_leaves_what_was_predicted():
     without = np.sqrt(np.mean(followed(R) ** 2))
     for _ in range(20):
         P = measured(rng)
-        F = ls.feedforward(P, band_hz=(0.1, 20.0), integrators=1)
-        found, e = ls.tracking_error(P, C, R, F, integrators=1), followed(R, F.signal(R))
+        F = ls.learning.feedforward(P, band_hz=(0.1, 20.0), integrators=1)
+        found, e = ls.learning.tracking_error(P, C, R, F, integrators=1), followed(R, F.signal(R))
         rms, most = np.sqrt(np.mean(e**2)), np.abs(e).max()
         assert rms < 0.1 * without
         assert 0.25 * found.largest < most < 4.0 * found.largest
@@ -100,18 +100,18 @@ def test_feedforward_from_noisy_data_leaves_what_was_predicted():
 def test_without_feedforward_the_interval_covers_the_error():
     """20 measurements of 5 %: rms in its interval as often as binomial chance of 1e-4 allows."""
     rng, truth = np.random.default_rng(2), np.sqrt(np.mean(followed(R) ** 2))
-    found = [ls.tracking_error(measured(rng, 0.05), C, R, integrators=1).rms_interval for _ in range(20)]
+    found = [ls.learning.tracking_error(measured(rng, 0.05), C, R, integrators=1).rms_interval for _ in range(20)]
     assert sum(low <= truth <= high for low, high in found) >= binom.ppf(1e-4, 20, 0.95)
 
 
 def test_what_cannot_be_inverted_is_refused():
     with pytest.raises(WrongUseError, match="four frequencies"):
-        ls.feedforward(measured(), band_hz=(1.0, 1.05))
+        ls.learning.feedforward(measured(), band_hz=(1.0, 1.05))
     with pytest.raises(WrongUseError, match="hold its preview"):
-        ls.feedforward(measured(), taps=10, preview=10)
-    F = ls.feedforward(measured(), band_hz=(0.1, 20.0))
+        ls.learning.feedforward(measured(), taps=10, preview=10)
+    F = ls.learning.feedforward(measured(), band_hz=(0.1, 20.0))
     with pytest.raises(WrongUseError, match="one rate"):
-        ls.tracking_error(measured(), ls.controller(ls.gain(1.0), rate_hz=1000.0), R, F)
+        ls.learning.tracking_error(measured(), ls.controller(ls.gain(1.0), rate_hz=1000.0), R, F)
 
 
 @pytest.mark.long
@@ -191,7 +191,7 @@ def moved(arm, controllers, u=None):
 
 def test_the_simulated_arm_follows_a_profile_with_a_fifth_of_the_error(arm):
     arm, controllers, P = arm
-    F = ls.feedforward(P, band_hz=(0.05, 5.0), integrators=1)
+    F = ls.learning.feedforward(P, band_hz=(0.05, 5.0), integrators=1)
     (without, _), (helped, _) = moved(arm, controllers), moved(arm, controllers, F.signal(MOVE))
     assert np.std(helped) < 0.2 * np.std(without)
     assert np.abs(helped).max() < 0.2 * np.abs(without).max()

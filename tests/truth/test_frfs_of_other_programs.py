@@ -50,7 +50,7 @@ TABLES = {
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_reads_as_the_response_that_it_was_written_from(name, encoding, tmp_path):
     (tmp_path / name).write_bytes(TABLES[name].encode(encoding))
-    found = ls.read_frf(tmp_path / name, relative_std=0.02)
+    found = ls.formats.read_frf(tmp_path / name, relative_std=0.02)
     np.testing.assert_allclose(found.frequency_hz, F, rtol=1e-13)
     np.testing.assert_allclose(found.siso, H, rtol=1e-12)
 
@@ -58,10 +58,10 @@ def test_a_table_reads_as_the_response_that_it_was_written_from(name, encoding, 
 def test_what_nobody_says_of_dB_and_degrees_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("f,gain,phase\n1,2,300\n2,3,400\n")
     with pytest.raises(ls.LoopshapeError, match=r"dB or a ratio.*\(dB\) or \(abs\)"):
-        ls.read_frf(tmp_path / "a.csv", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "a.csv", relative_std=0.01)
     (tmp_path / "a.csv").write_text("f,gain (dB),phase\n1,2,3\n2,3,4\n")
     with pytest.raises(ls.LoopshapeError, match=r"deg or rad.*\(deg\) or \(rad\)"):
-        ls.read_frf(tmp_path / "a.csv", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "a.csv", relative_std=0.01)
 
 
 # written by scikit-rf 2.2.0: Network(s=..., z0=50).write_touchstone, and with form="db"
@@ -75,7 +75,7 @@ TOUCHSTONE = """! Created with skrf 2.2.0 (http://scikit-rf.org).
 
 def test_a_touchstone_file_holds_21_before_12(tmp_path):
     (tmp_path / "n.s2p").write_text(TOUCHSTONE)
-    found = ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+    found = ls.formats.read_frf(tmp_path / "n.s2p", relative_std=0.01)
     np.testing.assert_array_equal(found.frequency_hz, [10.0, 20.0])
     np.testing.assert_array_equal(found.response[0], [[0.1 + 0.2j, 0.5 + 0.6j], [0.3 - 0.4j, 0.7 + 0.8j]])
 
@@ -83,12 +83,12 @@ def test_a_touchstone_file_holds_21_before_12(tmp_path):
 def test_a_touchstone_file_in_dB_and_MHz_and_with_noise(tmp_path):
     text = "# mhz s db r 50\n! a remark\n1 -6.0 90 ! behind\n2 -20 -180\n"
     (tmp_path / "n.s1p").write_text(text)
-    found = ls.read_frf(tmp_path / "n.s1p", relative_std=0.01)
+    found = ls.formats.read_frf(tmp_path / "n.s1p", relative_std=0.01)
     np.testing.assert_array_equal(found.frequency_hz, [1e6, 2e6])
     np.testing.assert_allclose(found.siso, [10 ** (-0.3) * 1j, -0.1], rtol=1e-12)
     (tmp_path / "n.s1p").write_text("1 2 3\n")
     with pytest.raises(ls.LoopshapeError, match="# HZ S RI R 50"):
-        ls.read_frf(tmp_path / "n.s1p", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "n.s1p", relative_std=0.01)
 
 
 ROWS = "10 1 0\n20 .9 0\n{}30 .8 0\n40 .7 0\n"
@@ -98,30 +98,30 @@ ROWS = "10 1 0\n20 .9 0\n{}30 .8 0\n40 .7 0\n"
 def test_a_touchstone_file_whose_frequencies_do_not_rise_is_refused(between, tmp_path):
     (tmp_path / "n.s1p").write_text("# HZ S RI R 50\n" + ROWS.format(between))
     with pytest.raises(ls.LoopshapeError, match="do not rise at row 3"):
-        ls.read_frf(tmp_path / "n.s1p", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "n.s1p", relative_std=0.01)
     (tmp_path / "n.s1p").write_text("# HZ S RI R 50\n" + ROWS.format(""))
-    assert ls.read_frf(tmp_path / "n.s1p", relative_std=0.01).frequency_hz.size == 4
+    assert ls.formats.read_frf(tmp_path / "n.s1p", relative_std=0.01).frequency_hz.size == 4
 
 
 def test_noise_parameters_are_those_of_two_ports_and_are_counted(tmp_path):
     network = "".join(f"{f} 1 0 2 0 3 0 4 0\n" for f in (10, 20, 30))
     (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n" + network + "10 1 .5 30 .2\n20 1 .5 30 .2\n")
-    found = ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+    found = ls.formats.read_frf(tmp_path / "n.s2p", relative_std=0.01)
     assert found.frequency_hz.tolist() == [10.0, 20.0, 30.0]
     assert "2 rows of noise parameters were left out" in found.notes
     (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n" + network + network)
     with pytest.raises(ls.LoopshapeError, match="do not rise at row 4"):
-        ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "n.s2p", relative_std=0.01)
     (tmp_path / "n.s2p").write_text("# HZ S RI R 50\n[Two-Port Data Order] 12_21\n" + network)
     with pytest.raises(ls.LoopshapeError, match="save it as version 1"):
-        ls.read_frf(tmp_path / "n.s2p", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "n.s2p", relative_std=0.01)
 
 
 def test_parts_of_several_traces_are_not_put_together(tmp_path):
     text = "Frequency (Hz),TR1: Gain (dB),TR2: Gain (Degree),TR3: Gain (Degree)\n"
     (tmp_path / "a.csv").write_text(text + rows(F, DB, WRAPPED, WRAPPED))
     with pytest.raises(ls.LoopshapeError, match="no table of a FRF"):
-        ls.read_frf(tmp_path / "a.csv", relative_std=0.01)
+        ls.formats.read_frf(tmp_path / "a.csv", relative_std=0.01)
 
 
 def test_a_loop_measured_whole_gives_its_plant_with_the_loop_s_error(tmp_path):
@@ -131,7 +131,7 @@ def test_a_loop_measured_whole_gives_its_plant_with_the_loop_s_error(tmp_path):
         "Frequency (Hz),Magnitude (dB),Phase (deg),coherence\n"
         + rows(F, 20.0 * np.log10(np.abs(L)), np.degrees(np.angle(-L)), np.full(F.size, 0.99))
     )
-    P = ls.read_frf(tmp_path / "L.csv", averages=50, complete_loop=C, negative=True)
+    P = ls.formats.read_frf(tmp_path / "L.csv", averages=50, complete_loop=C, negative=True)
     np.testing.assert_allclose(P.siso, H, rtol=1e-12)
     np.testing.assert_allclose(P.variance[:, 0, 0], np.abs(H) ** 2 * 0.01 / (0.99 * 49), rtol=1e-12)  # by |C|²
     assert P.rate_hz == 1e5

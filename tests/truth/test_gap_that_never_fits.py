@@ -143,13 +143,13 @@ def test_a_window_that_nobody_states_is_chosen_and_told():
 
 def test_what_matters_is_a_share():
     with pytest.raises(WrongUseError, match="share of the motion"):
-        ls.Model("m", lambda t, x, u, p: (x[0],), ("q",), (), (ls.Input("u", "u"),), (ls.Output("y", "q", "y"),),
+        ls.gap.Model("m", lambda t, x, u, p: (x[0],), ("q",), (), (ls.gap.Input("u", "u"),), (ls.gap.Output("y", "q", "y"),),
                  matters=2.0)  # fmt: skip
 
 
 @pytest.mark.long
 def test_what_recordings_can_tell_is_known_before_an_effect_is_looked_for():
-    seen = {x.effect: x for x in ls.identifiability(run_of(2), model=MODEL)}
+    seen = {x.effect: x for x in ls.gap.identifiability(run_of(2), model=MODEL)}
     assert "sensor_delay@encoder" in seen["actuator_delay@drum"].alike  # one of each: nothing parts them
     assert "coulomb_friction@bearing" not in seen["actuator_delay@drum"].alike
     least = seen["coulomb_friction@bearing"].least

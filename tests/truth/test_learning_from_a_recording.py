@@ -61,7 +61,7 @@ def test_the_next_trial_s_error_is_the_one_expected():
     assert L.converges is Outcome.FAILED
     for _ in range(6):
         recorded = played(u)
-        trial = ls.next_trial(L, run_of(recorded))
+        trial = ls.learning.next_trial(L, run_of(recorded))
         found.append(rms(error_of(recorded)))
         expected.append(trial.expected_rms)
         assert trial.error_rms == pytest.approx(found[-1], rel=1e-9)
@@ -74,10 +74,10 @@ def test_the_next_trial_s_error_is_the_one_expected():
 def test_the_update_is_that_of_the_filters():
     """u_next = Q (u + F e + z), of a trial that had a feedforward already."""
     L = learning()
-    u = ls.next_trial(L, run_of(played(np.zeros(R.size)))).feedforward
+    u = ls.learning.next_trial(L, run_of(played(np.zeros(R.size)))).feedforward
     second = played(u)
     wanted = L.next(u, error_of(second), GAIN * error_of(second))
-    assert ls.next_trial(L, run_of(second)).feedforward == pytest.approx(wanted, abs=1e-12)
+    assert ls.learning.next_trial(L, run_of(second)).feedforward == pytest.approx(wanted, abs=1e-12)
 
 
 def test_repetitions_tell_what_cannot_be_learned():
@@ -85,8 +85,8 @@ def test_repetitions_tell_what_cannot_be_learned():
     of one recording's within a half, and what repeats is the error without noise within 5 %."""
     L, zero = learning(), np.zeros(R.size)
     noisy = [played(zero, 0.1, seed, f"r{seed}") for seed in range(16)]
-    clean = ls.next_trial(L, run_of(played(zero)))
-    all16, one = ls.next_trial(L, run_of(*noisy)), ls.next_trial(L, run_of(noisy[0]))
+    clean = ls.learning.next_trial(L, run_of(played(zero)))
+    all16, one = ls.learning.next_trial(L, run_of(*noisy)), ls.learning.next_trial(L, run_of(noisy[0]))
     assert all16.repetitions == 16
     assert one.scatter_rms is None
     truth = rms([error_of(r) - error_of(played(zero)) for r in noisy])
@@ -103,8 +103,10 @@ def test_a_move_that_repeats_within_one_recording_is_folded():
     there_and_back = np.concatenate([R, R[-1] - R])
     three = np.tile(there_and_back, 3)
     L = learning()
-    whole = ls.next_trial(L, run_of(played(np.zeros(three.size), setpoint=three)), period_s=there_and_back.size / RATE)
-    once = ls.next_trial(L, run_of(played(np.zeros(there_and_back.size), setpoint=there_and_back)))
+    whole = ls.learning.next_trial(
+        L, run_of(played(np.zeros(three.size), setpoint=three)), period_s=there_and_back.size / RATE
+    )
+    once = ls.learning.next_trial(L, run_of(played(np.zeros(there_and_back.size), setpoint=there_and_back)))
     assert whole.repetitions == 3
     assert whole.feedforward == pytest.approx(np.tile(once.feedforward, 3), abs=1e-6 * np.abs(once.feedforward).max())
 
@@ -118,16 +120,16 @@ def test_recordings_that_are_no_trial_are_refused():
         (played(zero[:-5], setpoint=R[:-5], name="b"), "one length"),
     ):
         with pytest.raises(WrongUseError, match=said):
-            ls.next_trial(L, run_of(first, other))
-        assert ls.next_trial(L, run_of(first, other), recordings=["move"]).repetitions == 1
+            ls.learning.next_trial(L, run_of(first, other))
+        assert ls.learning.next_trial(L, run_of(first, other), recordings=["move"]).repetitions == 1
     excited = ls.Recording(replace(first.info, injection="controller_input", excites="axis"), RATE, first.columns)
     with pytest.raises(WrongUseError, match="with the loop closed"):
-        ls.next_trial(L, run_of(excited))
+        ls.learning.next_trial(L, run_of(excited))
     with pytest.raises(WrongUseError, match="with the loop closed"):
-        ls.next_trial(L, replace(run_of(first), loops=(replace(SETUP, reference=None),)))
+        ls.learning.next_trial(L, replace(run_of(first), loops=(replace(SETUP, reference=None),)))
     with pytest.raises(WrongUseError, match="rate of its filters"):
-        ls.next_trial(L, run_of(ls.Recording(first.info, 250.0, first.columns)))
+        ls.learning.next_trial(L, run_of(ls.Recording(first.info, 250.0, first.columns)))
     with pytest.raises(WrongUseError, match="whole number of samples"):
-        ls.next_trial(L, run_of(first), period_s=0.0033)
+        ls.learning.next_trial(L, run_of(first), period_s=0.0033)
     with pytest.raises(WrongUseError, match="without one"):
-        ls.next_trial(L, run_of())
+        ls.learning.next_trial(L, run_of())

@@ -25,7 +25,7 @@ def test_a_folded_plant_is_that_of_the_lifted_state_space(many):
     A, B, C, D = (np.asarray(m) for m in control.ssdata(plant * both))
     into = sum(np.linalg.matrix_power(A, k) @ B for k in range(many))
     lifted = control.ss(np.linalg.matrix_power(A, many), into, C, D, 1.0 / SLOW)
-    found = ls.multirate(P, notch, SLOW)
+    found = ls.diagrams.multirate(P, notch, SLOW)
     assert found.frequency_hz.size > 400
     truth = np.asarray(lifted.frequency_response(angular(found.frequency_hz)).frdata).ravel()
     np.testing.assert_allclose(found.siso, truth, rtol=1e-7, atol=1e-9)
@@ -38,7 +38,7 @@ def test_the_error_of_a_folded_plant_is_that_of_draws():
     low = ls.controller(ls.low_pass(300.0, 0.7), rate_hz=rate)
 
     def met(noise):
-        return ls.multirate(
+        return ls.diagrams.multirate(
             ls.FRF.from_arrays(f, H + 0.05 * noise, std=0.05 * np.ones(f.size), rate_hz=rate), low, SLOW
         )
 
@@ -53,6 +53,6 @@ def test_a_plant_that_does_not_reach_the_images_and_other_rates_are_refused():
     f = np.geomspace(1.0, 400.0, 50)
     P = ls.FRF.from_arrays(f, 1.0 / (1.0 + 1j * f), relative_std=0.01, rate_hz=2000.0)
     with pytest.raises(WrongUseError, match="measured up to half"):
-        ls.multirate(P, ls.controller(ls.gain(1.0), rate_hz=2000.0), SLOW)
+        ls.diagrams.multirate(P, ls.controller(ls.gain(1.0), rate_hz=2000.0), SLOW)
     with pytest.raises(WrongUseError, match="whole multiple"):
-        ls.multirate(P, ls.controller(ls.gain(1.0), rate_hz=1500.0), SLOW)
+        ls.diagrams.multirate(P, ls.controller(ls.gain(1.0), rate_hz=1500.0), SLOW)

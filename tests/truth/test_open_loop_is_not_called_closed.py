@@ -81,7 +81,7 @@ def test_at_most_3_of_300_records_in_open_loop_grow_or_are_called_closed():
     for kind in EXCITATIONS:
         for seed in range(30):
             run, columns = record(kind, seed)
-            grows = any(tone.growth is Growth.GROWS for found in ls.tones(run) for tone in found.tones)
+            grows = any(tone.growth is Growth.GROWS for found in ls.planning.tones(run) for tone in found.tones)
             roles = find_roles(("u", "y"), columns)
             drafted = bool(roles.recording.get("closed_loop", True)) or bool(roles.open)
             said = loop_feedback(run.recordings[0], run.loops[0], false_alarms=1e-4).found
@@ -135,10 +135,12 @@ def test_a_growing_tone_within_the_band_of_a_closed_loop_s_sweep_is_reported(ton
     u, y = run_loop("controller_input", sweep, v)
     run = ls.Run.from_arrays(u=u, y=y, excitation=sweep, rate_hz=100.0)
     assert run.recordings[0].info.kind == "sweep"
-    tones = [tone for found in ls.tones(run) for tone in found.tones if abs(tone.frequency_hz - tone_hz) < 0.05]
+    tones = [
+        tone for found in ls.planning.tones(run) for tone in found.tones if abs(tone.frequency_hz - tone_hz) < 0.05
+    ]
     assert any(tone.growth is Growth.GROWS for tone in tones)
     assert any(abs(np.mean(tone.growth_interval_per_s) / growth_per_s - 1.0) < 0.05 for tone in tones)
-    assert any(warning for found in ls.tones(run) for warning in found.warnings)
+    assert any(warning for found in ls.planning.tones(run) for warning in found.warnings)
 
 
 @pytest.mark.parametrize("clock", range(1, 15))

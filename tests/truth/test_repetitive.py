@@ -29,11 +29,11 @@ def formula(D, f_hz, gain=1.0):
 
 
 def test_the_error_that_is_left_at_each_harmonic_is_that_of_the_formula():
-    D = ls.repetitive(measured(PLANT), C, N / RATE, 50.0, requirements=INNER)
+    D = ls.learning.repetitive(measured(PLANT), C, N / RATE, 50.0, requirements=INNER)
     assert sum(D.part(name).delay_samples for name in ("memory", "preview")) + len(D.part("memory").what.blocks) == N
     k, harmonics = np.arange(120 * N), np.array([1, 3])
     r = sum(np.cos(angular(h * RATE / N) * k / RATE) / h for h in harmonics)
-    last = np.fft.rfft(ls.simulate(D, {"P": PLANT}, {"r": r})["e"][-N:])[harmonics] / (0.5 * N / harmonics)
+    last = np.fft.rfft(ls.diagrams.simulate(D, {"P": PLANT}, {"r": r})["e"][-N:])[harmonics] / (0.5 * N / harmonics)
     f = harmonics * RATE / N
     z = np.exp(1j * angular(f) / RATE)
     one_more, S = formula(D, f)
@@ -43,7 +43,7 @@ def test_the_error_that_is_left_at_each_harmonic_is_that_of_the_formula():
 
 
 def test_the_verdict_on_the_memory_is_that_of_the_known_loop():
-    D = ls.repetitive(measured(PLANT), C, N / RATE, 50.0, requirements=INNER)
+    D = ls.learning.repetitive(measured(PLANT), C, N / RATE, 50.0, requirements=INNER)
     R = ls.Requirements("memory", sensitivity_peak_db=15.0, integrators=-1)
     v = ls.check(D, D.part("memory").what, R)
     dense = 20.0 * np.log10(1.0 / np.abs(formula(D, np.linspace(0.1, 499.0, 200_000))[0]))
@@ -54,7 +54,7 @@ def test_the_verdict_on_the_memory_is_that_of_the_known_loop():
 
 
 def test_a_memory_that_learns_too_much_is_not_called_stable():
-    D = ls.repetitive(measured(PLANT), C, N / RATE, 50.0, learning=ls.gain(2.5), requirements=INNER)
+    D = ls.learning.repetitive(measured(PLANT), C, N / RATE, 50.0, learning=ls.gain(2.5), requirements=INNER)
     assert np.abs(np.linalg.eigvals(states(D, {"P": PLANT}).A)).max() > 1.0
     v = ls.check(D, D.part("memory").what, ls.Requirements("memory", integrators=0))
     assert v.margins["drive"].stable != "stable"
@@ -64,10 +64,10 @@ def test_where_a_preview_undoes_the_closed_loop_one_period_is_enough():
     """T = 1/z: with one sample of preview and Q = 1 nothing is left to learn."""
     integrator = control.tf([1.0], [1.0, -1.0], 1.0 / RATE)
     unity = ls.controller(ls.gain(1.0), rate_hz=RATE, loop="C")
-    D = ls.repetitive(measured(integrator), unity, 0.05, ls.gain(1.0), requirements=INNER)
+    D = ls.learning.repetitive(measured(integrator), unity, 0.05, ls.gain(1.0), requirements=INNER)
     assert (D.part("memory").delay_samples, D.part("preview").delay_samples) == (49, 1)
     r = np.tile(np.random.default_rng(1).standard_normal(50), 4)
-    e = ls.simulate(D, {"P": integrator}, {"r": r})["e"]
+    e = ls.diagrams.simulate(D, {"P": integrator}, {"r": r})["e"]
     np.testing.assert_allclose(e[51:], 0.0, atol=1e-12)
     assert np.abs(e[:50]).max() > 1.0
 
@@ -86,10 +86,10 @@ def test_where_a_preview_undoes_the_closed_loop_one_period_is_enough():
 )
 def test_what_cannot_be_learned_is_refused(period_s, q_filter, words, way):
     with pytest.raises(WrongUseError, match=words) as told:
-        ls.repetitive(measured(PLANT), C, period_s, q_filter)
+        ls.learning.repetitive(measured(PLANT), C, period_s, q_filter)
     assert way in str(told.value)
 
 
 def test_a_preview_lies_within_the_period():
     with pytest.raises(WrongUseError, match="preview"):
-        ls.repetitive(measured(PLANT), C, 0.2, 50.0, preview=190)
+        ls.learning.repetitive(measured(PLANT), C, 0.2, 50.0, preview=190)

@@ -32,20 +32,20 @@ def slopes(model, x):
 
 
 def test_an_arm_that_hangs_swings_at_the_root_of_spring_and_weight_over_inertia():
-    poles = np.linalg.eigvals(slopes(ls.axis(ARM, "torque_nm", "arm_rad"), np.zeros(2)))
+    poles = np.linalg.eigvals(slopes(ls.gap.axis(ARM, "torque_nm", "arm_rad"), np.zeros(2)))
     assert np.abs(poles[0]) == pytest.approx(np.sqrt((SPRING + WEIGHT) / J), rel=1e-5)
     assert poles.real == pytest.approx(-0.5 * D / J, rel=1e-5)
 
 
 def test_an_arm_turned_by_half_a_turn_falls():
-    upright = ls.axis(ARM | {"hangs_at": np.pi, "spring": 0.0}, "torque_nm", "arm_rad")
+    upright = ls.gap.axis(ARM | {"hangs_at": np.pi, "spring": 0.0}, "torque_nm", "arm_rad")
     poles = np.linalg.eigvals(slopes(upright, np.zeros(2)))
     assert np.prod(poles).real == pytest.approx(-WEIGHT / J, rel=1e-5)
 
 
 @pytest.mark.parametrize("rotary", [True, False])
 def test_two_bodies_swing_as_their_matrices_of_mass_and_stiffness_say(rotary):
-    model = ls.axis(TWO, "torque_nm", "motor_rad", "load_rad", rotary=rotary)
+    model = ls.gap.axis(TWO, "torque_nm", "motor_rad", "load_rad", rotary=rotary)
     pull = SPRING + WEIGHT * rotary  # a weight that is the same everywhere is no spring
     K = np.array([[STIFF, -STIFF], [-STIFF, STIFF + pull]])
     C = np.array([[D + COUPLING_D, -COUPLING_D], [-COUPLING_D, LOAD_D + COUPLING_D]])
@@ -85,7 +85,7 @@ def run(coulomb=0.0):
 
 
 def diagnosed(coulomb=0.0):
-    model = ls.axis(TWO, "torque_nm", "motor_rad", "load_rad", window_s=0.8)
+    model = ls.gap.axis(TWO, "torque_nm", "motor_rad", "load_rad", window_s=0.8)
     return ls.gap(run(coulomb), model=model, table=False)
 
 

@@ -163,10 +163,10 @@ def test_long_signals_are_read_in_parts(monkeypatch):
 
 def test_what_is_no_signal_is_refused():
     with pytest.raises(BadSignalError, match="too short"):
-        ls.tones(np.zeros(100), rate_hz=1000.0)
+        ls.planning.tones(np.zeros(100), rate_hz=1000.0)
     with pytest.raises(WrongUseError, match="rate_hz"):
-        ls.tones(np.zeros(1000))
+        ls.planning.tones(np.zeros(1000))
     with pytest.raises(BadSignalError, match="not numbers"):
-        ls.tones({"y": np.full(1000, np.nan)}, rate_hz=1000.0)
-    (still,) = ls.tones(np.zeros(1000), rate_hz=1000.0)
+        ls.planning.tones({"y": np.full(1000, np.nan)}, rate_hz=1000.0)
+    (still,) = ls.planning.tones(np.zeros(1000), rate_hz=1000.0)
     assert (still.rms, still.tones) == (0.0, ())

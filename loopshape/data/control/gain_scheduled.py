@@ -303,7 +303,7 @@ def gain_scheduled(
 
     >>> import loopshape as ls
     >>> soft, stiff = (ls.controller(ls.gain(k), ls.low_pass(20.0, 0.7), rate_hz=1000.0) for k in (10.0, 4.0))
-    >>> C = ls.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
+    >>> C = ls.schedules.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
     >>> round(C.at({"p_bar": 1.1}).blocks[0].section()[0][0], 6)
     7.0
     """

@@ -66,7 +66,7 @@ class Run:
         with injection "plant_input", behind `u` (then it is added to `u`; of a log taken behind the sum give
         `u - excitation`). Without, `u` was applied in open loop.
         With `reference` the recording is one of a move along this setpoint, from which no FRF is estimated and
-        `ls.next_trial` learns; an excitation beside it is the feedforward, and entered at the plant's input.
+        `ls.learning.next_trial` learns; an excitation beside it is the feedforward, and entered at the plant's input.
         `period_s` says that the excitation repeats; without it a period is looked for, then a sweep is told by a
         frequency that rises or falls steadily, and the rest is noise.
         `controller` is what closed the loop, and tells unstable poles.

@@ -107,7 +107,7 @@ def read_run_words(folder: Path) -> Words:
                 "a run has recordings, and this folder holds FRFs alone, of import-frf", folder.resolve().name,
                 "fit, tune, check, figures and compare (with another one) take it as it is; gap and ls.read need"
                 " recordings (loopshape import), and"
-                " ls.read_frf reads the file that it was made from",
+                " ls.formats.read_frf reads the file that it was made from",
             )  # fmt: skip
         way = "write one (docs/files.md, Run), or let loopshape import make the folder"
         raise UnreadableInputError("a run's folder has a run.toml", f"{folder.resolve().name} without one", way)

@@ -35,7 +35,7 @@ def read_controllers(path: Path) -> tuple[Controller, ...]:
         raise WrongUseError(
             f"{path.name} holds a schedule, and one controller for each loop is needed here",
             ", ".join(scheduled),
-            "take the controller of one operating point: ls.read_gain_scheduled(file)[0].at(point)",
+            "take the controller of one operating point: ls.schedules.read_gain_scheduled(file)[0].at(point)",
         )
     return plain
 

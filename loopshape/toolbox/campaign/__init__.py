@@ -5,7 +5,12 @@ Work is shared out to processes of this machine or to a Dask cluster.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.campaign.verbs import campaign as campaign
 
 TOOLBOX = Toolbox(
     "campaign",

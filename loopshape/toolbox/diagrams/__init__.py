@@ -5,7 +5,26 @@ Common diagrams, their files, their picture, their C code.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.diagrams.common_diagrams import cascade as cascade
+    from loopshape.toolbox.diagrams.common_diagrams import disturbance_observer as disturbance_observer
+    from loopshape.toolbox.diagrams.common_diagrams import dual_stage as dual_stage
+    from loopshape.toolbox.diagrams.common_diagrams import prefilter as prefilter
+    from loopshape.toolbox.diagrams.common_diagrams import two_sensors as two_sensors
+    from loopshape.toolbox.diagrams.decoupling.decouple import decouple as decouple
+    from loopshape.toolbox.diagrams.decoupling.decoupled import decoupled as decoupled
+    from loopshape.toolbox.diagrams.diagram import Diagram as Diagram
+    from loopshape.toolbox.diagrams.diagram import Part as Part
+    from loopshape.toolbox.diagrams.diagram_run import simulate as simulate
+    from loopshape.toolbox.diagrams.equivalent import Equivalent as Equivalent
+    from loopshape.toolbox.diagrams.equivalent import equivalent as equivalent
+    from loopshape.toolbox.diagrams.multirate import multirate as multirate
+    from loopshape.toolbox.diagrams.transfer import transfer as transfer
+    from loopshape.toolbox.diagrams.wired import Wired as Wired
 
 TOOLBOX = Toolbox(
     "diagrams",
@@ -13,6 +32,9 @@ TOOLBOX = Toolbox(
     formats={"loopshape-diagram/1": "loopshape.toolbox.diagrams.files:read_diagram"},
     parts={"Block diagram": "loopshape.toolbox.diagrams.report_parts:diagram"},
     names={
+        "decouple": "loopshape.toolbox.diagrams.decoupling.decouple",
+        "decoupled": "loopshape.toolbox.diagrams.decoupling.decoupled",
+        "multirate": "loopshape.toolbox.diagrams.multirate",
         "cascade": "loopshape.toolbox.diagrams.common_diagrams",
         "disturbance_observer": "loopshape.toolbox.diagrams.common_diagrams",
         "dual_stage": "loopshape.toolbox.diagrams.common_diagrams",

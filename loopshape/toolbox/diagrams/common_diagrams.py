@@ -51,7 +51,7 @@ def dual_stage(
     ...     ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / f), relative_std=0.01, rate_hz=1000.0)
     ...     for f in (5.0, 90.0)
     ... )
-    >>> ls.dual_stage(P1, P2, ls.controller(ls.gain(0.5), rate_hz=1000.0))
+    >>> ls.diagrams.dual_stage(P1, P2, ls.controller(ls.gain(0.5), rate_hz=1000.0))
     Diagram dual stage, parallel: C1, C2, P1, P2; C1 is tuned, from outside: r
     """
     refuse_unknown("two actuators stand in parallel or as master-slave", kind, Stage)
@@ -86,7 +86,7 @@ def cascade(G: Plants, inner: Controller, requirements: Requirements | None = No
     >>> motor, load = control.tf([50.0], [1.0, 10.0]), control.tf([50.0], [1.0, 10.0, 0.0])
     >>> G = ls.FRF.from_control(control.combine_tf([[motor], [load]]), np.geomspace(0.1, 100.0, 80), rate_hz=1e3)
     >>> C1 = ls.controller(ls.gain(2.0), ls.pi(1.0), rate_hz=1e3)
-    >>> ls.equivalent(ls.cascade(G, C1, ls.Requirements(unstable_poles=0)))
+    >>> ls.diagrams.equivalent(ls.diagrams.cascade(G, C1, ls.Requirements(unstable_poles=0)))
     Equivalent: 1 operating point, unstable poles 0, inner loop inner passed
     """
     if not _every(G):
@@ -117,7 +117,7 @@ def two_sensors(G: Plants, H1: Controller, H2: Controller) -> Diagram:
     >>> both = np.stack([1.0 / (1.0 + 1j * f_hz / f) for f in (5.0, 6.0)], axis=1)[:, :, None]
     >>> G = ls.FRF.from_arrays(f_hz, both, relative_std=0.01, rate_hz=1000.0)
     >>> half = ls.controller(ls.gain(0.5), rate_hz=1000.0)
-    >>> ls.two_sensors(G, half, half)
+    >>> ls.diagrams.two_sensors(G, half, half)
     Diagram two sensors: C, G, H1, H2; C is tuned, from outside: r
     """
     plant = Part("G", "u", ("y1", "y2"), _every(G))
@@ -129,12 +129,12 @@ def prefilter(P: Plants, F: Controller | Feedforward, *, to: str = "setpoint") -
     """Two degrees of freedom: what the setpoint passes before the loop, and C tuned.
 
     `to` says where F leads: "setpoint" filters it (e = F r - y), "input" adds F r to the plant's input (e = r - y), as
-    the taps of `ls.feedforward` are meant. The plant that C meets is P itself.
+    the taps of `ls.learning.feedforward` are meant. The plant that C meets is P itself.
 
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(1.0, 400.0, 80)
     >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 5.0), relative_std=0.01, rate_hz=1000.0)
-    >>> ls.prefilter(P, ls.controller(ls.low_pass(20.0, order=1), rate_hz=1000.0))
+    >>> ls.diagrams.prefilter(P, ls.controller(ls.low_pass(20.0, order=1), rate_hz=1000.0))
     Diagram prefilter: C, P, F; C is tuned, from outside: r
     """
     refuse_unknown("a filter of the setpoint leads to the setpoint or to the input", to, Path)
@@ -158,8 +158,8 @@ def disturbance_observer(P: Plants, nominal: Any, q_filter: BlockTemplate | Sequ
     >>> import control, numpy as np, loopshape as ls
     >>> Pn = control.tf([20.0], [1.0, 4.0])
     >>> P = ls.FRF.from_control(Pn, np.geomspace(0.1, 300.0, 80), rate_hz=1e3, open_loop=True)
-    >>> D = ls.disturbance_observer(P, Pn, ls.low_pass(20.0, order=1))
-    >>> print(ls.equivalent(D).inner["observer"].outcome)
+    >>> D = ls.diagrams.disturbance_observer(P, Pn, ls.low_pass(20.0, order=1))
+    >>> print(ls.diagrams.equivalent(D).inner["observer"].outcome)
     passed
     """
     rates = {one.rate_hz for one in _every(P)}

@@ -41,7 +41,7 @@ class Part:
     `requirements` are those of a controller that closes an inner loop.
 
     >>> import loopshape as ls
-    >>> ls.Part("C2", "e", "u2", ls.controller(ls.gain(2.0), rate_hz=1000.0))
+    >>> ls.diagrams.Part("C2", "e", "u2", ls.controller(ls.gain(2.0), rate_hz=1000.0))
     Part C2: e -> u2, Controller: gain at 1000 Hz
     """
 
@@ -94,8 +94,8 @@ class Diagram:
     """A block diagram around one controller that is tuned: `parts`, `sums` of signals, and the `tuned` part's name.
 
     A sum is written `"r - y"`; `name` heads pictures and files. Verbs that take a plant (`ls.check`, `ls.tune`,
-    `ls.bound`, `ls.shape`) take a diagram: the plant that the tuned part meets is found from it
-    (`ls.equivalent`), with the covariance of all that was measured.
+    `ls.limits.bound`, `ls.shape`) take a diagram: the plant that the tuned part meets is found from it
+    (`ls.diagrams.equivalent`), with the covariance of all that was measured.
 
     Refuses two makers of one signal, sums of sums in a circle, controllers of several rates, and plants with different
     numbers of operating points.
@@ -103,7 +103,7 @@ class Diagram:
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(1.0, 400.0, 80)
     >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
-    >>> ls.Diagram((ls.Part("C", "e", "u"), ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
+    >>> ls.diagrams.Diagram((ls.diagrams.Part("C", "e", "u"), ls.diagrams.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
     Diagram: C, P; C is tuned, from outside: r
     """
 
@@ -146,7 +146,7 @@ class Diagram:
         if len(rates) > 1:
             raise WrongUseError(
                 "the controllers of a diagram run at one rate", ", ".join(f"{rate:g} Hz" for rate in sorted(rates)),
-                "fold a faster filter into its plant: ls.multirate",
+                "fold a faster filter into its plant: ls.diagrams.multirate",
             )  # fmt: skip
 
     def __repr__(self) -> str:
@@ -243,7 +243,7 @@ class Diagram:
         return {one for one in reach[name] if name in reach[one]}
 
     def equivalent(self) -> Equivalent:
-        """What `ls.equivalent` finds."""
+        """What `ls.diagrams.equivalent` finds."""
         from loopshape.toolbox.diagrams.equivalent import equivalent
 
         return equivalent(self)

@@ -40,9 +40,9 @@ def simulate(D: Diagram, models: Mapping[str, Any], signals: Mapping[str, ArrayL
     >>> import control, numpy as np, loopshape as ls
     >>> plant = control.tf([20.0], [1.0, 4.0])
     >>> P = ls.FRF.from_control(plant, np.geomspace(0.1, 300.0, 80), rate_hz=1e3)
-    >>> C = ls.Part("C", "e", "u", ls.controller(ls.pi(1.0), rate_hz=1e3))
-    >>> D = ls.Diagram((C, ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
-    >>> print(ls.simulate(D, {"P": plant}, {"r": np.ones(3000)})["y"][-1].round(3))
+    >>> C = ls.diagrams.Part("C", "e", "u", ls.controller(ls.pi(1.0), rate_hz=1e3))
+    >>> D = ls.diagrams.Diagram((C, ls.diagrams.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
+    >>> print(ls.diagrams.simulate(D, {"P": plant}, {"r": np.ones(3000)})["y"][-1].round(3))
     1.0
     """
     given = {name: real_array(value, f"signal {name}") for name, value in signals.items()}

@@ -42,7 +42,7 @@ def equivalent(D: Diagram) -> Equivalent:
     ...     ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / f), relative_std=0.01, rate_hz=1000.0, open_loop=True)
     ...     for f in (5.0, 90.0)
     ... )
-    >>> ls.equivalent(ls.dual_stage(P1, P2, ls.controller(ls.gain(0.5), rate_hz=1000.0)))
+    >>> ls.diagrams.equivalent(ls.diagrams.dual_stage(P1, P2, ls.controller(ls.gain(0.5), rate_hz=1000.0)))
     Equivalent: 1 operating point, unstable poles 0, inner loop C2 passed
     """
     tuned = D.part(D.tuned)

@@ -22,15 +22,15 @@ def transfer(D: Diagram, source: str, to: str, *, opened: Iterable[str] = (), po
     With G the blocks (outputs, inputs), M the sums from outputs to inputs and n, m, k those of both signals, it is
     m (I - G M)^-1 G n + k; to first order it errs by m (I - G M)^-1 dG (M (I - G M)^-1 G + I) n, so elements that were
     measured together keep their joint covariance. `point` is the operating point. Lines end below half the controllers'
-    rate. Whether the loops are stable no line can say: see `ls.equivalent`. Raises WrongUseError for a
+    rate. Whether the loops are stable no line can say: see `ls.diagrams.equivalent`. Raises WrongUseError for a
     block that is still to be tuned and not opened, and plants on different lines.
 
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(1.0, 400.0, 80)
     >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
-    >>> C = ls.Part("C", "e", "u", ls.controller(ls.gain(4.0), rate_hz=1000.0))
-    >>> D = ls.Diagram((C, ls.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
-    >>> print(abs(ls.transfer(D, "r", "y").siso[0]).round(2))
+    >>> C = ls.diagrams.Part("C", "e", "u", ls.controller(ls.gain(4.0), rate_hz=1000.0))
+    >>> D = ls.diagrams.Diagram((C, ls.diagrams.Part("P", "u", "y", P)), {"e": "r - y"}, "C")
+    >>> print(abs(ls.diagrams.transfer(D, "r", "y").siso[0]).round(2))
     0.8
     """
     refuse_unknown("the diagram has no such signal", source, D.signals)

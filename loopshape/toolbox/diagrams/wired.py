@@ -26,8 +26,8 @@ class Wired:
     >>> f_hz = np.geomspace(1.0, 400.0, 80)
     >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
     >>> C = ls.controller(ls.gain(2.0), rate_hz=1000.0)
-    >>> D = ls.prefilter(P, ls.controller(ls.low_pass(5.0, order=1), rate_hz=1000.0)).with_part("C", C)
-    >>> ls.Wired(D, {"r": "r_axis_rad", "y": "angle_rad", "u": "z_axis_v"})
+    >>> D = ls.diagrams.prefilter(P, ls.controller(ls.low_pass(5.0, order=1), rate_hz=1000.0)).with_part("C", C)
+    >>> ls.diagrams.Wired(D, {"r": "r_axis_rad", "y": "angle_rad", "u": "z_axis_v"})
     Wired prefilter: r is r_axis_rad, y is angle_rad, u is z_axis_v
     """
 

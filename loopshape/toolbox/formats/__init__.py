@@ -5,7 +5,14 @@ Somebody's file comes in, columns or nouns go out.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.formats.verbs import export as export
+    from loopshape.toolbox.formats.verbs import read_frf as read_frf
+    from loopshape.toolbox.formats.verbs import read_table as read_table
 
 TOOLBOX = Toolbox(
     "formats",

@@ -5,7 +5,20 @@ Machines of one's own (`own`, `mechanism`) live here too.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.gap.nouns.axis import axis as axis
+    from loopshape.toolbox.gap.nouns.gap_report import GapReport as GapReport
+    from loopshape.toolbox.gap.nouns.machine import Input as Input
+    from loopshape.toolbox.gap.nouns.machine import Model as Model
+    from loopshape.toolbox.gap.nouns.machine import ModelParameter as ModelParameter
+    from loopshape.toolbox.gap.nouns.machine import Output as Output
+    from loopshape.toolbox.gap.nouns.machine import Port as Port
+    from loopshape.toolbox.gap.verbs import gap as gap
+    from loopshape.toolbox.gap.verbs import identifiability as identifiability
 
 TOOLBOX = Toolbox(
     "gap",

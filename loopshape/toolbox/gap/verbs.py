@@ -75,8 +75,8 @@ def identifiability(
     >>> y = np.cumsum(v) / rate_hz + 1e-5 * rng.standard_normal(u.size)
     >>> info = RecordingInfo("r.parquet", "noise", "control")
     >>> run = ls.Run(rate_hz, (), (Recording(info, rate_hz, {"torque_nm": u, "angle_rad": y}),))
-    >>> axis = ls.axis({"inertia": 0.02, "damping": 0.001}, "torque_nm", "angle_rad", window_s=0.4)
-    >>> found = ls.identifiability(run, model=axis)
+    >>> axis = ls.gap.axis({"inertia": 0.02, "damping": 0.001}, "torque_nm", "angle_rad", window_s=0.4)
+    >>> found = ls.gap.identifiability(run, model=axis)
     >>> "sensor_delay@encoder" in next(x for x in found if x.effect == "actuator_delay@drive").alike
     True
     """

@@ -5,7 +5,16 @@ The next trial's feedforward is learned from recordings.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.learning.feedforward import feedforward as feedforward
+    from loopshape.toolbox.learning.learning import learning as learning
+    from loopshape.toolbox.learning.next_trial import next_trial as next_trial
+    from loopshape.toolbox.learning.repetitive import repetitive as repetitive
+    from loopshape.toolbox.learning.verbs import tracking_error as tracking_error
 
 TOOLBOX = Toolbox(
     "learning",

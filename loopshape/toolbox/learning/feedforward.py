@@ -49,7 +49,7 @@ def feedforward(
     >>> f_hz = np.geomspace(0.2, 200.0, 200)
     >>> s = 2j * np.pi * f_hz
     >>> P = ls.FRF.from_arrays(f_hz, 40.0 / s**2 * np.exp(-0.001 * s), relative_std=0.001, rate_hz=1000.0)
-    >>> F = ls.feedforward(P, band_hz=(0.2, 40.0), taps=200)
+    >>> F = ls.learning.feedforward(P, band_hz=(0.2, 40.0), taps=200)
     >>> bool(F.inverse_error.max() < 0.05)
     True
     """

@@ -33,7 +33,7 @@ def learning(
     controller gave out, so that F + C inverts the closed loop P S. A low-pass without
     phase lets the band through: above it nothing is learned, also where the FRF ends. The condition is judged over
     the whole valid band. It is that of a linear loop without noise, which learning repeats.
-    Raises WrongUseError as `ls.feedforward` does.
+    Raises WrongUseError as `ls.learning.feedforward` does.
 
     Examples
     --------

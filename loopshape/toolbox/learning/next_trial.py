@@ -58,7 +58,7 @@ def next_trial(
     >>> r = np.interp(np.arange(8000) / 1000.0, [2.0, 3.0], [0.0, 1.0])
     >>> y = np.convolve(np.r_[np.zeros(500), r], 0.01 * np.exp(-0.01 * np.arange(500)), mode="valid")[-8000:]
     >>> move = ls.Run.from_arrays(u=0.5 * (r - y), y=y, reference=r, rate_hz=1000.0, loop="axis")
-    >>> trial = ls.next_trial(L, move)
+    >>> trial = ls.learning.next_trial(L, move)
     >>> bool(trial.expected_rms < 0.5 * trial.error_rms), trial.feedforward.shape
     (True, (8000,))
     """

@@ -54,7 +54,7 @@ def repetitive(
     >>> plant = control.c2d(control.ss(control.tf([24.0], [1.0, 5.0, 0.0])), 1e-3)
     >>> P = ls.FRF.from_control(plant, np.geomspace(0.05, 450.0, 150), relative_std=0.01, open_loop=True)
     >>> C = ls.controller(ls.gain(30.0), ls.lead_lag(5.0, 60.0), rate_hz=1e3)
-    >>> D = ls.repetitive(P, C, 0.2, 50.0)
+    >>> D = ls.learning.repetitive(P, C, 0.2, 50.0)
     >>> D
     Diagram repetitive: memory, C, P, preview; memory is tuned, from outside: r
     """

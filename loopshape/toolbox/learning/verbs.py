@@ -35,8 +35,8 @@ def tracking_error(
     >>> P = ls.FRF.from_arrays(f_hz, 20.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=1000.0)
     >>> r = np.interp(np.arange(4000) / 1000.0, [0.5, 1.5], [0.0, 1.0])
     >>> C = ls.controller(ls.gain(0.5), rate_hz=1000.0)
-    >>> F = ls.feedforward(P, band_hz=(0.1, 50.0), integrators=1)
-    >>> without, helped = (ls.tracking_error(P, C, r, one, integrators=1) for one in (None, F))
+    >>> F = ls.learning.feedforward(P, band_hz=(0.1, 50.0), integrators=1)
+    >>> without, helped = (ls.learning.tracking_error(P, C, r, one, integrators=1) for one in (None, F))
     >>> bool(helped.rms < 0.1 * without.rms)
     True
     """

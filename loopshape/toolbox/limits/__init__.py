@@ -5,7 +5,14 @@ A controller of a given order near that bound goes out too.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.limits.bound import Bound as Bound
+    from loopshape.toolbox.limits.verbs import bound as bound
+    from loopshape.toolbox.limits.verbs import reach as reach
 
 TOOLBOX = Toolbox(
     "limits",
@@ -23,6 +30,5 @@ TOOLBOX = Toolbox(
         "Bound": "loopshape.toolbox.limits.bound",
         "bound": "loopshape.toolbox.limits.verbs",
         "reach": "loopshape.toolbox.limits.verbs",
-        "schedule": "loopshape.toolbox.limits.verbs",
     },
 )

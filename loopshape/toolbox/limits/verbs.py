@@ -47,7 +47,7 @@ def reach(
     >>> f_hz = np.geomspace(1.0, 400.0, 40)
     >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
     >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, integrators=1)
-    >>> found = ls.reach(P, ls.controller(ls.gain(0.5), rate_hz=5000.0), R, order=1)
+    >>> found = ls.limits.reach(P, ls.controller(ls.gain(0.5), rate_hz=5000.0), R, order=1)
     >>> found.controller.order()
     1
     """
@@ -72,7 +72,7 @@ def schedule(
     >>> f_hz = np.geomspace(1.0, 400.0, 40)
     >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
     >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, structure=(ls.gain(),))
-    >>> found = ls.schedule(P, R, ls.controller(ls.gain(0.5), rate_hz=5000.0), starts=1)
+    >>> found = ls.schedules.schedule(P, R, ls.controller(ls.gain(0.5), rate_hz=5000.0), starts=1)
     >>> bool(found.points[0].cost_hz > 0.0)
     True
     """

@@ -5,7 +5,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.planning.tone.verbs import tones as tones
+    from loopshape.toolbox.planning.verbs import plan as plan
+    from loopshape.toolbox.planning.verbs import write_plan as write_plan
 
 TOOLBOX = Toolbox(
     "planning",

@@ -5,7 +5,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.toolbox.rig.study import Study as Study
+    from loopshape.toolbox.rig.verbs.machine import connect as connect
+    from loopshape.toolbox.rig.verbs.machine import emulator as emulator
+    from loopshape.toolbox.rig.verbs.machine import measure as measure
+    from loopshape.toolbox.rig.verbs.stop import stop as stop
 
 TOOLBOX = Toolbox(
     "rig",

@@ -5,7 +5,15 @@ FRFs over operating points come in, a comparison and files go out.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from loopshape.core.toolboxes import Command, Toolbox
+
+if TYPE_CHECKING:
+    from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
+    from loopshape.data.control.gain_scheduled import gain_scheduled as gain_scheduled
+    from loopshape.toolbox.limits.verbs import schedule as schedule
+    from loopshape.verbs.files import read_gain_scheduled as read_gain_scheduled
 
 TOOLBOX = Toolbox(
     "schedules",
@@ -19,4 +27,10 @@ TOOLBOX = Toolbox(
             80,
         ),
     ),
+    names={
+        "GainScheduled": "loopshape.data.control.gain_scheduled",
+        "gain_scheduled": "loopshape.data.control.gain_scheduled",
+        "read_gain_scheduled": "loopshape.verbs.files",
+        "schedule": "loopshape.toolbox.limits.verbs",
+    },
 )

@@ -62,7 +62,7 @@ def axis(
 
     >>> import loopshape as ls
     >>> numbers = {"inertia": 0.02, "damping": (0.05, 0.1), "gravity": 0.3}
-    >>> ls.axis(numbers, "torque_nm", "arm_rad")
+    >>> ls.gap.axis(numbers, "torque_nm", "arm_rad")
     Model axis: 2 states, 7 parameters, 1 inputs, 1 outputs, force ports axis
     """
     _suitable(numbers, load_position is not None)

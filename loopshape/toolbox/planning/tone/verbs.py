@@ -45,7 +45,7 @@ def tones(
     >>> import numpy as np, loopshape as ls
     >>> t = np.arange(10_000) / 1000.0
     >>> y = np.random.default_rng(1).standard_normal(t.size) + np.exp(0.2 * t) * np.sin(2 * np.pi * 58.8 * t)
-    >>> (found,) = ls.tones(y, rate_hz=1000.0)
+    >>> (found,) = ls.planning.tones(y, rate_hz=1000.0)
     >>> [(round(tone.frequency_hz, 1), tone.growth.value) for tone in found.tones]
     [(58.8, 'grows')]
     """

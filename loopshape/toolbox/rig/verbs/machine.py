@@ -55,7 +55,7 @@ def measure(
     recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
 
     `controllers`, schedules among them, replace those of the study by loop; `decoupling` are the weights of all
-    controllers in what enters the plant, by loop (`ls.decouple(...).weights`); `diagram` runs on a target in place of
+    controllers in what enters the plant, by loop (`ls.diagrams.decouple(...).weights`); `diagram` runs on a target in place of
     the controllers of the loops whose control it gives; `effects`, words NAME or NAME=MAGNITUDE,
     are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
     of progress.
@@ -104,7 +104,7 @@ def measure(
 class Target:
     """A real-time target at a port: what it is, what it would do, and what it does once that is allowed.
 
-    The line is open only while something is asked, so that the emergency stop (`stop`, or `ls.stop` of another
+    The line is open only while something is asked, so that the emergency stop (`stop`, or `ls.rig.stop` of another
     process) finds it free.
     """
 
@@ -138,7 +138,7 @@ class Target:
         return motion_of(_with_diagram(wanted, diagram), plant, self.port, kept, allow_unverified)
 
     def measure(self, study: str | Path, out: str | Path, *, arm: bool = False, **options: Any) -> Run:
-        """`ls.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""
+        """`ls.rig.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""
         return measure(study, out, port=self.port, arm=arm, **options)
 
     def stop(self, *, clear: bool = False) -> str:
@@ -155,7 +155,7 @@ def connect(port: str, *, baud: int = BAUD) -> Target:
     --------
     >>> import loopshape as ls
     >>> try:
-    ...     ls.connect("tcp://127.0.0.1:9")
+    ...     ls.rig.connect("tcp://127.0.0.1:9")
     ... except ls.LoopshapeError as error:
     ...     print(str(error).split(";")[0])
     no target answers there
@@ -193,7 +193,7 @@ def _with_diagram(study: Study, diagram: Wired | None) -> Study:
     if diagram is not None and study.rig != "target":
         raise WrongUseError(
             "a simulated rig runs a controller in each loop, no diagram", f"rig = {study.rig!r}",
-            "measure on a target, the emulator's too, or simulate the diagram with models: ls.simulate",
+            "measure on a target, the emulator's too, or simulate the diagram with models: ls.diagrams.simulate",
         )  # fmt: skip
     return replace(study, diagram=diagram)
 

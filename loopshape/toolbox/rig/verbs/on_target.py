@@ -106,7 +106,7 @@ def motion_of(
 ) -> Motion:
     """What a target at a port would do in a study, with nothing moved; refuses what measuring would refuse."""
     if study.target is None:
-        raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.measure")
+        raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.rig.measure")
     _refuse_what_only_models_do(study)
     with open_link(port, study.target.baud) as link:
         return _motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]

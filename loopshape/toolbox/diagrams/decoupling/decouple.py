@@ -16,8 +16,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
-from loopshape.design.decoupling.decouple_filters import DynamicDecoupling, behind, decoupling_filters
 from loopshape.identify.matrix.interaction import square_part
+from loopshape.toolbox.diagrams.decoupling.decouple_filters import DynamicDecoupling, behind, decoupling_filters
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Decoupling(Plain):
 
     @property
     def weights(self) -> dict[str, dict[str, float]]:
-        """As `ls.measure` takes it and a study's `[[loop]]` writes it: by loop, the weights of all controllers."""
+        """As `ls.rig.measure` takes it and a study's `[[loop]]` writes it: by loop, the weights of all controllers."""
         return {a: {b: float(self.matrix[i, j]) for j, b in enumerate(self.loops)} for i, a in enumerate(self.loops)}
 
     def applied(self, P: FRF) -> FRF:
@@ -68,7 +68,7 @@ def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Deco
     band: a `DynamicDecoupling`.
 
     `P` is a square matrix FRF (`ls.frf_matrices`). The result's `applied(P)` is the plant behind the matrix, for
-    `ls.interaction` and `ls.check`; its `weights` make a simulated arm or a target run it (`ls.measure`). Of the
+    `ls.interaction` and `ls.check`; its `weights` make a simulated arm or a target run it (`ls.rig.measure`). Of the
     frequencies in a band each counts alike; of a single one the nearest that was measured is taken. For filters they
     count by their variance, those known better than 1 % of the coupling alike. `std` follows from the FRF's covariance
     to first order. Raises WrongUseError for a FRF of a single loop, for a band without lines, and for filters with too
@@ -83,9 +83,9 @@ def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Deco
     >>> g = 1.0 / (1.0 + 1j * f_hz / 3.0)
     >>> H = np.stack([[g, 0.4 * g], [-0.2 * g, 2.0 * g]]).transpose(2, 0, 1)
     >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
-    >>> ls.decouple(P, at_hz=1.0).matrix.round(3).tolist()
+    >>> ls.diagrams.decouple(P, at_hz=1.0).matrix.round(3).tolist()
     [[1.0, -0.4], [0.1, 1.0]]
-    >>> ls.decouple(P, at_hz=(1.0, 10.0), order=1).filters["u2_1"]["u1_1"]
+    >>> ls.diagrams.decouple(P, at_hz=(1.0, 10.0), order=1).filters["u2_1"]["u1_1"]
     Controller u2_1 of u1_1: section at 1000 Hz
     """
     plant, loops = square_part(P)

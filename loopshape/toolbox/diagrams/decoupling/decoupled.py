@@ -9,9 +9,9 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.shorthand import controller, gain
 from loopshape.data.response.frf import FRF
-from loopshape.design.decoupling.decouple import Decoupling
-from loopshape.design.decoupling.decouple_filters import DynamicDecoupling
 from loopshape.identify.matrix.interaction import square_part
+from loopshape.toolbox.diagrams.decoupling.decouple import Decoupling
+from loopshape.toolbox.diagrams.decoupling.decouple_filters import DynamicDecoupling
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 
 
@@ -26,14 +26,14 @@ def decoupled(
     `P` is a matrix FRF, or one for each operating point; `controllers` are named by loop (None, or one left out: to be
     put in by `with_part`). `tuned` is one of the loops, the first by default. Signals of loop k, from 1: the setpoint
     `rk`, the error `ek`, what its controller gives `vk`, what enters the plant `uk` and the output `yk`. Take it to
-    `ls.simulate`, `ls.export` ("c" or "json") and `ls.check`. Raises WrongUseError for loops that W does not have.
+    `ls.diagrams.simulate`, `ls.formats.export` ("c" or "json") and `ls.check`. Raises WrongUseError for loops that W does not have.
 
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(0.5, 20.0, 60)
     >>> g = 1.0 / (1.0 + 1j * f_hz / 3.0)
     >>> H = np.stack([[g, 0.4 * g / (1.0 + 1j * f_hz / 5.0)], [0.0 * g, g]]).transpose(2, 0, 1)
     >>> P = ls.FRF.from_arrays(f_hz, H, relative_std=0.01, rate_hz=1000.0)
-    >>> ls.decoupled(P, ls.decouple(P, at_hz=(0.5, 20.0), order=1))
+    >>> ls.diagrams.decoupled(P, ls.diagrams.decouple(P, at_hz=(0.5, 20.0), order=1))
     Diagram decoupled: u1_1, u2_1, u1_1 of u2_1, u2_1 of u1_1, P; u1_1 is tuned, from outside: r1, r2
     """
     plants = (P,) if isinstance(P, FRF) else tuple(P)

@@ -26,7 +26,7 @@ def multirate(P: FRF, fast: Controller, rate_hz: float) -> FRF:
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.arange(1.0, 1000.0)
     >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=2000.0)
-    >>> ls.multirate(P, ls.controller(ls.notch(700.0, 0.1, 0.7), rate_hz=2000.0), 1000.0)
+    >>> ls.diagrams.multirate(P, ls.controller(ls.notch(700.0, 0.1, 0.7), rate_hz=2000.0), 1000.0)
     FRF: 499 frequencies, 1 to 499 Hz, 1 output x 1 input, rate 1000 Hz
     """
     rate_hz = rate(rate_hz, "rate_hz of the slow controller")
