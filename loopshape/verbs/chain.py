@@ -222,7 +222,7 @@ def check(
     plant is told by `R.unstable_poles`, or counted from the loop that was recorded; where nothing tells, the verdict is
     undecided. Raises WrongUseError for a controller at another rate than the FRF.
 
-    A schedule (`ls.schedules.gain_scheduled`) is checked at each FRF's operating point by the controller that runs there.
+    A schedule (`ls.schedules.gain_scheduled`) is checked at each FRF's operating point by the controller running there.
 
     With a sequence of controllers, one a loop, `P` is a square matrix FRF (`ls.frf_matrices`) and all loops are closed
     at once: each is checked with the others closed (`R`, one a loop), then all `together`: stability by det(I + L), and

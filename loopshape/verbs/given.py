@@ -8,10 +8,10 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.equivalent import BlockDiagram
+from loopshape.data.result.equivalent import Diagram
 from loopshape.design.tune import Tuning
 
-Plants = FRF | Sequence[FRF] | BlockDiagram
+Plants = FRF | Sequence[FRF] | Diagram
 
 
 def controller_of(given: Controller | Tuning) -> Controller:
@@ -21,7 +21,7 @@ def controller_of(given: Controller | Tuning) -> Controller:
 
 def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
     """The plants, and the requirements with what a diagram tells of their unstable poles."""
-    if not isinstance(P, BlockDiagram):
+    if not isinstance(P, Diagram):
         return plants_of(P), R
     found = P.equivalent()
     return found.plants, found.asked(R)
@@ -29,7 +29,7 @@ def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
 
 def plants_of(P: Plants) -> tuple[FRF, ...]:
     """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
-    if isinstance(P, BlockDiagram):
+    if isinstance(P, Diagram):
         return met(P, Requirements(P.tuned))[0]
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:

@@ -9,7 +9,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import Interaction
-from loopshape.data.result.equivalent import BlockDiagram
+from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import loops_of
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from loopshape.data.control.loop import Loop
     from loopshape.design.tune import Tuning
 
-    Plants = FRF | Sequence[FRF] | BlockDiagram
+    Plants = FRF | Sequence[FRF] | Diagram
 
 
 def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Loop]:
     controller = C if isinstance(C, Controller) else C.controller
     asked = R or Requirements(controller.loop)
-    if isinstance(P, BlockDiagram):
+    if isinstance(P, Diagram):
         found = P.equivalent()
         return loops_of(found.plants, controller, found.asked(asked))[0]
     return loops_of((P,) if isinstance(P, FRF) else tuple(P), controller, asked)[0]

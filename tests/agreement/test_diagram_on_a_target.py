@@ -1,4 +1,4 @@
-"""A diagram of controllers runs on a target as `ls.diagrams.simulate` runs it: the core in C, the target in Python, the arm."""
+"""A diagram of controllers runs on a target as `simulate` runs it: the core in C, the target in Python, the arm."""
 
 import struct
 from dataclasses import replace
@@ -53,8 +53,10 @@ def diagrams(name):
     two_inputs = {"r": "r_axis1_rad", "y1": "angle1_rad", "y2": "angle2_rad", "u1": "z1_v", "u2": "z2_v"}
     if name == "dual stage":  # the fine one's displacement is added to the coarse one's error, as it is measured
         parts = (
-            ls.diagrams.Part("C1", "e1", "u1", slow), ls.diagrams.Part("C2", "e", "u2", C), ls.diagrams.Part("P", ("u1", "u2"), ("y1", "y2"), G)
-        )  # fmt: skip
+            ls.diagrams.Part("C1", "e1", "u1", slow),
+            ls.diagrams.Part("C2", "e", "u2", C),
+            ls.diagrams.Part("P", ("u1", "u2"), ("y1", "y2"), G),
+        )
         return ls.diagrams.Diagram(parts, {"y": "y1 + y2", "e": "r - y", "e1": "e + y2"}, "C1"), {"P": two}, two_inputs
     late = controller(ls.gain(1.0), computation_delay_s=0.3)
     parts = (  # a cascade whose inner controller also reads what both gave 300 samples ago, in a circle

@@ -95,11 +95,15 @@ def test_exported_c_steps_as_the_simulation(kind: str, tmp_path: Path) -> None:
     D, models = {
         "parallel": (ls.diagrams.dual_stage(P1, P2, C2).with_part("C1", C), MODELS),
         "observer": (
-            ls.diagrams.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C), {"P": MODELS["P1"]},
+            ls.diagrams.disturbance_observer(P1, nominal, ls.low_pass(20.0, 0.7)).with_part("C", C),
+            {"P": MODELS["P1"]},
         ),
         "decoupled": decoupled_by_filters(C),
-        "repetitive": (ls.learning.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7), {"P": MODELS["P1"]}),
-    }[kind]  # fmt: skip
+        "repetitive": (
+            ls.learning.repetitive(P1, C, 0.05, 300.0, learning=ls.gain(0.5), preview=7),
+            {"P": MODELS["P1"]},
+        ),
+    }[kind]
     ls.formats.export(D, tmp_path, "c")
     outputs = ["u"] if kind in ("observer", "repetitive") else ["u1", "u2"]
     inputs = ["r1", "r2", "y1", "y2"] if kind == "decoupled" else ["r", "y"]

@@ -16,6 +16,7 @@ import pytest
 from text_layout import looked_at, unreadable
 
 import loopshape as ls
+from loopshape.core.toolboxes import found
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -86,8 +87,9 @@ def test_every_page_is_in_the_contents() -> None:
 
 def test_every_public_name_is_in_the_reference() -> None:
     listed = set(re.findall(r"^   ([\w.]+)$", (DOCS / "api.md").read_text(), flags=re.M))
-    assert {name.split(".")[0] for name in listed} == set(dir(ls)) - {"__version__"}
-    assert {name for name in listed if "." in name} == {f"plot.{n}" for n in dir(ls.plot) if not n.startswith("_")}
+    boxes = {key: dir(getattr(ls, key)) for key in ("plot", *found().toolboxes) if hasattr(ls, key)}
+    inner = {f"{box}.{name}" for box, names in boxes.items() for name in names if not name.startswith("_")}
+    assert listed == set(dir(ls)) - {"__version__", *boxes} | inner
 
 
 @pytest.mark.parametrize("page", PAGES, ids=str)

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 
 import control
@@ -16,6 +17,7 @@ from commands import loopshape
 
 import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.toolboxes import found
 
 ROOT = Path(__file__).parents[2]
 RATE_HZ = 1000.0
@@ -85,14 +87,31 @@ def test_import_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("name", [name for name in dir(ls) if name != "__version__"])
+BOXES = [name for name in found().toolboxes if hasattr(ls, name)]
+EVERY = [name for name in dir(ls) if name != "__version__"]
+EVERY += [f"{box}.{name}" for box in BOXES for name in dir(getattr(ls, box))]
+
+
+@pytest.mark.parametrize("name", EVERY)
 def test_every_public_name_loads_and_says_what_it_is(name: str) -> None:
-    assert (getattr(ls, name).__doc__ or "").strip()
+    assert (attrgetter(name)(ls).__doc__ or "").strip()
+
+
+def test_the_bench_has_at_most_sixty_names() -> None:
+    assert len(dir(ls)) - 1 <= 60
+
+
+def test_a_name_of_a_toolbox_says_where_it_is() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'measure'; there is loopshape\.rig\.measure"):
+        _ = ls.measure
+    with pytest.raises(AttributeError, match=r"loopshape\.rig has no 'mesure': it has Study, connect"):
+        _ = ls.rig.mesure
 
 
 @pytest.mark.timeout(900)  # s; compiles what no other test has before
 def test_examples_of_the_public_names_run() -> None:
-    modules = sorted({getattr(ls, name).__module__ for name in dir(ls) if hasattr(getattr(ls, name), "__module__")})
+    every = [attrgetter(name)(ls) for name in EVERY]
+    modules = sorted({one.__module__ for one in every if getattr(one, "__module__", "loopshape") != "loopshape"})
     results = [doctest.testmod(sys.modules[name], raise_on_error=False) for name in modules]
     assert sum(r.attempted for r in results) >= 20
     assert sum(r.failed for r in results) == 0

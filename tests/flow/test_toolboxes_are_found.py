@@ -90,7 +90,7 @@ def test_the_stranger_s_command_block_and_reader(plugin, tmp_path):
     recording.write_text("u y\n" + "\n".join(f"{k % 7} {k % 5}" for k in range(3000)))
     assert "u: 2\n" in python(plugin, "scope", recording).stdout
     assert "  scope " in python(plugin, "--help").stdout
-    words = "import loopshape as ls; print(ls.soft_notch(50.0).kind, 'soft_notch' in dir(ls))"
+    words = "import loopshape as ls; print(ls.scope.soft_notch(50.0).kind, 'scope' in dir(ls))"
     assert python(plugin, words, module=("-c",)).stdout.split() == ["notch", "True"]
     drafted = python(plugin, "import", recording, "--out", tmp_path / "run")
     assert "trace.scope" in drafted.stdout + drafted.stderr

@@ -154,7 +154,7 @@ def weighted(loop: LoopSetup, row: np.ndarray, names: tuple[str, ...]) -> LoopSe
 
 
 def test_the_study_s_schedule_and_matrix_reach_the_arm(tmp_path):
-    """By the public verb: `ls.rig.measure(..., controllers, decoupling)` writes them with the run and reads them back."""
+    """By the public verb: `ls.rig.measure(..., controllers, decoupling)` writes them with the run."""
     study = tmp_path / "study.toml"
     study.write_text(
         'format = "loopshape-study/1"\nrig = "simulated"\nplant = "arm-2dof"\n'

@@ -143,8 +143,15 @@ def test_a_window_that_nobody_states_is_chosen_and_told():
 
 def test_what_matters_is_a_share():
     with pytest.raises(WrongUseError, match="share of the motion"):
-        ls.gap.Model("m", lambda t, x, u, p: (x[0],), ("q",), (), (ls.gap.Input("u", "u"),), (ls.gap.Output("y", "q", "y"),),
-                 matters=2.0)  # fmt: skip
+        ls.gap.Model(
+            "m",
+            lambda t, x, u, p: (x[0],),
+            ("q",),
+            (),
+            (ls.gap.Input("u", "u"),),
+            (ls.gap.Output("y", "q", "y"),),
+            matters=2.0,
+        )
 
 
 @pytest.mark.long

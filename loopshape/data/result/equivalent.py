@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @runtime_checkable
-class BlockDiagram(Protocol):
+class Diagram(Protocol):
     """Blocks around the one that is tuned. Verbs that take a plant take it, and files of it are read by a toolbox."""
 
     name: str

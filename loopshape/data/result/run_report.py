@@ -15,7 +15,7 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
-from loopshape.data.result.equivalent import BlockDiagram
+from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.data.signal.run import Run
@@ -143,7 +143,7 @@ class RunReport:
     figures_left_out: Mapping[str, str] = field(default_factory=dict)
     files: tuple[InputFile, ...] = ()
     texts: tuple[GivenText, ...] = ()
-    diagram: BlockDiagram | None = None
+    diagram: Diagram | None = None
     inner: Mapping[str, Verdict] = field(default_factory=dict)
 
     @property

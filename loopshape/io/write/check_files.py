@@ -17,7 +17,7 @@ from loopshape.data.requirement.requirements import Requirements, SeveralRequire
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Checked, Comparison
-from loopshape.data.result.equivalent import BlockDiagram, Equivalent
+from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
@@ -69,7 +69,7 @@ class Checks:
     verdicts: tuple[Verdict, ...]
     loops: tuple[LoopCheck, ...] = ()
     matrix: MatrixCheck | None = None
-    diagram: BlockDiagram | None = None
+    diagram: Diagram | None = None
 
     @property
     def single(self) -> tuple[LoopCheck, ...]:
@@ -114,13 +114,13 @@ class Baseline(Plain):
         return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
 
 
-def read_diagram(path: Path, run: Path) -> BlockDiagram:
+def read_diagram(path: Path, run: Path) -> Diagram:
     """The block diagram of a file, with a run's FRFs in the place of its plants; refuses where no toolbox reads one."""
     place = found().all("formats").get("loopshape-diagram/1")
     if place is None:
         what = "no toolbox of this installation reads a block diagram"
         raise WrongUseError(what, str(path), "install loopshape whole, or leave the diagram out")
-    made: BlockDiagram = function_at(place)(path, run)
+    made: Diagram = function_at(place)(path, run)
     return made
 
 

@@ -18,8 +18,8 @@ def export_diagram(folder: Path, D: Diagram, to: str) -> tuple[Path, ...]:
 
     The step takes what is measured (plants' outputs, or sums of nothing else) and what comes from outside, taps of a
     feedforward included, for they look ahead; it gives what enters the plants. A delay of whole samples
-    (`Part.delay_samples`) runs as a delay line behind its block, as in `ls.diagrams.simulate`; any other is left to the target.
-    Refuses other formats, blocks without a controller, circles of controllers alone, and numbers in fixed point.
+    (`Part.delay_samples`) runs as a delay line behind its block, as in `ls.diagrams.simulate`; any other is left to the
+    target. Refuses other formats, blocks without a controller, circles of controllers alone, and fixed point.
     """
     if to not in ("c", "json"):
         raise WrongUseError("a diagram is exported in C or JSON", repr(to), "use c or json, or export its controllers")

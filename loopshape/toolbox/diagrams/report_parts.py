@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 
-from loopshape.data.result.equivalent import BlockDiagram
+from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.run_report import RunReport, asked_outcome
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.verdict_parts import margins_of
@@ -29,7 +29,7 @@ def diagram(report: RunReport) -> Markup | None:
     return joined([_picture(D), tag("p", words), *inner])
 
 
-def _picture(D: BlockDiagram) -> Markup:
+def _picture(D: Diagram) -> Markup:
     source = Markup(f"data:image/png;base64,{b64encode(png(D.figure())).decode('ascii')}")
     alt = f"Block diagram{f' {D.name}' if D.name else ''}; tuned is block {D.tuned}"
     return tag("div", tag("figure", tag("img", src=source, alt=alt)), class_="pictures")

@@ -39,8 +39,8 @@ def plan(
     knows. The crossover is that of the run's own controller, of the loop's among `controllers`, or `at_hz`. `limits`
     are max_amplitude, max_input, max_output (stored units), longest_s, f_low_hz, f_high_hz, kind ("odd", "log", "all").
     Without `std` the experiment is told: `resolution_hz`, `seconds` and the band, as an undecided verdict orders them.
-    `reached` tells whether they allow it, `met` that the recording has that accuracy already; `ls.planning.write_plan` writes
-    the study. Raises WrongUseError for a recording that excites no loop and for limits that noise alone breaks.
+    `reached` tells whether they allow it, `met` that the recording has that accuracy already; `ls.planning.write_plan`
+    writes the study. Raises WrongUseError for a recording that excites no loop and for limits that noise alone breaks.
 
     Examples
     --------

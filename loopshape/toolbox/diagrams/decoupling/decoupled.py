@@ -26,7 +26,8 @@ def decoupled(
     `P` is a matrix FRF, or one for each operating point; `controllers` are named by loop (None, or one left out: to be
     put in by `with_part`). `tuned` is one of the loops, the first by default. Signals of loop k, from 1: the setpoint
     `rk`, the error `ek`, what its controller gives `vk`, what enters the plant `uk` and the output `yk`. Take it to
-    `ls.diagrams.simulate`, `ls.formats.export` ("c" or "json") and `ls.check`. Raises WrongUseError for loops that W does not have.
+    `ls.diagrams.simulate`, `ls.formats.export` ("c" or "json") and `ls.check`. Raises WrongUseError for loops that W
+    does not have.
 
     >>> import numpy as np, loopshape as ls
     >>> f_hz = np.geomspace(0.5, 20.0, 60)

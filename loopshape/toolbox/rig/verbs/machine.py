@@ -55,8 +55,8 @@ def measure(
     recording is kept; the same call goes on with the rest, and with `again` makes anew what ended early.
 
     `controllers`, schedules among them, replace those of the study by loop; `decoupling` are the weights of all
-    controllers in what enters the plant, by loop (`ls.diagrams.decouple(...).weights`); `diagram` runs on a target in place of
-    the controllers of the loops whose control it gives; `effects`, words NAME or NAME=MAGNITUDE,
+    controllers in what enters the plant, by loop (`ls.diagrams.decouple(...).weights`); `diagram` runs on a target in
+    place of the controllers of the loops whose control it gives; `effects`, words NAME or NAME=MAGNITUDE,
     are added to a simulation; `port` replaces the study's; `states` records a simulation's true states. `watch` is told
     of progress.
 
