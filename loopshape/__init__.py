@@ -145,7 +145,7 @@ def __getattr__(name: str) -> Any:
     if name.startswith("_"):
         raise AttributeError(f"module 'loopshape' has no attribute {name!r}")
     if name in _HOME:
-        return _public(f"loopshape.{_HOME[name]}", name)
+        return _public(f"loopshape.{_HOME[name]}", name, f"ls.{name}")
     boxes = _toolboxes()
     if name in boxes:
         return boxes[name]
@@ -154,17 +154,17 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'loopshape' has no attribute {name!r}{hint}")
 
 
-def _public(home: str, name: str) -> Any:
+def _public(home: str, name: str, public: str) -> Any:
     """What stands in a module under a name; a function behind the gate of its arguments."""
     found = getattr(import_module(home), name)
-    return _behind_gate(found) if isinstance(found, FunctionType) else found
+    return _behind_gate(found, public) if isinstance(found, FunctionType) else found
 
 
 @cache
-def _behind_gate(function: Any) -> Any:
+def _behind_gate(function: Any, public: str) -> Any:
     from loopshape.core.gate import gated
 
-    return gated(function)
+    return gated(function, public)
 
 
 class _Names:
@@ -176,7 +176,7 @@ class _Names:
     def __getattr__(self, name: str) -> Any:
         if name not in self.__homes:
             raise AttributeError(f"loopshape.{self.__name__} has no {name!r}: it has {', '.join(dir(self))}")
-        return _public(self.__homes[name], name)
+        return _public(self.__homes[name], name, f"ls.{self.__name__}.{name}")
 
     def __dir__(self) -> list[str]:
         return sorted(self.__homes)

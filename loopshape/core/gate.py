@@ -166,22 +166,25 @@ def received(value: Any) -> str:
     return value.__name__ if isinstance(value, type | types.ModuleType) else type(value).__name__
 
 
-def gated(function: F) -> F:
-    """The function behind the gate: an argument of another kind is refused, and swapped ones are told apart."""
-    signature, name = inspect.signature(function), function.__qualname__
+def gated(function: F, public: str = "") -> F:
+    """The function behind the gate: an argument of another kind is refused, and swapped ones are told apart.
+
+    `public` is the name that sentences give it, `ls.` and its own by default.
+    """
+    signature, name = inspect.signature(function), public or f"ls.{function.__qualname__}"
 
     @wraps(function)
     def behind(*args: Any, **words: Any) -> Any:
         bound = signature.bind(*args, **words)  # a wrong number of arguments is Python's own TypeError
         hints = _hints(function)
-        _pass(f"ls.{name}", bound.arguments, hints, signature)
+        _pass(name, bound.arguments, hints, signature)
         bound.arguments.update({one: _plain(value, hints[one]) for one, value in bound.arguments.items()})
         try:
             return function(*bound.args, **bound.kwargs)
         except OSError as error:
             if error.errno != errno.ENAMETOOLONG:
                 raise
-            raise WrongUseError(f"a path of ls.{name} is too long", received(error.filename), "shorten it") from error
+            raise WrongUseError(f"a path of {name} is too long", received(error.filename), "shorten it") from error
 
     return behind  # type: ignore[return-value]
 
