@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
-    from loopshape.data.algebra.multirate import multirate as multirate
+    from loopshape.data.algebra.sampling import multirate as multirate
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
     from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
@@ -160,7 +160,7 @@ _HOME = {
     "interaction": "verbs.several",
     "lead_lag": "data.control.shorthand",
     "low_pass": "data.control.shorthand",
-    "multirate": "data.algebra.multirate",
+    "multirate": "data.algebra.sampling",
     "notch": "data.control.shorthand",
     "pi": "data.control.shorthand",
     "pid": "data.control.shorthand",

@@ -20,8 +20,8 @@ from loopshape.core.units import TWO_PI, Array
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.response.model import Fit, TransferFunction
-from loopshape.data.response.valid_band import trusted_lines
 from loopshape.identify.fit.fit import fit
 from loopshape.identify.fit.structures import Rational
 from loopshape.loop.verdict import check

@@ -50,7 +50,7 @@ stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.
 import pandas, pyarrow.parquet, numpy as np
 import scipy.linalg
 import loopshape.identify.frequency_response
-from loopshape.core.kernels.lines.spectra import cross_spectra
+from loopshape.core.kernels.spectra import cross_spectra
 square = np.eye(300) * 2.0
 np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve once
 cross_spectra([np.ones(64)] * 3, 16, 8)

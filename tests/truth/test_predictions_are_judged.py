@@ -7,7 +7,7 @@ from scipy.stats import binom
 
 from loopshape.data.algebra import regrid
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.result.prediction import Comparison
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.identify.frequency_response import estimate_frf

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopshape.core.kernels.lines.spectra import cross_spectra
+from loopshape.core.kernels.spectra import cross_spectra
 from loopshape.core.stretches import LongSignal, Signal, extent, stretches
 from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.signal.channel import sum_terms

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.stats import chi2
 
-from loopshape.core.kernels.lines.smoothing import excesses
+from loopshape.core.kernels.smoothing import excesses
 from loopshape.core.units import Array
 from loopshape.data.response.frf import FRF
 from loopshape.identify.smooth.smoothing import correlation

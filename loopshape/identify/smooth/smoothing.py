@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
 
-from loopshape.core.kernels.lines.smoothing import accepted_halves, smoothing_weights, within_span
+from loopshape.core.kernels.smoothing import accepted_halves, smoothing_weights, within_span
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter

@@ -10,7 +10,7 @@ from scipy.fft import next_fast_len
 from scipy.signal import get_window
 
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.core.kernels.lines.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
+from loopshape.core.kernels.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.settings import Settings
