@@ -20,7 +20,7 @@ from loopshape.core.kernels.smoothing import excesses
 from loopshape.core.units import Array
 from loopshape.data.response.frf import FRF
 from loopshape.identify.smooth.smoothing import correlation
-from loopshape.identify.spectra.pooling import pooled_variance
+from loopshape.identify.spectra.averages import pooled_variance
 
 #: an FRF of no more frequencies stays as it is
 MANY = 20_000

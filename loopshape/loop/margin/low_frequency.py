@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
-from loopshape.identify.spectra.pooling import pooled_variance
+from loopshape.identify.spectra.averages import pooled_variance
 
 #: models follow the lines up to so many times the first, but this many at least and at most
 REACH, FEWEST, MOST = 4.0, 8, 60

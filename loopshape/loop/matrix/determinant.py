@@ -18,7 +18,7 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.control.loop_matrix import LoopMatrix, responses, sensitivity
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, spread
-from loopshape.identify.smooth.smoothing_matrix import smoothed_matrix
+from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.margin.between import Path
 from loopshape.loop.margin.crossings import chords_to_minus_one
 from loopshape.loop.matrix.loci import characteristic_loci

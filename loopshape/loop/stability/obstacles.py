@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.loop import Loop
-from loopshape.identify.spectra.pooling import FREEDOM, pooled_variance
+from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
 from loopshape.loop.margin.between import Path, measured, turns_past, turns_past_crowd, without_narrow
 from loopshape.loop.margin.crossings import chords_to_minus_one
 from loopshape.loop.stability.crowded import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
