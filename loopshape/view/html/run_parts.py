@@ -10,8 +10,7 @@ from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.run_report import Envelope, Missing, RecordingSheet
 from loopshape.view.html.markup import Content, Markup, joined, tag
-from loopshape.view.html.tables import Cell, details, figure, table, together
-from loopshape.view.html.words import DASH, count, named, number, point
+from loopshape.view.html.words import DASH, Cell, count, details, figure, named, number, point, table, together
 from loopshape.view.labels import methods_by_loop
 
 SPARK_WIDTH, SPARK_HEIGHT = 240, 34
