@@ -9,7 +9,7 @@ import pytest
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block, Controller
-from loopshape.design.search.search import begin
+from loopshape.design.search import begin
 from loopshape.design.settle import Settled
 from loopshape.design.tune import _no_worse, tune, warm_start
 from loopshape.loop.verdict import check

@@ -13,10 +13,10 @@ import numpy as np
 
 from loopshape.core.kernels.loops import tuning_rows as kernel
 from loopshape.core.units import Array, rad
+from loopshape.data.control.controller import HALF_POWER
 from loopshape.design.problem.evaluation import Evaluation, weighed
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
-from loopshape.loop.margin.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability.stability import FIT_DEG
 
 #: name of the limit on the norm of the weighted loop, and of its rows

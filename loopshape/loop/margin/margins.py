@@ -10,13 +10,13 @@ import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import MASKED, Mask
 from loopshape.data.requirement.requirements import Margins
 from loopshape.data.requirement.weight import Weight
 from loopshape.data.response.smoothed import by_draw, spread
 from loopshape.loop.margin.between import axis_crossings, followed, unit_crossings
-from loopshape.loop.margin.controller_bandwidth import controller_bandwidth_hz
 from loopshape.loop.margin.reading import Reader
 from loopshape.loop.stability.holes import gaps_of
 from loopshape.loop.stability.low_end import DOWN, LowModel, in_sight, is_large, low_models, poles_at_0
