@@ -22,8 +22,8 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.response.model import Fit, TransferFunction
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational
+from loopshape.identify.fit import fit
+from loopshape.identify.structures import Rational
 from loopshape.loop.verdict import check
 
 KINDS = ("hole", "poor band", "low edge", "high edge", "cancellation", "fit", "sound")

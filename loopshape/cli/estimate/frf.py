@@ -240,7 +240,7 @@ def report(
     """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
-    from loopshape.view.labels import methods_by_loop
+    from loopshape.view.labels import methods_by_loop as by_loop
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in frfs)
@@ -258,7 +258,7 @@ def report(
         output.say(words)
     for found in extra.get("levels", ()):
         output.say(found.sentence)
-    for line in methods_by_loop([*frfs, *matrices]):
+    for line in by_loop([*frfs, *matrices]):
         output.say(f"method: {line}")
     early = list(extra.get("ended_early", ()))
     notes = [f"{one.recording}: {note}" for one in [*frfs, *matrices] for note in one.notes]

@@ -14,8 +14,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.control.loop_matrix import LoopMatrix, characteristic_loci, responses, sensitivity
+from loopshape.data.control.loop import Loop, LoopMatrix, characteristic_loci, responses, sensitivity
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix

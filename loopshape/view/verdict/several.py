@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
-from loopshape.data.control.loop_matrix import LoopMatrix, characteristic_loci
+from loopshape.data.control.loop import LoopMatrix, characteristic_loci
 from loopshape.data.requirement.requirements import Margins, SeveralRequirements
 from loopshape.data.result.verdict import SeveralMargins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
