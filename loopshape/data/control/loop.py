@@ -11,9 +11,9 @@ The picture that every docstring refers to, with its signs:
 e = r - y (+ n) enters C; z is what C answers; P goes from what enters the plant to y. With L = C P:
 S = 1/(1 + L), T = L/(1 + L), CS = C/(1 + L), PS = P/(1 + L).
 
-Several loops wide, controller k goes from output k to input k: C is diagonal. Broken at the plant's inputs the open loop
-is L_i = C P, at its outputs L_o = P C. With one controller a loop L_o = C^-1 L_i C: both have the same eigenvalues, the
-same det(I + L), and the same structured singular values for one error a loop; only their plain singular values differ,
+Several loops wide, controller k goes from output k to input k: C is diagonal. Broken at the plant's inputs the open
+loop is L_i = C P, at its outputs L_o = P C. With one controller a loop L_o = C^-1 L_i C: both have the same
+eigenvalues, det(I + L), and structured singular values for one error a loop; only their plain singular values differ,
 and those of S_o and T_o depend on the outputs' units.
 """
 
