@@ -5,7 +5,7 @@ from scipy.linalg import block_diag
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.response.frf import FRF
 
 RATE_HZ = 1e6  # far above all lines: Tustin's warping does not matter

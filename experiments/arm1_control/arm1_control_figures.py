@@ -15,8 +15,8 @@ from matplotlib.lines import Line2D
 from loopshape.core.units import Array, db, deg
 from loopshape.data.control.loop import Loop
 from loopshape.toolbox.arm.source import value
-from loopshape.view.plots.contours import constant_s, nichols_coordinates
 from loopshape.view.plots.curves import frequency_axis, unwrapped_deg
+from loopshape.view.plots.nichols_guides import constant_s, nichols_coordinates
 from loopshape.view.style import COLOURS, LIMIT, QUIET, head, new_figure, shades, styled
 
 LOW_HZ, HIGH_HZ = 0.15, 12.0

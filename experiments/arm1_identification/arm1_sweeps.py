@@ -14,7 +14,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise

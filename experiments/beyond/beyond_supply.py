@@ -17,7 +17,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
 from loopshape.design.tune import tune
-from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.loop.predict.indicators import recorded_steps
 from loopshape.loop.verdict import check

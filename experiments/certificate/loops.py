@@ -13,8 +13,8 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.response.model import TransferFunction
-from loopshape.data.response.valid_band import trusted_lines
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.verdict import loops_of
 

@@ -13,7 +13,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Margins, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import BandVerdict
-from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.matrix.interaction import interaction
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import loops_of

@@ -7,9 +7,9 @@ from pathlib import Path
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational
+from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.structures import Rational
 from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.formats.tables.import_file import import_file
 

@@ -18,7 +18,7 @@ from spoiled import Spoiled, draw  # noqa: E402
 
 from loopshape.core.units import Array  # noqa: E402
 from loopshape.data.response.frf import FRF  # noqa: E402
-from loopshape.data.response.valid_band import trusted_lines  # noqa: E402
+from loopshape.data.response.frf_arrays import trusted_lines  # noqa: E402
 from loopshape.data.result.verdict import Order, SettledBy, Verdict  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402
 

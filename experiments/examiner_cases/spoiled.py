@@ -20,10 +20,10 @@ from loopshape.core.units import TWO_PI, Array
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.response.model import Fit, TransferFunction
-from loopshape.data.response.valid_band import trusted_lines
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational
+from loopshape.identify.fit import fit
+from loopshape.identify.structures import Rational
 from loopshape.loop.verdict import check
 
 KINDS = ("hole", "poor band", "low edge", "high edge", "cancellation", "fit", "sound")

@@ -10,7 +10,7 @@ import numpy as np
 from known import LOOP, RATE_HZ, Plant, closed, coloured, noise_records, one_resonance, two_resonances, white
 from scipy.fft import next_fast_len
 
-from loopshape.core.kernels.lines.spectra import hann
+from loopshape.core.kernels.spectra import hann
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf

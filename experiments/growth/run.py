@@ -21,7 +21,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.design.growth import Task, library
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.shifts import copies_for
-from loopshape.design.search.search import LARGEST, begin, search
+from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.write.requirements import read_requirements

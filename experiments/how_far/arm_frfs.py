@@ -9,7 +9,7 @@ from pathlib import Path
 
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.rig.files.study import read_study

@@ -29,7 +29,7 @@ from loopshape.data.response.model import Fit  # noqa: E402
 from loopshape.data.result.verdict import Verdict  # noqa: E402
 from loopshape.data.signal.recording import Recording  # noqa: E402
 from loopshape.design.tune import tune  # noqa: E402
-from loopshape.identify.fit.fit import fit, structure_by_name  # noqa: E402
+from loopshape.identify.fit import fit, structure_by_name  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.write.requirements import read_requirements  # noqa: E402

@@ -19,7 +19,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF, joined
-from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers

@@ -28,8 +28,8 @@ from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import tune
-from loopshape.identify.fit.fit import fit, structure_by_name
-from loopshape.identify.fit.structures import Structure
+from loopshape.identify.fit import fit, structure_by_name
+from loopshape.identify.structures import Structure
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.controllers import read_controllers, write_controllers

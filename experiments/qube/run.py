@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.signal import lfilter
 
-from loopshape.core.kernels.lines.spectra import cross_spectra, hann, independent_share
+from loopshape.core.kernels.spectra import cross_spectra, hann, independent_share
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.quality.faults import saturated

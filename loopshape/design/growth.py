@@ -4,11 +4,16 @@ A free biquad and a lead-lag are tried across the valid band, each where it does
 its parameters' slopes tell, by the same linear programme that a step of the search solves, what they gain on the
 limits that bind. The most promising places are searched, under limits as tight as the check asked so far, and what
 passes is checked anew. So what is grown is never worse than what it grew from.
+
+Blocks are also added at once under a bandwidth that is asked for as a floor. The first 0 dB crossing jumps where |L|
+dips below 1, so a search for the largest bandwidth stops below an anti-resonance: every small step into it looks worse.
+Asked for as |L| >= 1 up to a frequency beyond, with all limits missed as little as possible, the same search meets no
+jump. What meets all is searched on for the largest objective.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -18,17 +23,19 @@ from loopshape.core.units import Array
 from loopshape.data.control.block import BlockTemplate, Free
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
+from loopshape.design.problem.measures import opened
 from loopshape.design.problem.problem import Problem, problem
-from loopshape.design.problem.rms import opened
+from loopshape.design.problem.rows import Tighten
 from loopshape.design.problem.shifts import Copy, closer, judged, shifted_loops
-from loopshape.design.search.search import Goal, begin, search, step_within
-from loopshape.design.search.starts import leaps
+from loopshape.design.search import Goal, begin, search, step_within
 from loopshape.design.settle import Judge, Settled, settle
+from loopshape.design.starts import leaps, random_starts
 from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
@@ -225,3 +232,51 @@ def _places(p: Problem) -> list[float]:
     """Frequencies in Hz across the band in which the last block may lie."""
     band = p.variables[-1] if p.variables[-1].name.endswith("_hz") else p.variables[-4]
     return [float(f) for f in np.geomspace(1.2 * band.low, band.high / 1.2, PLACES)]
+
+
+#: floors reach to so many times the bandwidth; most biquads at once
+_RUNGS, _BLOCKS = (1.3, 1.7, 2.2), 3
+#: random draws under a floor, those searched for a few steps, those searched on; and steps of either
+_DRAWS, _STARTS, _SEARCHED_ON, _SHORT, _LONG = 600, 24, 4, 60, 300
+#: a floor missed by more than this (ln) is out of reach
+_NEAR = 0.15
+
+
+def lifted(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> Stage | None:
+    """The stage with so many free biquads more, up to `_BLOCKS`; None where no floor comes within reach.
+
+    Needs an objective of bandwidth, and limits that are the same at all operating points.
+    """
+    if not task.requirements.objective.bandwidth or task.requirements.at:
+        return None
+    biquad, count = library(task.loops)[0], min(blocks, _BLOCKS)
+    asked = replace(stage.asked, structure=(*stage.asked.structure, *[biquad] * count))
+    p, judge_of = task.problem(stage.copies, asked)
+    goal, judge = Goal(stage.best.tighten), judge_of(asked)
+    tops = [rung * lowest_bandwidth(stage) for rung in _RUNGS]
+    begun = [x for top in tops for x in _met(p.asked(_under_floor(asked, float(p.f[0]), top)), goal.tighten, rng)]
+    searched = sorted(
+        (search(p, begin(p, x, goal), goal, MOST) for x in begun), key=lambda one: goal.merit(one.measures)
+    )
+    stages = []
+    for one in searched[:SETTLED]:
+        end = settle(p, one, judge, stage.best.tighten)
+        added = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, f"{count} x {biquad.kind}")
+        stages.append(closed_in(task, added))
+    return min(stages, key=lambda one: one.rank, default=None)
+
+
+def _under_floor(asked: Requirements, low_hz: float, top_hz: float) -> Requirements:
+    """Requirements with |L| at least 1 up to a frequency."""
+    return replace(asked, masks=(*asked.masks, Mask("L", ((0.5 * low_hz, 0.0), (top_hz, 0.0)), "at_least")))
+
+
+def _met(p: Problem, tighten: Tighten, rng: np.random.Generator) -> Iterator[Array]:
+    """Points that meet all limits of a problem or nearly so, from random starts."""
+    q, goal = p.coarse, Goal(tighten, objective=False, soft=None)
+    rough = [search(q, begin(q, one.x, goal), goal, _SHORT) for one in random_starts(q, rng, _DRAWS, _STARTS)]
+    best = sorted(rough, key=lambda one: goal.merit(one.measures))[:_SEARCHED_ON]
+    for one in best:
+        end = search(p, begin(p, search(q, one, goal, _LONG).x, goal), goal, _LONG)
+        if goal.merit(end.measures) < _NEAR:
+            yield end.x

@@ -16,13 +16,13 @@ from scipy.optimize import nnls
 
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
+from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.rows import Tighten, in_rows, spare_of, wished
-from loopshape.design.search.search import Found, Goal, begin, search
+from loopshape.design.search import Found, Goal, begin, search
 from loopshape.design.settle import Judge, Settled, least_rooms, settle
-from loopshape.loop.margin.controller_bandwidth import controller_bandwidth_hz
 
 #: searches for the least miss begin at this many of the race's ends, and take this many steps at most
 ENDS, STEPS = 3, 150

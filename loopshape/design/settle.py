@@ -15,7 +15,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
-from loopshape.design.search.search import Found, Goal, begin, search
+from loopshape.design.search import Found, Goal, begin, search
 
 
 class Judge(Protocol):

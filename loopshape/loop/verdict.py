@@ -19,14 +19,13 @@ from loopshape.data.response.smoothed import Scatter
 from loopshape.data.result.verdict import Line, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.identify.smooth.merging import merged
-from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.identify.smooth.smoothing import merged, smoothed
+from loopshape.loop.detuning import with_detuning
 from loopshape.loop.margin.error_rms import error_warnings, of_points, with_error_rms
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import SEVERITY, point_outcome
 from loopshape.loop.predict.step_response import models_within
-from loopshape.loop.shift.detuning import with_detuning
 from loopshape.loop.stability.low_end import low_order
 from loopshape.loop.stability.obstacles import REACH_95, Obstacle
 from loopshape.loop.stability.stability import unstable_count

@@ -99,8 +99,8 @@ def fit(
     >>> bool(ls.fit(P, "rational", numerator=0, denominator=1).sufficient)
     True
     """
-    from loopshape.identify.fit.fit import ORDERS, fit_automatically, structure_by_name
-    from loopshape.identify.fit.fit import fit as fit_structure
+    from loopshape.identify.fit import ORDERS, fit_automatically, structure_by_name
+    from loopshape.identify.fit import fit as fit_structure
 
     refuse_unknown_keys("a fit has no such option", orders, ORDERS)
     if structure == "auto":

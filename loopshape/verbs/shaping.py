@@ -11,7 +11,7 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit

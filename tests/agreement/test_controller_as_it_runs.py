@@ -9,7 +9,7 @@ import pytest
 from exported_controllers import BLOCKS, PRECISIONS, RATE_HZ, cases
 from scipy import signal
 
-from loopshape.core.kernels import cascade
+from loopshape.core.kernels import biquads
 from loopshape.data.algebra import held
 from loopshape.data.control.block import series_response
 from loopshape.data.control.controller import Block, Controller, hold_and_delay
@@ -108,7 +108,7 @@ def test_response_is_that_of_the_rounded_sections(name):
 def test_response_of_the_sections_in_double_is_the_exact_one(kind):
     controller = Controller("one", SERIES if kind == "series" else (BLOCKS[kind],), RATE_HZ)
     f = np.geomspace(0.1, 49.9, 200)
-    found = cascade.response(controller.biquads(), 2.0 * np.pi * f / RATE_HZ)
+    found = biquads.response(controller.biquads(), 2.0 * np.pi * f / RATE_HZ)
     np.testing.assert_allclose(found, controller.response(f), rtol=1e-9)
 
 

@@ -13,8 +13,8 @@ from loopshape.core.kernels.loops.glance import glance
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.search.glance import glanced
-from loopshape.design.search.search import LARGEST, PENALTY, Goal, begin, linear
+from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
+from loopshape.design.starts import glanced
 from loopshape.loop.margin.reading import Reader
 
 F = np.geomspace(0.1, 100.0, 60)

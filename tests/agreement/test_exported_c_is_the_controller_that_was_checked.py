@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from exported_controllers import RATE_HZ, cases, inputs
 
-from loopshape.data.control.controller import Block, Controller, step
-from loopshape.data.control.precision import Precision
+from loopshape.data.control.controller import Block, Controller, Precision, step
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 from loopshape.toolbox.formats.controllers.controller_words import identifier
 

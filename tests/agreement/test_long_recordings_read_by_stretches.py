@@ -14,7 +14,7 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.quality import faults
 from loopshape.identify.settings import Settings
-from loopshape.identify.spectra import long_transforms
+from loopshape.identify.spectra import transforms
 from loopshape.io.run import tables
 from loopshape.io.run.run_folder import check_recordings, holds, read_run, write_run
 from loopshape.io.run.verify import verify
@@ -55,8 +55,8 @@ def by_stretches(monkeypatch):
         monkeypatch.setattr(stretches, "LONG", 5000)
         for module in (stretches, tables, sources, faults):
             monkeypatch.setattr(module, "AT_ONCE", 4096)
-        monkeypatch.setattr(long_transforms, "PART", 1500)
-        monkeypatch.setattr(long_transforms, "SHARE", 100)
+        monkeypatch.setattr(transforms, "PART", 1500)
+        monkeypatch.setattr(transforms, "SHARE", 100)
         monkeypatch.setattr(sources, "LONG", 5000)
         monkeypatch.setattr(tables, "LONG", 5000)
         monkeypatch.setattr(sources, "LONG_TEXT", 1000)

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from loopshape.identify.spectra import long_transforms
-from loopshape.identify.spectra.long_transforms import low_lines, quadrature
+from loopshape.identify.spectra import transforms
+from loopshape.identify.spectra.transforms import low_lines, quadrature
 
 
 @pytest.mark.parametrize("part", [1 << 20, 700])
 @pytest.mark.parametrize("n", [4096, 12_150, 3645])
 def test_lines_and_quadrature(n, part, monkeypatch):
-    monkeypatch.setattr(long_transforms, "PART", part)
-    monkeypatch.setattr(long_transforms, "SHARE", n)
+    monkeypatch.setattr(transforms, "PART", part)
+    monkeypatch.setattr(transforms, "SHARE", n)
     x = np.random.default_rng(n).standard_normal(n) + 3.0
     whole = np.fft.rfft(x)
     for last in (0, n // 7, n // 2):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from target_cases import GAIN, INFINITE, Bench
 
-from loopshape.core.kernels import biquads, cascade
+from loopshape.core.kernels import biquads
 from loopshape.data.control.controller import Block, Controller
 from loopshape.toolbox.arm.dynamics import pwm
 from loopshape.toolbox.rig.target.messages import Ask
@@ -53,7 +53,7 @@ def test_controllers_of_twelve_sections_to_the_last_bit(bench):
     lead = [np.full(bench_ticks(samples, e), e[0]) for e in errors]
     for k, (sections, e) in enumerate(zip((SERIES, twelve), errors, strict=True)):
         signal = np.concatenate([lead[k], e])
-        mine = cascade.run_floating(sections, signal, np.float64)[len(lead[k]) :]
+        mine = biquads.run_floating(sections, signal, np.float64)[len(lead[k]) :]
         np.testing.assert_array_equal(samples[:, 4 + k], mine)
         kernel = biquads.run(sections, np.zeros((len(sections), 2)), signal)[len(lead[k]) :]
         np.testing.assert_allclose(samples[:, 4 + k], kernel, rtol=1e-8, atol=1e-9)  # it may contract
@@ -61,7 +61,7 @@ def test_controllers_of_twelve_sections_to_the_last_bit(bench):
 
 def bench_ticks(samples, errors):
     """Ticks from the setpoint to the recording: the answer to a constant error tells how many."""
-    out = cascade.run_floating(SERIES, np.full(200, -samples[0, 6]), np.float64)
+    out = biquads.run_floating(SERIES, np.full(200, -samples[0, 6]), np.float64)
     (found,) = np.flatnonzero(out == samples[0, 4])
     assert errors.size
     return int(found)

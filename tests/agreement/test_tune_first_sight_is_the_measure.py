@@ -14,8 +14,8 @@ from loopshape.core.kernels.loops.flat_loops import mark_peaks, series
 from loopshape.core.kernels.loops.glance import glance
 from loopshape.data.control.block import series_response
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.search.glance import glanced, scaled_start
-from loopshape.design.search.search import begin
+from loopshape.design.search import begin
+from loopshape.design.starts import glanced, scaled_start
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 5.0, "control_peak_db": 20.0}
 MASKED = LIMITS | {"masks": [{"response": "S", "points": [[0.6, -20.0], [6.0, 3.0]]}]}

@@ -12,7 +12,7 @@ import examiner
 import pytest
 
 import loopshape
-from loopshape.core.kernels.kept import sources
+from loopshape.core.kernels.compiled import sources
 
 MASS, VISCOUS, TICK_S, TICKS = 2.0, 3.0, 1e-3, 1000
 #: where a mass pushed off at 1 m/s is after a second, and how many kernels were compiled for it

@@ -50,7 +50,7 @@ stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.
 import pandas, pyarrow.parquet, numpy as np
 import scipy.linalg
 import loopshape.identify.frequency_response
-from loopshape.core.kernels.lines.spectra import cross_spectra
+from loopshape.core.kernels.spectra import cross_spectra
 square = np.eye(300) * 2.0
 np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve once
 cross_spectra([np.ones(64)] * 3, 16, 8)
@@ -61,15 +61,15 @@ FRF = "estimate_and_report(out, Output(False, True), figures=False, settings={'r
 SWEEPS = """
 from loopshape.core import stretches
 from loopshape.data.signal import excitation_parts
-from loopshape.identify.local import long_sweeps, sweep_harmonics, sweeps
-from loopshape.identify.spectra import long_transforms
+from loopshape.identify.local import long_sweeps, sweeps
+from loopshape.identify.spectra import transforms
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io.run import tables
 from loopshape.io.run.run_folder import read_run
 folder = Path(sys.argv[1])
 stretches.LONG = tables.LONG = 100_000
-tables.KEPT_BYTES, long_transforms.PART, long_sweeps.PART = 10_000_000, 50_000, 1 << 17
-for module in (stretches, tables, excitation_parts, sweep_harmonics, sweeps, long_sweeps):
+tables.KEPT_BYTES, transforms.PART, long_sweeps.PART = 10_000_000, 50_000, 1 << 17
+for module in (stretches, tables, excitation_parts, sweeps, long_sweeps):
     module.AT_ONCE = 1 << 16
 def estimated(run):
     run = read_run(run)

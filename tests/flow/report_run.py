@@ -11,7 +11,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
-from loopshape.identify.fit.fit import fit, structure_by_name
+from loopshape.identify.fit import fit, structure_by_name
 from loopshape.io.run.gathered import gather
 from loopshape.io.run.run_folder import write_run
 from loopshape.io.write.fits import write_fits

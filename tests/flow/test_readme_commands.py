@@ -146,7 +146,7 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     from loopshape.cli.output import Output
     from loopshape.core.units import db
     from loopshape.design.tune import tune
-    from loopshape.identify.fit.fit import modes
+    from loopshape.identify.fit import modes
     from loopshape.io.write.fits import read_fits
     from loopshape.io.write.frfs import read_frfs
     from loopshape.io.write.requirements import read_requirements

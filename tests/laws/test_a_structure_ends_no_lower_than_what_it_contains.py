@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servo, servos, wished
 
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.search.contained import contained, embedded, neutral, without_one
+from loopshape.design.starts import contained, embedded, neutral, without_one
 from loopshape.design.tune import tune
 
 LIMITS = {"sensitivity_peak_db": 6.0}

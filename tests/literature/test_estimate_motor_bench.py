@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from loopshape.core.units import db
-from loopshape.identify.fit.fit import fit, modes
-from loopshape.identify.fit.structures import Rational
+from loopshape.identify.fit import fit, modes
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.structures import Rational
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[2]

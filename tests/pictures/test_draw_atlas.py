@@ -14,7 +14,7 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import point_outcome
 from loopshape.view.verdict.atlas import beyond, cells, levels_with, sensitivity_atlas, sorted_points, zero_crossings
-from loopshape.view.verdict.outcomes import ink_on, luminance, missed_colours, near_colours, room_colours
+from loopshape.view.verdict.verdicts import ink_on, luminance, missed_colours, near_colours, room_colours
 
 
 def rows(ax: Axes) -> list[QuadMesh]:

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from loopshape.core.units import db
 from loopshape.data.control.loop import Loop
 from loopshape.data.result.verdict import Verdict
-from loopshape.loop.bands import band
+from loopshape.loop.points import band
 from loopshape.view.plots.bode import bode_page
-from loopshape.view.plots.phase import loop_phase_deg
+from loopshape.view.plots.curves import loop_phase_deg
 
 pytestmark = pytest.mark.short
 

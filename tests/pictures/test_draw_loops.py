@@ -11,8 +11,7 @@ from matplotlib.colors import to_rgba
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db
 from loopshape.data.control.loop import Loop
-from loopshape.loop.bands import band
-from loopshape.loop.points import worst_of
+from loopshape.loop.points import band, worst_of
 from loopshape.view.labels import point
 from loopshape.view.plots import loops as pictures
 from loopshape.view.plots.nichols import nichols

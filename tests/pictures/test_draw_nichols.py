@@ -13,9 +13,9 @@ from matplotlib.path import Path
 from loopshape.core.units import db, deg, from_db, rad
 from loopshape.loop.points import worst_of
 from loopshape.view.labels import point
-from loopshape.view.plots.contours import constant_s, constant_t, error_region, nichols_coordinates, turns
+from loopshape.view.plots.curves import loop_phase_deg
 from loopshape.view.plots.nichols import REGION_DB, chosen_lines, nichols
-from loopshape.view.plots.phase import loop_phase_deg
+from loopshape.view.plots.nichols_guides import constant_s, constant_t, error_region, nichols_coordinates, turns
 from loopshape.view.style import figure_of
 
 

@@ -12,13 +12,13 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
-from loopshape.view.plots.curves import unwrapped_deg
-from loopshape.view.plots.phase import (
+from loopshape.view.plots.curves import (
     continuous_deg,
     controller_phase_deg,
     known_lines,
     loop_phase_deg,
     plant_phase_deg,
+    unwrapped_deg,
 )
 
 FLOOR = 0.02

@@ -10,10 +10,11 @@ import picture_nouns as nouns
 import pytest
 from text_layout import looked_at, unreadable
 
-from loopshape.data.response.method import by_loop, in_short
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import (
     decibel,
+    method_in_short,
+    methods_by_loop,
     number,
     numbers,
     point,
@@ -133,17 +134,17 @@ def sweeps() -> list:
 
 def test_many_methods_are_one_line_with_ranges_and_one_method_stands_in_full() -> None:
     frfs = sweeps()
-    assert in_short(frfs) == "24 estimates: local fits of sweeps of 202.5 s, 26-49 % rationals"
-    assert in_short(frfs[:1]) == in_short(frfs[:1] * 2) == frfs[0].method
-    assert in_short([]) == ""
+    assert method_in_short(frfs) == "24 estimates: local fits of sweeps of 202.5 s, 26-49 % rationals"
+    assert method_in_short(frfs[:1]) == method_in_short(frfs[:1] * 2) == frfs[0].method
+    assert method_in_short([]) == ""
     periodic = [replace(frfs[0], method=f"{n} periods", method_numbers={"periods": n, "period_s": 4.0}) for n in (5, 7)]
     foreign = [replace(frfs[0], method=name, method_numbers={}) for name in ("of A", "of B")]
-    assert in_short([*frfs[:2], *periodic, *foreign]) == (
+    assert method_in_short([*frfs[:2], *periodic, *foreign]) == (
         "2 estimates: local fits of sweeps of 202.5 s, 26-27 % rationals; 2 estimates: 5-7 periods of 4 s; "
         "2 estimates by 2 methods"
     )
     pressures = [replace(frf, loop="p_ab") for frf in frfs[:2]]
-    assert by_loop([*frfs[2:5], *pressures])[1] == (
+    assert methods_by_loop([*frfs[2:5], *pressures])[1] == (
         "p_ab: 2 estimates: local fits of sweeps of 202.5 s, 26-27 % rationals"
     )
 

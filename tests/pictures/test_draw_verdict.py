@@ -12,7 +12,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import point_outcome
 from loopshape.view.style import figure_of
 from loopshape.view.verdict import verdicts
-from loopshape.view.verdict.outcomes import MARKS
+from loopshape.view.verdict.verdicts import MARKS
 
 OUTCOMES = ("passed", "undecided", "failed")
 

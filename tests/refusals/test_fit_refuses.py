@@ -5,8 +5,8 @@ import pytest
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.data.response.frf import FRF
-from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
-from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder
+from loopshape.identify.fit import fit, fit_best, modes, structure_by_name
+from loopshape.identify.structures import Integrator, Rational, ThirdOrder
 
 
 def frf_of(nf=20, trusted=True, variance=1e-4, ny=1):

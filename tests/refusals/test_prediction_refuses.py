@@ -13,7 +13,7 @@ from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction,
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
-from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_sensitivity
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.predictions import read_predictions, write_predictions
 from loopshape.loop.predict.prediction import compare, plant_behind, predict, sensitivity_of

@@ -7,7 +7,7 @@ from several_cases import RATE_HZ, frf_of, gain
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.io.write.requirements import read_required
 from loopshape.loop.matrix.several import check_several

@@ -6,8 +6,7 @@ from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loo
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.response.smoothed import spread
-from loopshape.loop.stability.doubt import chance_of_error, reach_of
-from loopshape.loop.stability.obstacles import WRONG
+from loopshape.loop.stability.obstacles import WRONG, chance_of_error, reach_of
 from loopshape.loop.stability.stability import closed_loop_stability
 
 STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")

@@ -9,7 +9,7 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.identify.smooth.smoothing import smoothed
-from loopshape.loop.bands import PLACES, band, circular_places
+from loopshape.loop.points import PLACES, band, circular_places
 
 RATE, RUNS = 1000.0, 400
 F = np.geomspace(0.2, 40.0, 60)

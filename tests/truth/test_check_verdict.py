@@ -14,9 +14,9 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational, ThirdOrder
+from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.structures import Rational, ThirdOrder
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check, loops_of
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.controller import Block, Controller, controller_bandwidth_hz
 from loopshape.design.tune import tune
-from loopshape.loop.margin.controller_bandwidth import controller_bandwidth_hz
 from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -10,10 +10,10 @@ from detuned_plants import TWO_MODES, Mode, closed, controller_with, frf_of, pol
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.detuning import STABILITY
 from loopshape.data.result.verdict_words import verdict_text
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Rational
+from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.smooth.resonances import Phase, resonances
+from loopshape.identify.structures import Rational
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check

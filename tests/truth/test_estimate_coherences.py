@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import freqz, lfilter
 
-from loopshape.core.kernels.lines.spectra import hann, segment_spectra
-from loopshape.identify.spectra.coherence import coherences
+from loopshape.core.kernels.spectra import hann, segment_spectra
+from loopshape.identify.matrix.matrix import coherences
 
 
 def unrelated(inputs, averages, records, seed):

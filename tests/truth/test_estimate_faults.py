@@ -1,4 +1,4 @@
-"""Spikes, clipped and stuck samples are named by row and time; what an excitation does by itself is none of them."""
+"""Spikes and clipped samples are named by row and time; what an excitation does by itself is none of them."""
 
 from pathlib import Path
 
@@ -7,10 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from loopshape.core.errors import BadSignalError
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.identify.quality.faults import saturated, spikes, stuck
-from loopshape.identify.quality.quality import faults
+from loopshape.identify.quality.faults import saturated, spikes
 from loopshape.io.run.run_folder import check_recordings
 from loopshape.toolbox.formats.tables.import_file import import_file
 
@@ -61,7 +58,6 @@ def test_excitations_are_healthy(name):
     x = healthy()[name]
     assert spikes(x, RATE) is None
     assert saturated(x, RATE) is None
-    assert stuck(x, RATE) is None
 
 
 def test_a_million_samples_of_noise_hold_no_spike():
@@ -114,34 +110,9 @@ def test_clipping_of_a_converters_steps_is_found_and_its_peaks_are_not_clipped()
     np.testing.assert_array_equal(found.rows, np.flatnonzero(x >= 900.0))
 
 
-def test_a_stuck_sensor_is_named_and_rest_is_not():
-    drive = np.random.default_rng(3).standard_normal(N)
-    y = lfilter([0.1], [1.0, -0.95], drive) + 0.01 * np.random.default_rng(4).standard_normal(N)
-    y[7000:7040] = y[7000]
-    found = stuck(y, RATE, "y_rad", drive)
-    assert found is not None
-    np.testing.assert_array_equal(found.rows, np.arange(7000, 7040))
-    assert "y_rad does not change for 40 samples at rows 7000-7039 (from 7 to 7.039 s)" in found.sentence
-    drive[7000:7040] = 0.0
-    assert stuck(y, RATE, "y_rad", drive) is None
-
-
 def test_what_is_no_row_of_numbers_is_refused():
     with pytest.raises(BadSignalError, match="first in row 5"):
         spikes(np.where(np.arange(100) == 5, np.nan, 1.0), RATE)
-
-
-def test_faults_of_a_loop_are_those_of_its_columns():
-    rng = np.random.default_rng(5)
-    z = rng.standard_normal(N)
-    y = lfilter([0.1], [1.0, -0.95], z)
-    y[400] += 20.0
-    z = np.clip(z, -10.0, 1.2)
-    info = RecordingInfo("r1.parquet", "noise", "control", excites="axis", closed_loop=False)
-    recording = Recording(info, RATE, {"z_v": z, "y_rad": y})
-    found = faults(recording, LoopSetup("axis", None, None, "z_v", "y_rad", None))
-    words = [(f.kind, f.name) for f in found]
-    assert words == [("saturated", "z_v of recording r1.parquet"), ("spikes", "y_rad of recording r1.parquet")]
 
 
 @pytest.fixture(scope="module")
@@ -168,4 +139,3 @@ def test_the_qubes_saturated_rows_are_exactly_those_that_it_flags(qube):
         (sentence,) = check_recordings(run)
         last = np.flatnonzero(flag)[-1]
         assert f"rows 0-{last} (from 0 to {last / 500.0:g} s)" in sentence
-        assert [f.kind for f in faults(recording, run.loops[0])] == ["saturated"]

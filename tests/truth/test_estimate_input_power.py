@@ -6,7 +6,7 @@ from scipy.io import loadmat
 from scipy.signal import firwin, lfilter
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.kernels.lines.spectra import hann, segment_spectra
+from loopshape.core.kernels.spectra import hann, segment_spectra
 from loopshape.identify.spectra.input_power import _leaked, own_power, powered, unfed_bands
 
 

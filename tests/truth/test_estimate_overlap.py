@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loopshape.core.kernels.lines.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
+from loopshape.core.kernels.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
 
 LENGTH, SEGMENTS, RECORDS = 64, 9, 1500
 

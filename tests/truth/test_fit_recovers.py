@@ -15,10 +15,9 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.identify.fit.fit import fit, fit_best, modes, structure_by_name
-from loopshape.identify.fit.least_squares import Data, residual_tests, runs_test
-from loopshape.identify.fit.structures import Integrator, Rational, ThirdOrder, levy
+from loopshape.identify.fit import Data, fit, fit_best, modes, residual_tests, runs_test, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.identify.structures import Integrator, Rational, ThirdOrder, levy
 
 F = np.geomspace(0.3, 15.0, 80)
 W = TWO_PI * 6.3

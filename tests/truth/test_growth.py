@@ -14,7 +14,7 @@ from loopshape.data.control.controller import series_response
 from loopshape.design.growth import Stage
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.rows import DIP
-from loopshape.design.search.contained import neutral
+from loopshape.design.starts import neutral
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check
 

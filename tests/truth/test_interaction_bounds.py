@@ -6,9 +6,8 @@ from interaction_nouns import F, coupled_by, errors, matrix_frf
 
 from loopshape.data.algebra import channels
 from loopshape.data.control.controller import Block, Controller
-from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant, magnitude_bounds, product_bounds
 from loopshape.identify.matrix.interaction import interaction_coefficient, relative_gain
-from loopshape.identify.matrix.magnitude_bounds import magnitude_bounds, product_bounds
 
 DRAWS = 4000
 NAMES = ("theta1", "theta2")

@@ -7,8 +7,7 @@ import pytest
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
 from loopshape.data.response.frf import FRF
-from loopshape.identify.matrix.decoupling import octaves
-from loopshape.identify.matrix.interaction import interaction
+from loopshape.identify.matrix.interaction import interaction, octaves
 
 WIDE = ((0.1, 8.0),)
 

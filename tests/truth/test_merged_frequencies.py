@@ -7,7 +7,7 @@ import loopshape as ls
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.identify.smooth.merging import merged
+from loopshape.identify.smooth.smoothing import merged
 from loopshape.loop.verdict import check
 
 RATE_HZ, LAST_HZ = 10_000.0, 4_000.0

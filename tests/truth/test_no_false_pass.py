@@ -8,7 +8,7 @@ import pytest
 
 from loopshape.core.units import TWO_PI
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.loop.matrix.several_margins import several_margins

@@ -10,7 +10,7 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.units import TWO_PI, db
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.several_margins import FIELDS, several_margins

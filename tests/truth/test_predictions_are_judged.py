@@ -7,11 +7,10 @@ from scipy.stats import binom
 
 from loopshape.data.algebra import regrid
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.valid_band import trusted_lines
+from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.result.prediction import Comparison
 from loopshape.data.signal.experiment import LoopSetup
-from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
 from loopshape.loop.predict.agreement import combined, on_common_lines, paired
 from loopshape.loop.predict.prediction import compare, compare_plants, plant_behind, sensitivity_of
 

@@ -17,7 +17,7 @@ from several_cases import (
 )
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.loop.matrix.determinant import closed_loops_stability, count_from_held
 from loopshape.loop.stability.obstacles import Obstacle
 

@@ -11,8 +11,8 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.response.model import Estimate, Fit, TransferFunction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.identify.fit.fit import fit
-from loopshape.identify.fit.structures import Integrator, ThirdOrder
+from loopshape.identify.fit import fit
+from loopshape.identify.structures import Integrator, ThirdOrder
 from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
 from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.step_response import closed_loop, predict_step, step_from_lines

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from loopshape.design.problem.measures import measure
-from loopshape.design.search.search import Goal, begin, search
+from loopshape.design.search import Goal, begin, search
 from loopshape.design.settle import allowances, settle
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check

@@ -16,7 +16,7 @@ from loopshape.data.response.model import TransferFunction
 from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
-from loopshape.design.search.search import LARGEST, begin, search
+from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of, verdict_on

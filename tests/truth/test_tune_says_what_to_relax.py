@@ -84,7 +84,7 @@ def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
 
 def test_a_point_that_is_not_the_best_gets_no_certificate():
     from loopshape.design.relax import _certificate
-    from loopshape.design.search.search import Goal, begin
+    from loopshape.design.search import Goal, begin
 
     p = problem_of([PLANT], APART)
     away = begin(p, np.log([10.0]), Goal(objective=False, soft=None))

@@ -10,9 +10,8 @@ import pytest
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.requirement import requirements
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.design.problem.measures import measure
+from loopshape.design.problem.measures import measure, opened
 from loopshape.design.problem.problem import problem
-from loopshape.design.problem.rms import opened
 from loopshape.loop.margin.error_rms import error_rms
 from loopshape.loop.verdict import loops_of
 

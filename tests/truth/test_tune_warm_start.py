@@ -9,10 +9,9 @@ import pytest
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block, Controller
-from loopshape.design.search.search import begin
-from loopshape.design.search.warm import warm_start
+from loopshape.design.search import begin
 from loopshape.design.settle import Settled
-from loopshape.design.tune import _no_worse, tune
+from loopshape.design.tune import _no_worse, tune, warm_start
 from loopshape.loop.verdict import check
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -24,7 +24,7 @@ from loopshape.data.requirement.objective import Objective
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import TransferFunction
 from loopshape.design.problem.shifts import judged
-from loopshape.design.search.search import LARGEST, begin, search
+from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
 from loopshape.io.write.frfs import write_frfs
 from loopshape.loop.verdict import check, loops_of

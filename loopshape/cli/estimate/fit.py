@@ -76,8 +76,8 @@ def fit_run(
 ) -> None:
     """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
     from loopshape.core.errors import WrongUseError
-    from loopshape.identify.fit.fit import fit as fit_one
-    from loopshape.identify.fit.fit import fit_automatically, structure_by_name
+    from loopshape.identify.fit import fit as fit_one
+    from loopshape.identify.fit import fit_automatically, structure_by_name
     from loopshape.io.held import held
     from loopshape.io.write.fits import read_fits, write_fits
     from loopshape.io.write.frfs import read_frfs
@@ -158,7 +158,7 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
 
 def _report_modes(fits: list[Fit], output: Output) -> None:
     """Zeros and poles of rational fits: pairs by frequency and damping, real ones by time constant."""
-    from loopshape.identify.fit.fit import modes
+    from loopshape.identify.fit import modes
 
     rows = []
     for f in fits:

@@ -120,7 +120,7 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     """Table, warnings and JSON of estimated FRFs and matrices."""
     import numpy as np
 
-    from loopshape.data.response.method import by_loop
+    from loopshape.view.labels import methods_by_loop as by_loop
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in found.frfs)

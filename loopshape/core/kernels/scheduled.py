@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
-from loopshape.core.kernels.types import Array
+from loopshape.core.kernels.compiled import Array, compiled, compiled_in_line
 
 
 class Scheduled(NamedTuple):

@@ -15,8 +15,18 @@ Channels are connected by name and reordered where only their order differs; nam
 never done in silence. Coherences and powers belong to a measurement and do not go through.
 """
 
-from loopshape.data.algebra.closed_loop import ClosedLoop, controller_frf, feedback, lower_closure, upper_closure
-from loopshape.data.algebra.operations import add, channels, inverse, product, subtract
+from loopshape.data.algebra.operations import (
+    ClosedLoop,
+    add,
+    channels,
+    controller_frf,
+    feedback,
+    inverse,
+    lower_closure,
+    product,
+    subtract,
+    upper_closure,
+)
 from loopshape.data.algebra.sampling import held, regrid
 
 __all__ = [

@@ -8,6 +8,7 @@ and one formula serves both. Where coefficients are rounded, the response is tha
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Any
@@ -17,11 +18,90 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import TOO_LARGE, pass_fields, received
-from loopshape.core.kernels import cascade
+from loopshape.core.kernels import biquads
 from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, db, deg
 from loopshape.data.arrays import rate
 from loopshape.data.control.block import BLOCK_KINDS, Block, Polynomial, Section, block_kind, series_response
-from loopshape.data.control.precision import Precision
+
+_FIXED = re.compile(r"q([1-9][0-9]?)\.([1-9][0-9]?)")
+_MOST_BITS = 45  # signals then keep 16 bits beside a sign in products of 60
+_PRODUCT_BITS = 60  # five products of 60 bits add up within int64
+_SIGNAL_BITS = 31
+
+
+@dataclass(frozen=True)
+class Precision:
+    """A number format. `name` is "double", "single", or "qM.N": M integer bits with the sign, N fractional bits.
+
+    A fixed-point coefficient is an integer times 2^-N between -2^(M-1) and 2^(M-1) - 2^-N; M + N is 45 at most.
+    """
+
+    name: str
+    integer_bits: int = 0
+    fraction_bits: int = 0
+
+    @classmethod
+    def of(cls, name: str) -> Precision:
+        """The format of a name; refuses a name that is none."""
+        if name in ("double", "single"):
+            return cls(name)
+        found = _FIXED.fullmatch(name) if isinstance(name, str) else None
+        if not found or int(found[1]) + int(found[2]) > _MOST_BITS:
+            raise WrongUseError(
+                "a precision of coefficients is not known",
+                repr(name),
+                f'use "double", "single", or fixed point "qM.N" of at most {_MOST_BITS} bits, such as "q5.27"',
+            )
+        return cls(name, int(found[1]), int(found[2]))
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it is fixed point."""
+        return self.integer_bits > 0
+
+    @property
+    def bits(self) -> int:
+        """Bits of a fixed-point coefficient, with its sign."""
+        return self.integer_bits + self.fraction_bits
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and largest coefficient."""
+        if self.fixed:
+            return -(2.0 ** (self.integer_bits - 1)), 2.0 ** (self.integer_bits - 1) - 2.0**-self.fraction_bits
+        largest = float(np.finfo(np.float32 if self.name == "single" else np.float64).max)
+        return -largest, largest
+
+    @property
+    def signal_limit(self) -> int:
+        """Fixed point: largest magnitude of an integer signal for which no sum of products leaves int64."""
+        return int(min(2**_SIGNAL_BITS, 2 ** (_PRODUCT_BITS - self.bits + 1)) - 1)
+
+    def rounded(self, values: ArrayLike) -> Array:
+        """The nearest values of the format, ties to even, in double (which holds them exactly); not clipped."""
+        values = np.asarray(values, dtype=float)
+        if self.fixed:
+            return np.asarray(np.rint(values * 2.0**self.fraction_bits) * 2.0**-self.fraction_bits)
+        with np.errstate(over="ignore", under="ignore"):
+            return values.astype(np.float32).astype(float) if self.name == "single" else values
+
+    def fits(self, rounded: ArrayLike) -> np.ndarray:
+        """Which rounded values lie within the range."""
+        low, high = self.range
+        return np.asarray((low <= np.asarray(rounded)) & (np.asarray(rounded) <= high))
+
+    def integers(self, rounded: Array) -> list[list[int]]:
+        """Fixed point: rounded values (n, m) as integers, value = integer 2^-N."""
+        return [[int(v * 2.0**self.fraction_bits) for v in row] for row in rounded]
+
+    def wide_enough(self, values: ArrayLike) -> Precision | None:
+        """Fixed point: as many bits with an integer part that holds `values`; None where there is none."""
+        for m in range(self.integer_bits, self.bits):
+            wider = Precision(f"q{m}.{self.bits - m}", m, self.bits - m)
+            if wider.fits(wider.rounded(values)).all():
+                return wider
+        return None
+
 
 __all__ = ["BLOCK_KINDS", "Block", "Controller", "block_kind", "hold_and_delay", "series_response", "step"]
 
@@ -41,7 +121,7 @@ def hold_and_delay(frequency_hz: ArrayLike, rate_hz: float, delay_s: float = 0.0
 class Controller:
     """Blocks in series for one loop, as they will run: at `rate_hz` after Tustin's rule, in the target's numbers.
 
-    `precision` is that of the coefficients (`data.control.precision`); the sections of `biquads` are rounded to it,
+    `precision` is that of the coefficients (`Precision`); the sections of `biquads` are rounded to it,
     and `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
 
     `computation_delay_s` is from sampling to when the output takes effect, and `added_hold` adds the zero-order hold:
@@ -112,7 +192,7 @@ class Controller:
         if self.precision == "double":
             own = series_response(self.blocks, s)
         else:
-            own = cascade.response(self.biquads(), angular(frequency_hz) / self.rate_hz)
+            own = biquads.response(self.biquads(), angular(frequency_hz) / self.rate_hz)
         return own * self.outside(frequency_hz) if self.computation_delay_s or self.added_hold else own
 
     def outside(self, frequency_hz: ArrayLike) -> ComplexArray:
@@ -188,14 +268,14 @@ def step(controller: Controller, inputs: ArrayLike) -> np.ndarray:
         raise WrongUseError("a controller steps through one signal (n,)", f"an array {given.shape}")
     if not form.fixed:
         dtype = np.float32 if form.name == "single" else np.float64
-        return cascade.run_floating(controller.biquads(), np.asarray(given, dtype=dtype), dtype)
+        return biquads.run_floating(controller.biquads(), np.asarray(given, dtype=dtype), dtype)
     if given.dtype.kind not in "iu":
         raise WrongUseError(
             f"a controller in {form.name} answers to whole numbers", str(given.dtype), "scale and round the signal"
         )
     sections = controller.biquads()
-    feedback = [cascade.error_feedback(a1, a2) for *_, a1, a2 in sections.tolist()]
-    out = cascade.run_fixed(
+    feedback = [biquads.error_feedback(a1, a2) for *_, a1, a2 in sections.tolist()]
+    out = biquads.run_fixed(
         form.integers(sections), feedback, given.tolist(), form.fraction_bits, form.signal_limit
     )  # fmt: skip
     return np.array(out, dtype=np.int64)
@@ -277,3 +357,28 @@ def _tustin_polynomial(p: Polynomial, k: float) -> Polynomial:
         2.0 * p[0] - 2.0 * k * k * p[2],
         p[0] - k * p[1] + k * k * p[2],
     )
+
+
+#: ln of -3 dB
+HALF_POWER = -0.5 * float(np.log(2.0))
+
+
+def controller_grid_hz(rate_hz: float) -> Array:
+    """The lines (360,) that C is looked at on: logarithmic, from a millionth of the rate to just below half of it."""
+    return np.geomspace(1e-6 * rate_hz, 0.4999 * rate_hz, 360)
+
+
+def controller_bandwidth_hz(controller: Controller) -> float:
+    """Highest frequency in Hz at which |C| is within 3 dB of its largest; half the rate where C does not roll off.
+
+    An integrator's |C| is infinite at zero frequency and says nothing of how high C reaches, so blocks count without
+    the integral term of their partial fractions (`pi` as the 1 that it comes to above its corner). Between lines
+    ln |C| is linear in ln f. A resonance of C between two lines (4 % apart) is not seen whole.
+    """
+    f = controller_grid_hz(controller.rate_hz)
+    size = np.log(np.abs(series_response(controller.blocks, controller.s_at(f), bounded=True)))
+    room = size - (size.max() + HALF_POWER)
+    k = int(np.flatnonzero(room >= 0.0)[-1])
+    if k == f.size - 1:
+        return 0.5 * controller.rate_hz
+    return float(f[k] * (f[k + 1] / f[k]) ** (room[k] / (room[k] - room[k + 1])))

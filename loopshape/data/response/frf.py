@@ -64,7 +64,7 @@ class FRF:
     which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
     a plant whose output stayed bounded has no unstable pole; `hold` says whether it is known to contain the zero-order
     hold. `method` says in one line how it was measured, `method_numbers` are the numbers in it by name, from which
-    `data.method.in_short` puts many methods into one line; `notes` are warnings.
+    `view.labels.method_in_short` puts many methods into one line; `notes` are warnings.
     """
 
     frequency_hz: Array

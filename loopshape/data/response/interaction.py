@@ -15,8 +15,6 @@ from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.response.frf import FRF
 
-VERDICTS = ("decoupled", "coupled", "undecided")
-
 
 def _freeze(noun: object) -> None:
     """Arrays copied and made read-only."""
@@ -104,7 +102,7 @@ def _round(factor: float) -> str:
 
 @dataclass(frozen=True)
 class BandVerdict(Plain):
-    """Whether two loops are decoupled in a band, by |k_I| against a limit; one of `VERDICTS`.
+    """Whether two loops are decoupled in a band, by |k_I| against a limit.
 
     `decoupled`: the upper 95 % bound is below the limit at every valid line, and the lines leave no hole. `coupled`:
     the lower bound, widened for as many lines as are looked at, is above it at the lines `coupled_hz`. `at_hz` is the

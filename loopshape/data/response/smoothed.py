@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from loopshape.core.kernels.lines import draws as kernel
+from loopshape.core.kernels import smoothing as kernel
 from loopshape.core.units import Array, ComplexArray
 
 #: deviation of what lies between lines, as a share of how far a spline lies off straight lines there; and its seed

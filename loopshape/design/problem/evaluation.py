@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from loopshape.core.kernels.loops import flat_loops as kernel
 from loopshape.core.kernels.loops.tuning_rows import Flat
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.block import series_response
+from loopshape.data.requirement.weight import WEIGHTED, stacked
 from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.weighed import weighed
 from loopshape.design.structure import sections
 
 
@@ -110,3 +111,36 @@ class Evaluation:
             return False
         p = self.p
         return bool(kernel.all_stable(self.L, p.first, self.below, p.first_below, p.fitted, p.integrators, p.unstable))
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The squared norm at a frequency is |S|² (`own` + `by_C` |C|²), (nf,) on the flat lines: none without weights.
+
+    `above` (points, 4, above) are the squared weights above each point's last line, 0 below that.
+    """
+
+    own: Array
+    by_C: Array  # noqa: N815
+    above: Array
+
+
+_WEIGHED: WeakKeyDictionary[Problem, Weighed] = WeakKeyDictionary()
+
+
+def weighed(p: Problem) -> Weighed:
+    """The weights of a problem."""
+    if p not in _WEIGHED:
+        _WEIGHED[p] = _made(p)
+    return _WEIGHED[p]
+
+
+def _made(p: Problem) -> Weighed:
+    weights = p.requirements.weights
+    if not weights:
+        return Weighed(np.zeros(0), np.zeros(0), np.zeros((p.points, len(WEIGHTED), 0)))
+    s, t, cs, ps = stacked(weights, p.f)
+    square = np.abs(p.P) ** 2
+    last = p.f[p.first[1:] - 1]
+    above = stacked(weights, p.f_above) * (p.f_above >= last[:, None])[:, None, :]
+    return Weighed(s + ps * square, cs + t * square, above)

@@ -1,23 +1,31 @@
 """What a tuning is judged by at a point x: its objective's terms and the room each requirement leaves, with slopes.
 
 Room is scaled to be of order one: 0 at the limit, negative beyond. Between lines ln L is linear in ln f.
+
+The rms of the error that a disturbance makes is the root of the sum over frequencies of its power in open loop times
+|S|². Between the lines of the problem |S|² is straight in ln f. Below the first line it falls as the integrators of the
+loop make it, above the last one it is 1. What `check` reads otherwise is made up for as with every limit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loopshape.core.units import Array
-from loopshape.design.problem.crossings import crossing_rows
+from loopshape.core.kernels.loops import tuning_rows as kernel
+from loopshape.core.units import Array, ComplexArray
+from loopshape.data.control.controller import HALF_POWER
+from loopshape.data.control.loop import Loop
+from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.problem.norms import norm_rows
-from loopshape.design.problem.peaks import peak_rows
-from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.rms import rms_rows
-from loopshape.design.problem.rows import DenseRows, Rows, Tighten
+from loopshape.design.problem.peaks import norm_rows, peak_rows
+from loopshape.design.problem.problem import Opened, Problem
+from loopshape.design.problem.rows import DIP, DenseRows, Rows, Tighten, of_kernel, once, scaled, wished
+from loopshape.loop.stability.continued import continued
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +126,7 @@ def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
     """Measures at x; `tighten` moves limits inward by these amounts, in their own unit (one, or one a point)."""
     e = Evaluation(p, x)
     crossing, bandwidths = crossing_rows(e, tighten)
-    return Measures(e, (*peak_rows(e, tighten), *crossing, *rms_rows(e, tighten)), bandwidths, norm_rows(e))
+    return Measures(e, (*peak_rows(e, tighten), *crossing, *_rms_rows(e, tighten)), bandwidths, norm_rows(e))
 
 
 def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
@@ -162,3 +170,166 @@ def low_weights(p: Problem) -> Array:
         share = 0.5 * (np.append(span, 0.0) + np.append(0.0, span)) if low.size > 1 else np.ones(low.size)
         weights[a : a + low.size] = share / max(share.sum(), 1e-300)
     return weights
+
+
+#: dips of |L| below the bandwidth are watched where |L| is below this
+_SHALLOW = 3.0
+#: margins in the order of the kernel's rows
+_MARGINS = ("phase_margin_deg", "delay_margin_s", "gain_margin_db", "gain_reduction_margin_db")
+
+
+def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
+    """Rows of every limit at a crossing that the requirements make, and those of ln bandwidth of each operating point.
+
+    The bandwidth is the first 0 dB crossing; below the lowest line along the integrators' slope. Dips are rows of ln
+    |L| at its local minima below it: without them a linearised step lets |L| fall through 1 there, the first crossing
+    jumps, and the search gives up.
+    """
+    p, limits = e.p, e.p.limits
+    *made, value, at, ab = kernel.crossing_rows(e.flat, *_levels(p, tighten), p.integrators)
+    bandwidths = Rows("", value, at[:, 0], at[:, 1], at[:, 2], ab[:, 0], at[:, 3], ab[:, 1])
+    out = list(of_kernel((*_MARGINS, DIP), *made))
+    if "bandwidth_hz" in limits:
+        out.append(_at_least(bandwidths, "bandwidth_hz", e, tighten))
+    if "sensitivity_bandwidth_hz" in limits:
+        out.append(_at_least(_sensitivity_bandwidth(e), "sensitivity_bandwidth_hz", e, tighten))
+    if "complementary_bandwidth_hz" in limits:
+        out.append(_at_least(_complementary_bandwidth(e, tighten), "complementary_bandwidth_hz", e, tighten))
+    return out, bandwidths
+
+
+@once
+def _levels(p: Problem, tighten: Tighten) -> tuple[Array, Array, Array, Array, Array, float]:
+    """Limits of the margins and of dips (points,) as the kernel counts them, and below what |L| dips are watched."""
+    phase, delay, gain, reduction = (
+        scaled(x, wished(p, x, tighten)) if x in p.limits else np.full(p.points, np.nan) for x in _MARGINS
+    )
+    dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
+    return phase, delay, gain, reduction, dip, float(np.log(_SHALLOW)) if p.requirements.objective.bandwidth else 0.0
+
+
+def _at_least(rows: Rows, name: str, e: Evaluation, tighten: Tighten) -> Rows:
+    """Rows of ln f, one for each operating point, held against a limit."""
+    room = rows.value - scaled(name, wished(e.p, name, tighten))
+    return Rows(name, room, rows.at, rows.point, rows.i, rows.a, rows.j, rows.b)
+
+
+def _sensitivity_bandwidth(e: Evaluation) -> Rows:
+    """Rows of ln f where |S| first rises through -3 dB: led below the first line; the last where it never does."""
+    over, p = e.ln_S - HALF_POWER, e.p
+    found = []
+    for i, (a, b) in enumerate(zip(p.first[:-1], p.first[1:], strict=True)):
+        beyond = over[a:b] >= 0.0
+        if beyond[0]:
+            order = max(int(p.integrators[i]), 1)
+            found.append((a, 0.0, p.ln_f[a] - over[a] / order, -1.0 / order))
+        elif beyond.any():
+            found.append(_level_crossing(p.ln_f, over, int(a + np.argmax(beyond)) - 1))
+        else:
+            found.append((b - 1, 0.0, p.ln_f[b - 1], 0.0))
+    return _of_levels(e, found, lambda L: -L / (1.0 + L))
+
+
+def _complementary_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
+    """Rows of ln f where |T| last falls through -3 dB; where it stays below, short of the wish by what it lacks."""
+    over, p = e.ln_L + e.ln_S - HALF_POWER, e.p
+    wish = np.log(wished(p, "complementary_bandwidth_hz", tighten))
+    found = []
+    for i, (a, b) in enumerate(zip(p.first[:-1], p.first[1:], strict=True)):
+        above = np.flatnonzero(over[a:b] >= 0.0)
+        if not above.size:
+            k = int(a + np.argmax(over[a:b]))
+            found.append((k, 0.0, min(p.ln_f[k], wish[i]) + over[k], 1.0))
+        elif a + above[-1] == b - 1:
+            found.append((b - 1, 0.0, p.ln_f[b - 1], 0.0))
+        else:
+            found.append(_level_crossing(p.ln_f, over, int(a + above[-1])))
+    return _of_levels(e, found, lambda L: 1.0 / (1.0 + L))
+
+
+def _level_crossing(ln_f: Array, over: Array, k: int) -> tuple[int, float, float, float]:
+    """Line, share, ln f and its slope by `over` where `over` passes zero between lines k and k + 1."""
+    rise, span = over[k + 1] - over[k], ln_f[k + 1] - ln_f[k]
+    return k, -over[k] / rise, ln_f[k] - over[k] / rise * span, -span / rise
+
+
+def _of_levels(
+    e: Evaluation, found: Sequence[tuple[int, float, float, float]], factor: Callable[[ComplexArray], ComplexArray]
+) -> Rows:
+    """Rows of ln f from lines, shares, values and slopes by ln of a magnitude, which moves with ln L by `factor`."""
+    p = e.p
+    at, share, value, slope = (np.array(column) for column in zip(*found, strict=True))
+    after = np.minimum(at + 1, p.f.size - 1)
+    a, b = (1.0 - share) * slope * factor(e.L[at]), share * slope * factor(e.L[after])
+    return Rows("", value, at, p.owner[at], p.line[at], a, p.line[after], b)
+
+
+_ERROR_RMS = "error_rms"
+
+
+@dataclass(frozen=True, eq=False)
+class _OnLines:
+    """Mean square of the error at each point: `power` (nf,) times |S|² on the flat lines, and `above` (points,)."""
+
+    power: Array
+    above: Array
+
+
+_ON_LINES: WeakKeyDictionary[Problem, _OnLines] = WeakKeyDictionary()
+
+
+def _rms_rows(e: Evaluation, tighten: Tighten) -> Iterator[DenseRows]:
+    """The room under a limit of the rms at each operating point whose disturbance is known."""
+    p = e.p
+    known = np.flatnonzero([one is not None for one in p.opened])
+    if _ERROR_RMS not in p.limits or not known.size:
+        return
+    if p not in _ON_LINES:
+        _ON_LINES[p] = _on_lines(p)
+    on = _ON_LINES[p]
+    each = on.power * np.exp(2.0 * e.ln_S)
+    total = on.above + np.bincount(p.owner, weights=each, minlength=p.points)
+    room = scaled(_ERROR_RMS, wished(p, _ERROR_RMS, tighten)) - 0.5 * np.log(np.maximum(total, 1e-300))
+    pull = np.zeros((p.points, p.unique_f.size), dtype=complex)
+    np.add.at(pull, (p.owner, p.line), each * e.L / (1.0 + e.L) / np.maximum(total, 1e-300)[p.owner])
+    largest = np.array([a + each[a:b].argmax() for a, b in zip(p.first[:-1], p.first[1:], strict=True)])
+    columns = np.arange(p.unique_f.size)
+    yield DenseRows(
+        _ERROR_RMS, room[known], largest[known], known, lambda: np.real(pull[known] @ p.slopes(e.values, columns).T)
+    )
+
+
+def _on_lines(p: Problem) -> _OnLines:
+    power, above = np.zeros(p.f.size), np.zeros(p.points)
+    for k, one in enumerate(p.opened):
+        if one is not None:
+            a, b = p.first[k] + p.led[k], p.first[k + 1]
+            power[a:b], above[k] = _shared(p.f[a:b], one, int(p.integrators[k]))
+    return _OnLines(power, above)
+
+
+def _shared(lines: Array, one: Opened, integrators: int) -> tuple[Array, float]:
+    """What each line (n,) has of a spectrum, and what lies above the last."""
+    f, power = one
+    out = np.zeros(lines.size)
+    low, high = f < lines[0], f > lines[-1]
+    out[0] += float(power[low] @ (f[low] / lines[0]) ** (2 * max(integrators, 0)))
+    f, inside = f[~low & ~high], power[~low & ~high]
+    k = np.clip(np.searchsorted(lines, f, side="right") - 1, 0, max(lines.size - 2, 0))
+    share = np.log(f / lines[k]) / np.log(lines[k + 1] / lines[k])
+    np.add.at(out, k, (1.0 - share) * inside)
+    np.add.at(out, k + 1, share * inside)
+    return out, float(power[high].sum())
+
+
+def opened(loop: Loop, disturbance: Disturbance | None, rate_hz: float) -> Opened | None:
+    """Frequencies (n,) and power (n,) of what disturbs a loop, as it would be with the loop open; None if unknown."""
+    if disturbance is None:
+        return None
+    rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
+    f, power = disturbance.frequency_hz[rows], disturbance.power[rows]
+    if disturbance.held_by is None:
+        return f, power
+    plant = loop.plant if loop.raw is None else loop.raw
+    P = continued(plant, f, loop.integrators or 0).response
+    return f, power * np.abs(1.0 + disturbance.held_by.response(f) * P) ** 2

@@ -1,4 +1,7 @@
-"""Rooms under the limits on magnitudes: |S|, |T|, |CS|, |PS|, the disk, the reach of L, and C's own bandwidth."""
+"""Rooms under the limits on magnitudes: |S|, |T|, |CS|, |PS|, the disk, the reach of L, and C's own bandwidth.
+
+The norm of the weighted loop is sqrt(sum of |W|² |response|²) at its peaks: a limit, or what is made small.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +13,15 @@ import numpy as np
 
 from loopshape.core.kernels.loops import tuning_rows as kernel
 from loopshape.core.units import Array, rad
-from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.problem.norms import EVERY, FAR, NORM, PLATEAU, norm_above
+from loopshape.data.control.controller import HALF_POWER
+from loopshape.design.problem.evaluation import Evaluation, weighed
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
-from loopshape.loop.margin.controller_bandwidth import HALF_POWER
 from loopshape.loop.stability.stability import FIT_DEG
 
+#: name of the limit on the norm of the weighted loop, and of its rows
+NORM = "weighted_norm"
 _OF_C = "controller_bandwidth_hz"
-
-
 #: quantity -> magnitude
 _KINDS = {
     "sensitivity_peak_db": kernel.S,
@@ -99,14 +101,14 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     p, asked = e.p, _asked(e.p)
     level = _levels(p, tighten)
     made = kernel.magnitude_rows(
-        e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, FAR, FAR - PLATEAU, EVERY
+        e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, _FAR, _FAR - _PLATEAU, _EVERY
     )
     yield from of_kernel(asked.names, *made)
     for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
         if name in _ABOVE:
             yield _mask_above(e, name, mine)
         if name == NORM:
-            yield from norm_above(e, mine)
+            yield from _norm_above(e, mine)
     yield from _beyond(e)
     blind = np.diff(p.first_below) == 0
     ends = kernel.end_rows(e.flat, 0, blind, ~p.fitted, p.integrators, p.unstable, float(rad(FIT_DEG)))
@@ -147,7 +149,7 @@ def _beyond(e: Evaluation) -> Iterator[Rows]:
     p = e.p
     if p.f_beyond.size:
         size = e.ln_C[p.beyond] + np.log(np.abs(p.P_beyond))
-        k = np.flatnonzero(size > min(-FAR, float(size.max()) - 1e-9))
+        k = np.flatnonzero(size > min(-_FAR, float(size.max()) - 1e-9))
         column, minus = p.beyond.start + k, np.full(k.size, -1.0 + 0.0j)
         at = p.f.size + p.f_above.size + k
         yield Rows(SURE, -1e-3 - size[k], at, p.owner_beyond[k], column, minus, column, np.zeros(k.size, dtype=complex))
@@ -168,3 +170,56 @@ def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
     at, every = p.f.size + p.f_above.size + p.f_beyond.size + k, np.full(k.size, -1)
     room = size[top] + HALF_POWER - lower - size[k]
     return Rows(_OF_C, room, at, every, np.full(k.size, start + top), one, start + k, -one)
+
+
+#: peaks this far below the largest (ln) are left out, save the highest of each operating point
+_FAR = 0.7
+#: of lines this near to the largest every fourth counts too: where the optimum is flat, all of it is pushed down
+_PLATEAU, _EVERY = 0.1, 4
+#: above the last lines rows come from this close (ln) to the largest
+_NEAR = 0.05
+
+
+def norm_rows(e: Evaluation) -> tuple[Rows, ...]:
+    """Rows of ln of one over the norm, where it is among the largest; none where the objective has no norm."""
+    if not e.p.requirements.objective.weighted_norm:
+        return ()
+    level = np.full((1, e.p.points), max(float(e.ln_norm.max()), float(_above(e)[0].max(initial=-np.inf))))
+    kinds, from_hz, none = np.array([kernel.NORM]), np.zeros(1), np.zeros((0, e.p.f.size))
+    made = kernel.magnitude_rows(
+        e.flat, kinds, level, from_hz, np.array([kernel.NOT]), none, np.array([-1]), _FAR, _FAR - _PLATEAU, _EVERY
+    )
+    places, value, ab = made
+    lines = of_kernel((NORM,), places, value - level[0, 0], ab)
+    return (*lines, *_norm_above(e, np.zeros(e.p.points)))
+
+
+def _norm_above(e: Evaluation, level: Array) -> Iterator[Rows]:
+    """Rows below a level (points,) in ln above the last lines, where |L| stays below its last value l.
+
+    There |S| is at most 1/(1 - l), |T| and |CS| and |PS| that times l, |C| and l/|C|.
+    """
+    size, by_C, by_l = _above(e)
+    if size.size and np.isfinite(size).any():
+        point, k = np.nonzero(np.isfinite(size) & ((size >= size.max() - _NEAR) | _largest(size)))
+        p, last = e.p, e.p.line[e.last[point]]
+        a, b = (np.asarray(-slope[point, k], dtype=complex) for slope in (by_C, by_l))
+        yield Rows(NORM, level[point] - size[point, k], p.f.size + k, point, p.above.start + k, a, last, b)
+
+
+def _largest(size: Array) -> np.ndarray:
+    return np.arange(size.shape[1]) == size.argmax(axis=1)[:, None]
+
+
+def _above(e: Evaluation) -> tuple[Array, Array, Array]:
+    """ln of the norm (points, above) above the last lines, -inf without weights, and its slopes by ln |C| and ln l."""
+    s, t, cs, ps = np.moveaxis(weighed(e.p).above, 1, 0)
+    c2, l2, room = np.exp(2.0 * e.ln_C[e.p.above]), e.share_above[:, None] ** 2, 1.0 - e.share_above[:, None]
+    if not s.size:
+        return s, s, s
+    parts = np.stack([s, t * l2, cs * c2, ps * l2 / c2])
+    total = parts.sum(axis=0)
+    with np.errstate(divide="ignore"):
+        size = 0.5 * np.log(total) - np.log(room)
+    share = parts / np.maximum(total, 1e-300)
+    return size, share[2] - share[3], share[1] + share[3] + e.share_above[:, None] / room

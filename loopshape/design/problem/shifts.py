@@ -12,8 +12,8 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.loop.shift.detuning import worst_shift
-from loopshape.loop.shift.shifted import stretched
+from loopshape.loop.detuning import worst_shift
+from loopshape.loop.shifted import stretched
 from loopshape.loop.verdict import verdict_on
 
 #: plants are shifted by so many times what is required, to leave the check's own reading of intervals some room

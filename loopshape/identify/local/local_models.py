@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.core.kernels.lines.local_sums import influence, moments, shifted
+from loopshape.core.kernels.local_sums import influence, moments, shifted
 from loopshape.core.units import Array, ComplexArray
 
 #: what keeps equations regular that say the same twice, relative to their own size

@@ -1,23 +1,22 @@
-"""From a matrix FRF to how its loops meet: which rows and columns, k_I of each pair, and everything in one call."""
+"""From a matrix FRF to how its loops meet: rows and columns, k_I of each pair, verdicts by band, and all at once."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
+from scipy.stats import norm
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray, db, from_db
 from loopshape.data.algebra import channels
 from loopshape.data.algebra.propagation import invert
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.interaction import Coefficient, Interaction, RelativeGain
+from loopshape.data.response.interaction import BandVerdict, Coefficient, Interaction, RelativeGain
 from loopshape.data.signal.channel import Channel
-from loopshape.identify.matrix.decoupling import Bands, band_verdicts, octaves
-from loopshape.identify.matrix.equivalent_plant import equivalent_plant
-from loopshape.identify.matrix.loop_pair import LoopPair
+from loopshape.identify.matrix.equivalent_plant import TAIL, Reach, equivalent_plant, product_bounds
 
 #: below it the source takes two joints as decoupled: H.7 of van den Brink, DCT 2007.002
 LIMIT_DB = -20.0
@@ -30,7 +29,7 @@ def interaction(
     *,
     outputs: Sequence[str] | None = None,
     limit_db: float = LIMIT_DB,
-    bands: Bands | None = None,
+    bands: _Bands | None = None,
 ) -> Interaction:
     """How the loops of a matrix FRF meet: k_I of each pair, RGA, equivalent plants, verdicts.
 
@@ -62,7 +61,7 @@ def interaction(
         verdicts=tuple(
             verdict
             for i, j in pairs
-            for verdict in band_verdicts(LoopPair(square, i, j), (names[i], names[j]), float(limit_db), chosen)
+            for verdict in _band_verdicts(_LoopPair(square, i, j), (names[i], names[j]), float(limit_db), chosen)
         ),
     )
 
@@ -120,7 +119,7 @@ def interaction_coefficient(frf: FRF, i: int, j: int, loops: tuple[str, str]) ->
     k_I is as fragile as its four factors together: with independent errors of 4 % (sqrt(E|d|²)) in each, k_I has 8 %,
     its magnitude 5.7 %, and the 95 % interval of that is 11 % to each side; 16 % if all four err the worst way.
     """
-    pair = LoopPair(frf, i, j)
+    pair = _LoopPair(frf, i, j)
     low, high = pair.bounds(np.arange(frf.frequency_hz.size))
     return Coefficient(loops, frf.frequency_hz, pair.coefficient, pair.relative_std, low, high, frf.trusted)
 
@@ -151,3 +150,145 @@ def _deviation(H: ComplexArray, G: ComplexArray, C: ComplexArray) -> Array:
     J = slope.reshape(n * n, n * n)
     variance = np.real(np.einsum("ab,bc,ac->a", J, C, J.conj(), optimize=True))
     return np.sqrt(np.maximum(variance, 0.0)).reshape(n, n)
+
+
+_Bands = Sequence[tuple[float, float]]
+
+#: ratio of frequencies over which no valid frequency leaves a hole in a band
+_HOLE = 1.1
+_MORE = np.geomspace(1.1, 1000.0, 40)  # times the averages that are tried
+
+
+def octaves(frf: FRF) -> tuple[tuple[float, float], ...]:
+    """Octaves between whole powers of two Hz, cut to the valid band; refuses a FRF without one."""
+    low, high = frf.trusted_lines().trusted_band_hz
+    whole = 2.0 ** np.arange(np.floor(np.log2(low)) + 1.0, np.ceil(np.log2(high)))
+    edges = [low, *whole[(whole > low) & (whole < high)].tolist(), high]
+    return tuple(pairwise(edges))
+
+
+def _band_verdicts(pair: _LoopPair, loops: tuple[str, str], limit_db: float, bands: _Bands) -> tuple[BandVerdict, ...]:
+    """A verdict on each closed band in Hz; refuses bands that do not rise.
+
+    decoupled: every valid frequency's upper 95 % bound is below the limit. That all must pass makes the test stricter,
+    not looser, so no correction is needed. coupled: some line's lower bound is above it, with the probability 2.5 %
+    beyond it shared by all n lines, 1 - 0.975^(1/n) each (Sidak): chance alone then finds one in 2.5 % of bands.
+    n is not divided by `line_overlap`: the largest of n errors that overlap by two lines is hardly smaller than of n
+    that do not, and dividing would find couplings that are none.
+    """
+    for low, high in bands:
+        if not 0.0 <= low < high:
+            raise WrongUseError("a band has two rising frequencies in Hz", f"{low:g} to {high:g}", "write 0.5-4")
+    return tuple(_verdict(pair, loops, limit_db, (float(low), float(high))) for low, high in bands)
+
+
+def _verdict(pair: _LoopPair, loops: tuple[str, str], limit_db: float, band: tuple[float, float]) -> BandVerdict:
+    f = pair.frequency_hz
+    lines = np.flatnonzero(pair.trusted & (f >= band[0]) & (f <= band[1]))
+    if not lines.size:
+        return BandVerdict(loops, band, "undecided", limit_db, 0, averages_factor=float("inf"), hole_hz=band)
+    limit = float(from_db(limit_db))
+    hole = _hole(pair, lines, band)
+    word, coupled = _word(pair, lines, limit, 1.0)
+    if word == "decoupled" and hole is not None:
+        word = "undecided"
+    low, high = pair.bounds(lines)
+    if word == "coupled":
+        low = pair.bounds(lines, _shared_tail(lines.size)).low
+    k = int(np.argmax(low if word == "coupled" else high))
+    factor = _more_averages(pair, lines, limit) if word == "undecided" and hole is None else 1.0
+    return BandVerdict(
+        loops, band, word, limit_db, int(lines.size), float(f[lines[k]]), float(db(low[k])),
+        float(db(pair.coefficient[lines[k]])), float(db(high[k])), tuple(f[lines[coupled]].tolist()), hole, factor,
+    )  # fmt: skip
+
+
+def _shared_tail(lines: int) -> float:
+    return float(-np.expm1(np.log1p(-TAIL) / lines))
+
+
+def _word(pair: _LoopPair, lines: np.ndarray, limit: float, more: float) -> tuple[str, np.ndarray]:
+    """Verdict on some lines, and which of them are coupled, of so many times the averages."""
+    if np.all(_expected(pair, lines, TAIL, more).high < limit):
+        return "decoupled", np.zeros(lines.size, dtype=bool)
+    coupled = _expected(pair, lines, _shared_tail(lines.size), more).low > limit
+    return ("coupled" if coupled.any() else "undecided"), coupled
+
+
+def _expected(pair: _LoopPair, lines: np.ndarray, tail: float, more: float) -> Reach:
+    """Ends of |k_I|; of more averages those to be expected if the plant is as estimated, less luck.
+
+    The largest of n estimates is too high by what the largest of n errors is in the median; averages take that away.
+    """
+    reach = pair.bounds(lines, tail, more)
+    luck = norm.ppf(0.5 ** (1.0 / max(lines.size / pair.line_overlap, 1.0)))
+    spread = np.minimum(pair.relative_std[lines] / np.sqrt(2.0), 1.0)
+    factor = np.exp(-luck * spread * (1.0 - 1.0 / np.sqrt(more)))
+    return Reach(reach.low * factor, reach.high * factor)
+
+
+def _more_averages(pair: _LoopPair, lines: np.ndarray, limit: float) -> float:
+    """By how much the averages must grow to decide, roughly; infinite beyond a thousand."""
+    for more in _MORE:
+        if _word(pair, lines, limit, float(more))[0] != "undecided":
+            return float(more)
+    return float("inf")
+
+
+def _hole(pair: _LoopPair, lines: np.ndarray, band: tuple[float, float]) -> tuple[float, float] | None:
+    """Widest stretch (by ratio) of a band that valid frequencies leave out; None where neighbours follow each other."""
+    f, last = pair.frequency_hz, pair.frequency_hz.size - 1
+    gaps = [(float(f[a]), float(f[b])) for a, b in pairwise(lines) if b > a + 1]
+    first, end = int(lines[0]), int(lines[-1])
+    if first == 0 or f[first - 1] >= band[0]:
+        gaps.append((band[0], float(f[first])))
+    if end == last or f[end + 1] <= band[1]:
+        gaps.append((float(f[end]), band[1]))
+    wide = [gap for gap in gaps if gap[1] > _HOLE * gap[0]]
+    return max(wide, key=lambda gap: gap[1] / max(gap[0], 1e-12)) if wide else None
+
+
+#: exponents of H12, H21, H11, H22 in k_I
+_EXPONENTS = np.array([1.0, 1.0, -1.0, -1.0])
+
+
+class _LoopPair:
+    """The four elements of two loops: H12, H21, H11, H22 (nf, 4) and their covariance (nf, 4, 4)."""
+
+    def __init__(self, frf: FRF, i: int, j: int) -> None:
+        n = len(frf.outputs)
+        places = np.array([j * n + i, i * n + j, i * n + i, j * n + j])
+        vec = frf.response.transpose(0, 2, 1).reshape(len(frf.frequency_hz), -1)
+        self.elements: ComplexArray = vec[:, places]
+        self.covariance: ComplexArray = frf.covariance[:, places][:, :, places]
+        self.freedom = frf.variance_freedom
+        self.frequency_hz: Array = frf.frequency_hz
+        self.line_overlap = frf.line_overlap
+        self.trusted: np.ndarray = frf.trusted
+
+    @property
+    def coefficient(self) -> ComplexArray:
+        """k_I (nf,); infinite where H11 or H22 is zero, nan where 0/0."""
+        H = self.elements
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(H[:, 0] * H[:, 1] / (H[:, 2] * H[:, 3]))
+
+    @property
+    def relative_std(self) -> Array:
+        """sqrt(E|dk/k|²) (nf,) of dk/k = d12/H12 + d21/H21 - d11/H11 - d22/H22, with all cross-covariances."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = _EXPONENTS / self.elements
+            variance = np.real(np.einsum("fi,fij,fj->f", slope, self.covariance, slope.conj()))
+        return np.sqrt(np.maximum(np.where(np.isnan(variance), np.inf, variance), 0.0))
+
+    def bounds(self, lines: np.ndarray, tail: float = TAIL, more: float = 1.0) -> Reach:
+        """Ends of |k_I| on some lines; with `more` than 1 those to be expected of that many times the averages."""
+        H, C = self.elements[lines], self.covariance[lines]
+        if more == 1.0:
+            return product_bounds(H, C, _EXPONENTS, self.freedom, tail)
+        power, noise = np.abs(H) ** 2, np.real(np.einsum("fii->fi", C))
+        size = np.sqrt(np.maximum(power - noise, 0.0) + noise / more)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shrunk = H * np.where(power > 0.0, size / np.sqrt(power), 0.0)
+        shrunk = np.where(power > 0.0, shrunk, size)
+        return product_bounds(shrunk, C / more, _EXPONENTS, self.freedom * more, tail)

@@ -1,4 +1,4 @@
-"""Samples of a signal that a sensor or an amplifier spoiled: spikes, clipped peaks, stuck stretches.
+"""Samples of a signal that a sensor or an amplifier spoiled: spikes, clipped peaks.
 
 Each is named by its rows, counted from 0, and times. Steps, square waves, staircases and sharp noise are none of them:
 a spike comes back to where it left, far beyond what the signal does elsewhere (cf. Ljung, System Identification,
@@ -28,17 +28,15 @@ FEW, FINE = 20, 200
 CLIPPED, CLIPPED_SHARE = 3, 0.02
 #: and how many times as many these must be as those one step of the resolution lower: a sine's crest has 2.4
 PILED = 4.0
-#: equal samples in a row that are a stuck sensor at the least, and the chance of such a stretch that is allowed
-STUCK, BY_CHANCE = 8, 1e-6
 #: rows that a sentence names
 NAMED = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """Spoiled samples of one signal: `kind` is spikes, saturated, or stuck; `rows` (k,) rise, counted from 0.
+    """Spoiled samples of one signal: `kind` is spikes or saturated; `rows` (k,) rise, counted from 0.
 
-    `size` is the highest spike, the value at which a signal is clipped or stuck, in its unit.
+    `size` is the highest spike, the value at which a signal is clipped, in its unit.
     """
 
     kind: str
@@ -184,45 +182,6 @@ def _cut_off(x: Array, start: int, end: int, step: float) -> bool:
     if end + 2 <= x.size:
         speeds.append(abs(float(x[end + 1] - x[end])))
     return bool(speeds) and 0.25 * (end - start) * min(speeds) > 3.0 * step and min(speeds) > 1.5 * step
-
-
-def stuck(values: Array, rate_hz: float, name: str = "the signal", drive: Array | None = None) -> Fault | None:
-    """Stretches of a sensor's signal (n,) without any change, far longer than its own repeats; None without any.
-
-    With the share q of repeated samples elsewhere, a stretch of L counts where n q^L is below one in a million, three
-    times over, and L is 8 at the least; the signal must move by two steps of its resolution just before and after.
-    Stretches in which `drive` (n,) stands still too are rest, not a fault. What cannot be judged passes: signals of at
-    most 200 values or that rest for half of the time (setpoints, encoders), or that repeat in over a fifth of their
-    samples elsewhere. For sensors: a command may well stand still.
-    """
-    x = _checked(values, name)
-    moves = np.abs(np.diff(x))
-    still = moves == 0.0
-    if np.unique(x).size <= FINE:
-        return None
-    runs = [run for run in _runs(still) if run[1] - run[0] + 1 >= STUCK]
-    if drive is not None:
-        runs = [(a, b) for a, b in runs if np.ptp(drive[a : b + 1]) > 0.0]
-    long = sum(b - a for a, b in runs)
-    share = max((float(still.sum()) - long) / max(x.size - 1 - long, 1), 1.0 / x.size)
-    if not runs or share > 0.2 or long > 0.5 * x.size:
-        return None
-    step = float(moves[moves > 0.0].min())
-    runs = [
-        (a, b)
-        for a, b in runs
-        if all(m.max() > 1.5 * step for m in (moves[max(0, a - 5) : a], moves[b : b + 5]) if m.size)
-    ]
-    least = max(STUCK, 3.0 * np.log(BY_CHANCE / x.size) / np.log(share))
-    rows = [np.arange(a, b + 1) for a, b in runs if b - a + 1 >= least]
-    if not rows:
-        return None
-    every = np.concatenate(rows)
-    words = (
-        f"{name} does not change for {_count(every.size, 'sample')} at {_where(every, rate_hz)},"
-        " while it moves elsewhere: stuck? Check the sensor and its cable; cut these rows off, or record again"
-    )
-    return Fault("stuck", name, every, float(x[every[0]]), words)
 
 
 def _checked(values: Array, name: str) -> Array:

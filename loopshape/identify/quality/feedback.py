@@ -16,7 +16,7 @@ from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.control.controller import Controller
-from loopshape.data.response.valid_band import KNOWN
+from loopshape.data.response.frf_arrays import KNOWN
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers, plant_of

@@ -1,4 +1,4 @@
-"""Is a recording fit for an FRF? Feedback where none is declared, spoiled samples, by loop and column."""
+"""Is a recording fit for an FRF? Feedback where none is declared, unfed bands, records that grow, by loop."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from loopshape.core.kernels.lines.spectra import cross_spectra
+from loopshape.core.kernels.spectra import cross_spectra
 from loopshape.core.stretches import LongSignal, Signal, extent, stretches
 from loopshape.core.units import Array, ComplexArray, deg
-from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.excitation_parts import rows_of_a_period
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.identify.quality.faults import Fault, saturated, spikes, stuck
 from loopshape.identify.quality.feedback_check import (
     FeedbackCheck,
     enough_periods,
@@ -21,7 +19,7 @@ from loopshape.identify.quality.feedback_check import (
     nothing_new,
     repeats,
 )
-from loopshape.identify.signals import input_signal, plant_input
+from loopshape.identify.signals import input_signal
 from loopshape.identify.spectra.input_power import unfed_bands
 from loopshape.identify.spectra.transforms import measured_period
 
@@ -198,22 +196,6 @@ def _exact_multiple(u: Signal, y: Signal) -> bool:
         if left @ left > EXACT * (b @ b):
             return False
     return bool(np.allclose(gains, gains[0], rtol=1e-6))
-
-
-def faults(recording: Recording, loop: LoopSetup) -> list[Fault]:
-    """Spikes, clipped and stuck samples of a loop's control and output columns, in that order."""
-    drive = plant_input(recording, loop)
-    out: list[Fault | None] = []
-    for name in dict.fromkeys((loop.control, *sum_terms(loop.output))):
-        x = recording.column(name)
-        out += _faults(x, recording.rate_hz, f"{name} of recording {recording.info.file}", drive)
-    return [fault for fault in out if fault is not None]
-
-
-def _faults(x: Array, rate_hz: float, name: str, drive: Array) -> list[Fault | None]:
-    same = bool(np.array_equal(x, drive))
-    found = [spikes(x, rate_hz, name), saturated(x, rate_hz, name)]
-    return found if same else [*found, stuck(x, rate_hz, name, drive)]
 
 
 def unfed_notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:

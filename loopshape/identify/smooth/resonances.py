@@ -16,7 +16,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
-from loopshape.identify.spectra.pooling import pooled_variance
+from loopshape.identify.spectra.averages import pooled_variance
 
 #: half widths of windows that are tried, in lines; windows stand half of that apart
 HALVES, APART = (4, 7, 12, 22, 36), 2

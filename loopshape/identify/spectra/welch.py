@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion, binary_opening
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.kernels.lines.spectra import cross_spectra, independent_share, line_overlap
+from loopshape.core.kernels.spectra import cross_spectra, independent_share, line_overlap
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.signal.recording import Recording

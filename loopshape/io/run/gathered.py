@@ -18,7 +18,7 @@ from loopshape.data.result.equivalent import Equivalent
 from loopshape.data.result.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.fit.fit import modes
+from loopshape.identify.fit import modes
 from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
 from loopshape.io.write.check_files import fits_of, read_diagram

@@ -10,8 +10,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import Loop, LoopMatrix
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF

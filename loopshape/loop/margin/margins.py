@@ -10,18 +10,16 @@ import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import MASKED, Mask
 from loopshape.data.requirement.requirements import Margins
 from loopshape.data.requirement.weight import Weight
 from loopshape.data.response.smoothed import by_draw, spread
-from loopshape.loop.margin.between import followed
-from loopshape.loop.margin.controller_bandwidth import controller_bandwidth_hz
-from loopshape.loop.margin.crossings import axis_crossings, unit_crossings
-from loopshape.loop.margin.low_frequency import LowModel
+from loopshape.loop.margin.between import axis_crossings, followed, unit_crossings
 from loopshape.loop.margin.reading import Reader
 from loopshape.loop.stability.holes import gaps_of
-from loopshape.loop.stability.low_end import DOWN, in_sight, is_large, low_models, poles_at_0
+from loopshape.loop.stability.low_end import DOWN, LowModel, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.obstacles import slope_at_end
 from loopshape.loop.stability.stability import closed_loop_stability
 
@@ -126,7 +124,7 @@ def margins(
       l/(1 - l) and |CS| |C|/(1 - l), and the margins and peaks count that; where it decides a number, that number is a
       bound, and `bounds` says how good it may be;
     - a loop without integrators whose gain at 0 Hz is negative crosses the negative real axis there: small models of
-      the lowest lines lead to it (`loop.margin.low_frequency`), and what they disagree about widens the interval;
+      the lowest lines lead to it (`loop.stability.low_end`), and what they disagree about widens the interval;
     - disk margin: least |2 (1 + L)/(1 - L)|, the largest a such that L (1 + d/2)/(1 - d/2) stays off -1 for every
       complex |d| < a (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced case);
     - bandwidth of S: where |S| first rises through -3 dB (0 where it starts above); of T: where |T| last falls through

@@ -14,14 +14,11 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.control.loop_matrix import LoopMatrix, responses, sensitivity
+from loopshape.data.control.loop import Loop, LoopMatrix, characteristic_loci, responses, sensitivity
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, spread
-from loopshape.identify.smooth.smoothing_matrix import smoothed_matrix
-from loopshape.loop.margin.between import Path
-from loopshape.loop.margin.crossings import chords_to_minus_one
-from loopshape.loop.matrix.loci import characteristic_loci
+from loopshape.identify.smooth.smoothing import smoothed_matrix
+from loopshape.loop.margin.between import Path, chords_to_minus_one
 from loopshape.loop.matrix.several_low_end import LowEnd, low_doubt, low_end, slopes
 from loopshape.loop.stability.obstacles import ON_IT, Obstacle, Sampling, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles

@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.verdict import SeveralMargins, Verdict

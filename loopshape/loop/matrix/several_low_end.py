@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg
-from loopshape.data.control.loop_matrix import LoopMatrix
-from loopshape.loop.matrix.loci import characteristic_loci
+from loopshape.data.control.loop import LoopMatrix, characteristic_loci
 from loopshape.loop.stability.obstacles import Obstacle
 
 #: the lowest lines, this ratio of frequencies and four at least, tell the slope there

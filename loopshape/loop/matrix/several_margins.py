@@ -10,8 +10,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
-from loopshape.data.control.loop import Loop
-from loopshape.data.control.loop_matrix import LoopMatrix, responses, sensitivity
+from loopshape.data.control.loop import Loop, LoopMatrix, responses, sensitivity
 from loopshape.data.response.smoothed import Dense
 from loopshape.data.result.verdict import SeveralMargins
 from loopshape.data.signal.channel import Channel, sum_terms

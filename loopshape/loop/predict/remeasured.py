@@ -13,7 +13,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Comparison, Prediction, StepComparison, Tracking
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.sensitivity import estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_sensitivity
 from loopshape.identify.settings import Settings
 from loopshape.loop.predict.indicators import recorded_steps, tracking
 from loopshape.loop.predict.prediction import compare, compare_step, sensitivity_of

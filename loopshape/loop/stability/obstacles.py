@@ -6,14 +6,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.control.loop import Loop
-from loopshape.identify.spectra.pooling import FREEDOM, pooled_variance
-from loopshape.loop.margin.between import Path, measured, turns_past, turns_past_crowd, without_narrow
-from loopshape.loop.margin.crossings import chords_to_minus_one
+from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
+from loopshape.loop.margin.between import (
+    Path,
+    chords_to_minus_one,
+    measured,
+    turns_past,
+    turns_past_crowd,
+    without_narrow,
+)
 from loopshape.loop.stability.crowded import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
-from loopshape.loop.stability.doubt import chance_of_error, reach_of
 from loopshape.loop.stability.holes import hole
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
@@ -315,3 +321,33 @@ def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:
     """From the first to the last of some lines in Hz, and a line more on either side or as far as `ASIDE` goes."""
     low, high = f[max(int(lines[0]) - 1, 0)], f[min(int(lines[-1]) + 1, f.size - 1)]
     return float(max(min(low, f[lines[0]] / ASIDE), f[0])), float(min(max(high, f[lines[-1]] * ASIDE), f[-1]))
+
+
+def reach_of(g: ComplexArray, std: Array, freedom: float = np.inf) -> Array:
+    """|g| (nf,) in standard deviations sqrt E|d|² of a circular error, inf where there is none.
+
+    A deviation that was itself estimated, with `freedom` degrees, counts for less: |d|² follows an F distribution with
+    2 and `freedom` degrees, and the reach given is that of equal chance of a normal error.
+    """
+    with np.errstate(divide="ignore"):
+        reach = np.abs(g) / np.where(std > 0.0, std, np.nan)
+    reach = np.nan_to_num(reach, nan=np.inf)
+    return np.asarray(np.sqrt(0.5 * freedom * np.log1p(2.0 * reach**2 / freedom)) if np.isfinite(freedom) else reach)
+
+
+def chance_of_error(reach: Array, alike: Array) -> tuple[float, Array]:
+    """Chance that errors carry a path over a point, one at most, and the share (n,) of each place.
+
+    `reach` (n,) is the distance from the point in deviations, `alike` (n - 1,) the correlation of neighbours' errors
+    (`data.smoothed.spread`). The error along the shortest way is normal; it passes the point at the nearest place, or
+    comes to do so from one place to the next: as often as a normal process rises through a level (Rice, Bell System
+    Technical Journal 24, 1945).
+    """
+    level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
+    nearest = int(np.argmin(reach))
+    at_nearest = float(beyond[nearest])  # whatever carries it over
+    level[nearest] = beyond[nearest] = 0.0
+    rising = np.arccos(np.clip(alike, 0.0, 1.0)) / TWO_PI * (level[1:] + level[:-1])
+    share = np.append(0.0, 0.5 * np.minimum(rising, beyond[1:] + beyond[:-1]))  # half of rising, half of coming back
+    share[nearest] += at_nearest
+    return min(float(share.sum()), 1.0), share

@@ -10,8 +10,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.data.result.run_report import FittedModel
 from loopshape.view.html.markup import Content, Markup, joined, tag
-from loopshape.view.html.tables import Cell, details, figure, table
-from loopshape.view.html.words import DASH, badge, named, number, point
+from loopshape.view.html.words import DASH, Cell, badge, details, figure, named, number, point, table
 
 #: formulas of the controller's blocks, as `loopshape.data.control.controller` defines them (w = 2 pi f)
 FORMULAS = {

@@ -8,11 +8,10 @@ import numpy as np
 
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.method import by_loop
 from loopshape.data.result.run_report import Envelope, Missing, RecordingSheet
 from loopshape.view.html.markup import Content, Markup, joined, tag
-from loopshape.view.html.tables import Cell, details, figure, table, together
-from loopshape.view.html.words import DASH, count, named, number, point
+from loopshape.view.html.words import DASH, Cell, count, details, figure, named, number, point, table, together
+from loopshape.view.labels import methods_by_loop
 
 SPARK_WIDTH, SPARK_HEIGHT = 240, 34
 
@@ -37,7 +36,7 @@ def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
         names = ["recordings", "outputs", "inputs", "lines", "from [Hz]", "to [Hz]"]
         parts.append(table("Plants of several channels", names, [_matrix(one) for one in matrices]))
     every = [*frfs, *matrices]
-    methods = [tag("li", line) for line in by_loop(every)]
+    methods = [tag("li", line) for line in methods_by_loop(every)]
     parts += [tag("p", "Methods of the estimates:"), tag("ul", *methods)] if methods else []
     notes = [(one.recording, note) for one in every for note in one.notes]
     parts += [tag("p", "Notes and warnings of the estimates:"), tag("ul", *together(notes))] if notes else []

@@ -6,8 +6,7 @@ from base64 import b64encode
 
 from loopshape.data.result.run_report import RunReport, StoredFigure
 from loopshape.view.html.markup import Content, Markup, joined, tag
-from loopshape.view.html.tables import Cell, definitions, details, figure, table
-from loopshape.view.html.words import count
+from loopshape.view.html.words import Cell, count, definitions, details, figure, table
 
 #: beginning of a picture's file name -> what it shows
 _PICTURES = {

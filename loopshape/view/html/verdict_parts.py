@@ -14,14 +14,15 @@ from loopshape.data.result.run_report import CheckedLoop, RunReport
 from loopshape.data.result.verdict import Line, Verdict
 from loopshape.data.result.verdict_words import reach_text
 from loopshape.view.html.markup import Content, Markup, joined, tag
-from loopshape.view.html.tables import Cell, figure, table, together
 from loopshape.view.html.words import (
     DASH,
     OUTCOME_OF,
     WORDS,
+    Cell,
     badge,
     band,
     count,
+    figure,
     found_text,
     interval,
     longer,
@@ -31,6 +32,8 @@ from loopshape.view.html.words import (
     shown_unit,
     sign,
     spare,
+    table,
+    together,
     wished,
     with_reach,
 )

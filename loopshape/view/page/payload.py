@@ -31,14 +31,13 @@ from loopshape.identify.smooth import smoothing
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.identify.smooth.smoothing import Recipe, recipe_of
+from loopshape.loop import detuning, shifted
 from loopshape.loop.margin import between, margins
-from loopshape.loop.margin.low_frequency import LowModel
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
-from loopshape.loop.shift import detuning, shifted
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.crowded import Left, Stretch
-from loopshape.loop.stability.low_end import low_hz, low_models
+from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 

@@ -15,8 +15,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import margins_of, worst_of
 from loopshape.view.key import Entry, place_notes
 from loopshape.view.labels import point
-from loopshape.view.plots.curves import hide_inner, nearest_branch
-from loopshape.view.plots.phase import known_lines
+from loopshape.view.plots.curves import hide_inner, known_lines, nearest_branch
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, head, new_figure, styled
 from loopshape.view.verdict.loop_parts import (
     BAND_COLOUR,

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, db
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.method import in_short
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.view.key import count, curve, key_of, place_key, place_notes
 from loopshape.view.labels import (
     decibel,
     expression,
+    method_in_short,
     point,
     product,
     ratio,
@@ -260,7 +260,7 @@ def frf_overview(frfs: Sequence[FRF], fits: Sequence[Fit] | None = None) -> Figu
     if fits is not None:
         place_notes(top, [("fits", {"color": "0.2", "linewidth": 0.7, "linestyle": "--"})], "upper right")
     place_key(figure, key)
-    head(figure, _overview_title(frfs), key.common, in_short(frfs))
+    head(figure, _overview_title(frfs), key.common, method_in_short(frfs))
     return figure
 
 

@@ -17,19 +17,17 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import Worst, worst_of
-from loopshape.view.key import Entry, curve, key_of, place_key
-from loopshape.view.plots.contours import error_region
-from loopshape.view.plots.curves import UNTRUSTED, nearest_branch
+from loopshape.view.key import Crowd, Entry, corner_with_room, curve, key_of, place_entries, place_key
+from loopshape.view.plots.curves import UNTRUSTED, draw_known, loop_phase_deg, nearest_branch
 from loopshape.view.plots.nichols_guides import (
     CONTOUR_ENTRIES,
     centre_marks,
     closest_db,
     contours,
+    error_region,
     forbidden,
     forbidden_entries,
 )
-from loopshape.view.plots.phase import draw_known, loop_phase_deg
-from loopshape.view.room import Crowd, corner_with_room, place_entries
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, axes_or_new, figure_of, head, styled
 from loopshape.view.verdict.loop_parts import named, needs_loops, shown, standing_out, title_of, worst_text
 

@@ -1,4 +1,7 @@
-"""What a Nichols chart holds curves against: contours of |S| and |T|, what is forbidden, the required margins."""
+"""What a Nichols chart holds curves against: contours of |S| and |T|, what is forbidden, the required margins.
+
+Nichols coordinates are open-loop phase in degrees and magnitude in dB.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from loopshape.core.units import Array, ComplexArray, db
+from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg, from_db
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.view.key import Entry
+from loopshape.view.key import Crowd, Entry
 from loopshape.view.labels import number
-from loopshape.view.plots.contours import constant_s, constant_t, nichols_coordinates, turns
-from loopshape.view.room import Crowd
 from loopshape.view.style import LIMIT
 
 LEVELS_DB = (12.0, 6.0, 3.0, 0.0, -6.0, -12.0, -20.0)
@@ -122,3 +123,46 @@ def centre_marks(ax: Axes) -> None:
     for shift in turns(*ax.get_xlim()):
         style: dict[str, Any] = {"color": "black", "markersize": 7.0, "zorder": 2.7, "gid": "critical point"}
         ax.plot([shift - 180.0], [0.0], "+", scalex=False, scaley=False, **style)
+
+
+#: radius that holds 95 % of a circular error, in its standard deviations sqrt(E|d|²)
+_REACH_95 = float(np.sqrt(-np.log(0.05)))
+
+
+def constant_s(sensitivity_db: float, points: int = 721) -> ComplexArray:
+    """Open loops L (points,) with |S| = 1/|1 + L| at a level: a circle around -1, from phase -360 round to 0."""
+    edge = 1e-9 if sensitivity_db <= 0.0 else 0.0  # circles around the origin too stay open at its phase jump
+    turn = np.linspace(edge, TWO_PI - edge, points)
+    return np.asarray(-1.0 + np.exp(1j * turn) / from_db(sensitivity_db))
+
+
+def constant_t(complementary_db: float, points: int = 721) -> ComplexArray:
+    """Open loops L (points,) with |T| = |L|/|1 + L| at a level."""
+    edge = 1e-9 if complementary_db <= 0.0 else 0.0
+    t = from_db(complementary_db) * np.exp(1j * np.linspace(edge, TWO_PI - edge, points))
+    return np.asarray(t / (1.0 - t))
+
+
+def nichols_coordinates(open_loop: ComplexArray) -> tuple[Array, Array]:
+    """Phase in (-360, 0] degrees and magnitude in dB."""
+    phase = deg(np.angle(open_loop))
+    return np.where(phase > 0.0, phase - 360.0, phase), db(open_loop)
+
+
+def turns(low_deg: float, high_deg: float) -> list[float]:
+    """Whole turns by which something around -180 degrees is repeated to fill a range of phases."""
+    first, last = np.floor((low_deg + 180.0) / 360.0), np.ceil((high_deg + 180.0) / 360.0)
+    return [360.0 * k for k in range(int(first), int(last) + 1)]
+
+
+def error_region(centre: complex, deviation: float, phase_deg: float, points: int = 73) -> tuple[Array, Array]:
+    """Edge (points,) of the 95 % region of a response with a circular error: phase in degrees and magnitude in dB.
+
+    A circle about `centre` of 1.73 times `deviation` = sqrt(E|d|²), carried over point by point: in these coordinates
+    it is bent, not an ellipse. `phase_deg` is the centre's own phase on the branch wanted. Where the circle holds the
+    origin the phase is not known: the edge is then nan.
+    """
+    if _REACH_95 * deviation >= abs(centre):
+        return np.full(points, np.nan), np.full(points, np.nan)
+    edge = centre + _REACH_95 * deviation * np.exp(1j * np.linspace(0.0, TWO_PI, points))
+    return phase_deg + deg(np.angle(edge / centre)), db(edge)

@@ -14,13 +14,21 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import LIMIT_OF, Margins, Requirements
 from loopshape.data.result.verdict import Verdict
-from loopshape.loop.bands import band
-from loopshape.loop.points import NEAREST, Worst, margins_of
+from loopshape.loop.points import NEAREST, Worst, band, margins_of
 from loopshape.view.key import Entry, Key, count, curve, varying
 from loopshape.view.labels import decibel, point, ratio, symbol, units_of
-from loopshape.view.plots.contours import turns
-from loopshape.view.plots.curves import draw_band, fit_decibels, fit_degrees, frequency_axis, shown_band_hz
-from loopshape.view.plots.phase import controller_phase_deg, draw_known, loop_phase_deg, plant_phase_deg
+from loopshape.view.plots.curves import (
+    controller_phase_deg,
+    draw_band,
+    draw_known,
+    fit_decibels,
+    fit_degrees,
+    frequency_axis,
+    loop_phase_deg,
+    plant_phase_deg,
+    shown_band_hz,
+)
+from loopshape.view.plots.nichols_guides import turns
 from loopshape.view.style import COLOURS, LIMIT, QUIET
 
 #: a band's face, and the line of a worst point among others

@@ -9,11 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
-from loopshape.data.control.loop_matrix import LoopMatrix
+from loopshape.data.control.loop import LoopMatrix, characteristic_loci
 from loopshape.data.requirement.requirements import Margins, SeveralRequirements
 from loopshape.data.result.verdict import SeveralMargins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
-from loopshape.loop.matrix.loci import characteristic_loci
 from loopshape.loop.matrix.several_margins import gauge_matrix
 from loopshape.loop.matrix.structured import mu_bounds
 from loopshape.view.key import place_notes

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
-from loopshape.core.kernels.types import Array, ComplexArray
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
 
 #: the count where the first value of L fits neither its integrators nor its unstable poles
 NO_FIT = -1_000_000

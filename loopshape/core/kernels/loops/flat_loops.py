@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
 from loopshape.core.kernels.loops.encirclements import NO_FIT, count_unstable
-from loopshape.core.kernels.types import Array, ComplexArray
 
 
 @compiled

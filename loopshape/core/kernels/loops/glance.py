@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
 from loopshape.core.kernels.loops.flat_loops import all_stable
 from loopshape.core.kernels.loops.margins import COLUMNS, LN_BANDWIDTH_HZ, LN_WEIGHTED, read_margins
-from loopshape.core.kernels.types import Array, ComplexArray
 
 #: a bound that is missed by more than this (ln or rad) is missed by so much
 _WORST = 30.0

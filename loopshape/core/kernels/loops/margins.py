@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
-from loopshape.core.kernels.types import Array, ComplexArray
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
 
 #: what a column of `read_margins` holds
 GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB = range(8)

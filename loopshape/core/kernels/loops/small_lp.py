@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled
-from loopshape.core.kernels.types import Array
+from loopshape.core.kernels.compiled import Array, compiled
 
 OPTIMAL, NOT_SOLVED = 0, 1
 #: a row counts as violated from here on, and a pivot as one

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_in_line
 from loopshape.core.kernels.loops.flat_loops import mark_peaks
-from loopshape.core.kernels.types import Array, ComplexArray
 
 #: magnitudes that a limit is on: of S, T, CS, PS, the disk (1 - L)/(1 + L), L, its inverse, CS times P's reach, and the
 #: norm of the weighted loop

@@ -21,9 +21,9 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.control.fixed import fixed
 from loopshape.data.control.shorthand import controller, gain
 from loopshape.data.response.frf import FRF
-from loopshape.identify.fit.least_squares import Data, solve
-from loopshape.identify.fit.structures import levy
+from loopshape.identify.fit import Data, solve
 from loopshape.identify.matrix.interaction import square_part
+from loopshape.identify.structures import levy
 
 #: highest order of a filter
 MOST_ORDER = 8

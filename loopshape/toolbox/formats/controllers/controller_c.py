@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.cascade import error_feedback
+from loopshape.core.kernels.biquads import error_feedback
 from loopshape.data.control.controller import Controller
 from loopshape.toolbox.formats.controllers.controller_words import about, block_words, identifier
 

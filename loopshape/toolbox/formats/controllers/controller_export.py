@@ -26,7 +26,7 @@ import numpy as np
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError, refuse_unknown
-from loopshape.core.kernels.cascade import error_feedback
+from loopshape.core.kernels.biquads import error_feedback
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole

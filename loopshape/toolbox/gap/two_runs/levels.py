@@ -26,7 +26,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.signals import instrument
 from loopshape.identify.smooth.resonances import Resonance, resonances
-from loopshape.identify.spectra.pooling import pooled_variance
+from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.toolbox.gap.two_runs.table_paths import known_lines, on_common_lines
 
 APART = 1.25  # ratio of levels, below which two recordings are of one level

@@ -1,5 +1,5 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
-// obstacles.py, doubt.py, holes.py). What cannot be proved here is undecided.
+// obstacles.py, holes.py). What cannot be proved here is undecided.
 
 import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Obstacle, type Past } from "./between";

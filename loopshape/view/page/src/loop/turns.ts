@@ -1,4 +1,4 @@
-// How 1 + L turns along L, and how near its chords come to -1 (Python: core/kernels/encirclements.py, loop/crossings.py).
+// How 1 + L turns along L, and how near its chords come to -1 (Python: core/kernels/encirclements.py, loop/between.py).
 
 import { clip, type Complex, type Real } from "../numbers/arrays";
 

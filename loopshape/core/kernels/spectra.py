@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
-from loopshape.core.kernels.types import Array, ComplexArray, Sliced
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_in_line
+
+
+class Sliced(Protocol):
+    """A signal (n,) that is an array, or is read a slice at a time."""
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Some of them, next to each other."""
 
 
 def hann(n: int) -> Array:

@@ -29,7 +29,7 @@ from loopshape.data.result.detuning import (
 from loopshape.identify.smooth.resonances import Resonance
 from loopshape.loop.margin.margins import LOGARITHMS, PLAIN
 from loopshape.loop.margin.reading import Reader
-from loopshape.loop.shift.shifted import Plant, Reading, plant_of, read, scatter_of, seen_resonances
+from loopshape.loop.shifted import Plant, Reading, plant_of, read, scatter_of, seen_resonances
 from loopshape.loop.stability.obstacles import REACH_95
 
 #: steps between shifts, in per cent: up to what is required, and farther out

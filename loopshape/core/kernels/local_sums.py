@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import compiled, compiled_in_line
-from loopshape.core.kernels.types import Array, ComplexArray
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_in_line
 
 #: beyond so many lines a window's leverages are small, and their mean is taken for each
 NARROW = 100

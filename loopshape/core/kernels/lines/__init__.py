@@ -1,1 +1,0 @@
-"""Kernels over the lines of a response: local sums, smoothing, spectra, draws of its error."""

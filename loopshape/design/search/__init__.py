@@ -1,1 +1,0 @@
-"""Where a tuning begins and how it climbs."""

@@ -1,1 +1,0 @@
-"""Loop to detuning margin: plants whose frequencies are shifted."""
