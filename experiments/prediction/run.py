@@ -35,11 +35,14 @@ from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.predictions import write_predictions
 from loopshape.io.write.requirements import read_requirements
-from loopshape.loop.predict.prediction import plant_behind, predict
+from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.remeasured import Remeasured, remeasure
 from loopshape.loop.verdict import check
 from loopshape.view.style import png
 from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "lab"))
+from plant_behind import plant_behind
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment, numbers, open_loop
 
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.run import Run
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.toolbox.arm.dynamics.equilibrium2 import rest2
 from loopshape.toolbox.arm.dynamics.linear2 import linearise2
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 
 def interaction_db(H):

@@ -6,13 +6,13 @@ from scipy.signal import csd, freqz, lfilter
 
 import loopshape as ls
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 RATE, SETPOINT, SEGMENT = 100.0, 0.3, 400
 A, B = np.poly([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j), 0.8]).real, np.array([0.0, 0.05, 0.02, 0.0])

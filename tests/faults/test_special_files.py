@@ -13,7 +13,7 @@ from bench import command, commands, prepare
 from loopshape.core.errors import LoopshapeError
 from loopshape.io.files import write_json
 from loopshape.io.held import alone
-from loopshape.io.run.measuring import MARK, begun, driver, marked
+from loopshape.toolbox.rig.files.measuring import MARK, begun, driver, marked
 
 #: each file with the commands that read it
 READ = {

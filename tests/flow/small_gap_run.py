@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from loopshape.cli.main import run as command
-from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.rig.excitation.excitation import Multisine, Staircase, Sweep
 from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 

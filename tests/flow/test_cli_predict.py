@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from plant_behind import plant_behind
 from typer.testing import CliRunner, Result
 
 from loopshape.cli.estimate.fit import fit_run
@@ -15,7 +16,6 @@ from loopshape.cli.verify.predict import predict
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.predictions import read_predictions
-from loopshape.loop.predict.prediction import plant_behind
 from loopshape.loop.predict.remeasured import remeasure
 from loopshape.loop.verdict import check
 from loopshape.toolbox.rig.commands.measure import measure

@@ -7,11 +7,11 @@ import pytest
 
 from loopshape.cli.output import Output
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
 from loopshape.io.run.run_folder import read_run, write_run
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.gap.commands.gap_two_runs import two_runs
 from loopshape.toolbox.gap.two_runs.table import compare
+from loopshape.toolbox.rig.excitation.excitation import Multisine, Staircase, Sweep
 from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 

@@ -16,13 +16,13 @@ from loopshape.data.requirement.requirements import Margins
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit, TransferFunction
 from loopshape.data.result.verdict import Line, Verdict
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.io.files import read_json, read_toml, write_json, write_toml
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.fits import read_fits, write_fits
 from loopshape.io.write.frfs import frf_csv, read_frfs, write_frfs
 from loopshape.io.write.junit import write_junit
 from loopshape.io.write.requirements import read_requirements
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from loopshape.toolbox.rig.files.study import read_study
 
 

@@ -20,10 +20,10 @@ from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.interrupts import interrupts
 from loopshape.data.control.controller import Block, Controller
-from loopshape.io.run import measuring
 from loopshape.io.run.journal import read_journal
 from loopshape.io.run.run_folder import finished, read_run
 from loopshape.io.write.verdicts import write_verdicts
+from loopshape.toolbox.rig.files import measuring
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.settings import spoken
 from loopshape.toolbox.rig.target.blocks import Block as Computed

@@ -15,11 +15,11 @@ from loopshape.core.errors import LoopshapeError
 from loopshape.core.toolboxes import function_at
 from loopshape.core.units import TWO_PI
 from loopshape.data.response.model import Estimate
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.io.run.run_folder import write_run
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 pytestmark = pytest.mark.short
 

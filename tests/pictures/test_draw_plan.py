@@ -9,11 +9,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import known_loops as known
 
-from loopshape.data.signal.excitation import Multisine
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_pictures import plan_page
 from loopshape.toolbox.planning.plan_record import first_record
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 from loopshape.view.style import png
 
 

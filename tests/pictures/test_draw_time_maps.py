@@ -11,8 +11,8 @@ from matplotlib.contour import ContourSet
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import deg
 from loopshape.toolbox.arm import equilibria_pictures as equilibria
+from loopshape.toolbox.rig import pictures as time
 from loopshape.view.plots import fits
-from loopshape.view.verdict import time
 
 pytestmark = pytest.mark.short
 

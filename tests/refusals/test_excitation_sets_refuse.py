@@ -7,9 +7,9 @@ import pytest
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Sweep
-from loopshape.data.signal.excitation_sets import realised, together
 from loopshape.data.signal.experiment import Experiment, LoopSetup
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Prbs, Sweep
+from loopshape.toolbox.rig.excitation.excitation_sets import realised, together
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 ONE = Multisine(0.5, 20.0, 4.0, 1.0)

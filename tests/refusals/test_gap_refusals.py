@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from loopshape.cli.main import run as command
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.io.run.run_folder import write_run
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect.effects import FORMS
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 

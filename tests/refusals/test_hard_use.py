@@ -19,7 +19,6 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import Experiment, LoopSetup
-from loopshape.data.signal.multisine import Multisine
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.io.csv_text import CsvShape, read_csv_table
@@ -36,6 +35,7 @@ from loopshape.toolbox.campaign.files import write_index
 from loopshape.toolbox.campaign.machines import Campaign
 from loopshape.toolbox.campaign.many import carried_out
 from loopshape.toolbox.formats.controllers.excitation_export import export_signals
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 from loopshape.toolbox.rig.files.study import read_study
 
 RATE = 100.0

@@ -82,7 +82,7 @@ IMPORTS = {
     "a spreadsheet": (MAP, csv(), "r.xlsx", "r.xlsx", "save the sheet as CSV"),
     "a pickle": (MAP, csv(), "r.pkl", "r.pkl", "numpy.savez"),
     "a loop misspelled": (changed('excites = "axis"', 'excites = "axes"'), csv(), "r.csv", "'axes'", "loops are axis"),
-    "nothing moves": (MAP, re.sub(r",.*", ",0,0", csv()).replace("t,0,0", "t,u,x"), "r.csv", "constant", "check the"),
+    "nothing moves": (MAP, re.sub(r",.*", ",0,0", csv()).replace("t,0,0", "t,u,x"), "r.csv", "not move", "check the"),
     "a closed loop without what was injected": (CLOSED, csv(), "r.csv", "no injected", "name the injected column"),
     "a draft taken for a map": (
         MAP + '\n[draft]\nguesses = ["u is the control"]\n', csv(), "r.csv", "has not been confirmed", "delete [draft]"

@@ -3,8 +3,8 @@
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import Multisine
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 

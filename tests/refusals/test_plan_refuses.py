@@ -10,11 +10,11 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 import known_loops as known
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_record import first_record
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 
 @pytest.fixture(scope="module")

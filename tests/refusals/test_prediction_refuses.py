@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_behind import plant_behind
 
 from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.data.control.controller import Block, Controller
@@ -16,7 +17,7 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_sensitivity
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.predictions import read_predictions, write_predictions
-from loopshape.loop.predict.prediction import compare, plant_behind, predict, sensitivity_of
+from loopshape.loop.predict.prediction import compare, predict, sensitivity_of
 from loopshape.loop.predict.remeasured import remeasure
 from loopshape.toolbox.rig.verbs.machine import blocks_of
 

@@ -9,11 +9,11 @@ import pytest
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import db
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.quality.distortion import distortion
 from loopshape.toolbox.formats.logs.mat5 import read_mat5
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 RATE_HZ, PERIOD_S, N = 100.0, 4.0, 400
 #: odd lines 1 to 79 times 0.25 Hz without every fourth

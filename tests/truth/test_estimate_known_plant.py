@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from known_loops import LOOP, RATE, estimates, plant, record, run_loop
 
-from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Sweep
 
 PLACES = ("controller_input", "plant_input", "reference", "control")
 PERIOD = {"period_s": 4.0, "from_s": 1.0}

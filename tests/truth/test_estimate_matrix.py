@@ -8,13 +8,13 @@ import pytest
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 RATE, PLACES = 100.0, ("controller_input", "plant_input")
 # x+ = A x + B u, y = C x: four states, each output feels both inputs; rings for 0.1 s

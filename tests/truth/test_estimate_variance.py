@@ -14,9 +14,9 @@ from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
 from scipy.signal import freqz, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.averages import POOLED
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Sweep
 
 pytestmark = pytest.mark.long
 

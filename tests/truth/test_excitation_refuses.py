@@ -3,7 +3,7 @@
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep, samples
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep, samples
 
 NAN, INF = float("nan"), float("inf")
 BANDED = {

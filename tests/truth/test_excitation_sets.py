@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from loopshape.data.signal.excitation import BandNoise, Multisine
-from loopshape.data.signal.excitation_sets import orthogonal, realised, together, turns
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine
+from loopshape.toolbox.rig.excitation.excitation_sets import orthogonal, realised, together, turns
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 RATE_HZ = 500.0

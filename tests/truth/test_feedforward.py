@@ -13,13 +13,13 @@ import loopshape as ls
 from loopshape.cli.main import app
 from loopshape.core.errors import WrongUseError
 from loopshape.data.result.verdict import Outcome
-from loopshape.data.signal.excitation import Profile
 from loopshape.data.signal.experiment import Experiment
 from loopshape.io.run.run_folder import write_run
 from loopshape.io.write.controllers import write_controllers
 from loopshape.io.write.frfs import write_frfs
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.learning.verbs import setpoint_of
+from loopshape.toolbox.rig.excitation.excitation import Profile
 
 RATE = 500.0
 F_HZ = np.geomspace(0.1, 100.0, 200)

@@ -5,11 +5,11 @@ import pytest
 from h1_h2 import h1_h2
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import BandNoise
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
+from loopshape.toolbox.rig.excitation.excitation import BandNoise
 
 RATE, K = 200.0, 3.0
 LOOP = LoopSetup("spring", None, None, "stretch_m", "pull_n", None)

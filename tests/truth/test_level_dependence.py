@@ -8,8 +8,8 @@ import pytest
 from level_machine import HZ, run_of
 
 import loopshape as ls
-from loopshape.data.response.level_dependence import Bend
 from loopshape.identify.smooth.resonances import resonances
+from loopshape.toolbox.gap.two_runs.level_dependence import Bend
 from loopshape.toolbox.gap.two_runs.levels import level_dependences
 from loopshape.toolbox.gap.two_runs.table import compare
 

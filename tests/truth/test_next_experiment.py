@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.data.signal.excitation import Multisine, Staircase
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.gap.recordings import next_experiment as nxt
 from loopshape.toolbox.gap.recordings.probing import habits
+from loopshape.toolbox.rig.excitation.excitation import Multisine, Staircase
 from loopshape.toolbox.rig.simulated import experiment as rig_experiment
 from loopshape.toolbox.rig.simulated import header, measure, plan
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study

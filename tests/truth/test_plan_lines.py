@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import Multisine
 from loopshape.toolbox.planning.plan_lines import (
     chosen_lines,
     crossovers_hz,
@@ -13,6 +12,7 @@ from loopshape.toolbox.planning.plan_lines import (
     round_period_s,
     with_line_near,
 )
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 
 
 @pytest.mark.parametrize("damping", [0.005, 0.02, 0.1])

@@ -8,12 +8,12 @@ import pytest
 from scipy.signal import lfilter
 
 from loopshape.core.units import TWO_PI
-from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
-from loopshape.data.signal.excitation_sets import realised
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_record import first_record
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Multisine, Sweep
+from loopshape.toolbox.rig.excitation.excitation_sets import realised
 
 AT_HZ, STD, REPEATS = 6.0, 0.01, 60
 FIRSTS = {

@@ -9,13 +9,13 @@ from scipy.stats import f as f_distribution
 
 import loopshape as ls
 from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.excitation_sets import orthogonal
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.identify.matrix.matrix import estimate_matrix
+from loopshape.toolbox.rig.excitation.excitation import Multisine
+from loopshape.toolbox.rig.excitation.excitation_sets import orthogonal
 
 RATE, PERIOD, N = 100.0, 4.0, 400
 LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", None)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import candidates
+from loopshape.toolbox.rig.excitation.excitation import Multisine
 from loopshape.toolbox.servo.axis import ServoAxis
 from loopshape.toolbox.servo.effects import USUAL, forms
 

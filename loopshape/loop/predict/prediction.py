@@ -256,20 +256,3 @@ def compare_step(measured: StepComparison, prediction: Prediction) -> StepCompar
     k = int(np.argmax(missed))
     outside = float(np.mean((y < low - noise) | (y > high + noise)))
     return replace(measured, predicted=step, outside=outside, largest_miss=float(missed[k]), miss_at_s=float(t[k]))
-
-
-def plant_behind(sensitivity: FRF, input_column: str) -> FRF:
-    """The plant that a measured sensitivity shows, P = (1 - S)/(C S), with C the controller that held the loop.
-
-    A check of it judges the loop that ran: L = (1 - S)/S is as sure as S is, also where the controller lets little
-    through and a plant estimated from z and y is not known. Valid where S is.
-    """
-    held = sensitivity.held_by
-    if held is None:
-        raise WrongUseError("a plant follows from a sensitivity and its controller", "none is known", "name it")
-    S, C = sensitivity.siso, held.response(sensitivity.frequency_hz)
-    variance = sensitivity.variance[:, 0, 0] / np.abs(C * S * S) ** 2
-    return replace(
-        sensitivity, response=((1.0 - S) / (C * S))[:, None, None], inputs=(input_column,), coherence=None,
-        covariance=np.asarray(variance[:, None, None], dtype=complex), method=f"plant behind {sensitivity.method}",
-    )  # fmt: skip

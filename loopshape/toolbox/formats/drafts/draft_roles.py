@@ -19,7 +19,9 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.quality.quality import BEFORE_ITS_CAUSE, MOST_ROWS, inverse_note, loop_feedback, signal_feedback
-from loopshape.identify.quality.roles import (
+from loopshape.identify.settings import Settings
+from loopshape.toolbox.formats.drafts.column_words import TELLING, Role, role_weights
+from loopshape.toolbox.formats.drafts.roles import (
     adds,
     answers,
     at_once,
@@ -28,8 +30,6 @@ from loopshape.identify.quality.roles import (
     differences,
     drives,
 )
-from loopshape.identify.settings import Settings
-from loopshape.toolbox.formats.drafts.column_words import TELLING, Role, role_weights
 
 _AT_ONCE = 0.1  # correlation of what is new at the same row, from which on one signal passes to the other unmoved
 _SMALL = 0.2  # of the same, up to which a sweep or few lags may be the cause

@@ -38,11 +38,9 @@ def two_runs(
     """
     from loopshape.io.files import make_folder, write_json
     from loopshape.io.run.run_folder import read_run
-    from loopshape.toolbox.gap.commands.gap import check_files
     from loopshape.toolbox.gap.two_runs.table import compare
 
     output = output or Output()
-    check_files(save_answer, report)
     table = compare(read_run(real), read_run(sim), bands=bands, real_name=real.name, sim_name=sim.name)
     output.paragraph(table.conclusion)
     output.say("")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from loopshape.data.response.level_dependence import LevelDependence
+from loopshape.toolbox.gap.two_runs.level_dependence import LevelDependence
 
 #: a row counts as a difference where noise alone gives as much, anywhere in the table, in fewer of cases than this
 CHANCE = 0.05

@@ -18,7 +18,6 @@ from scipy.stats import norm
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.level_dependence import Bend, Change, LevelDependence
 from loopshape.data.result.estimates import Remark
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
@@ -27,6 +26,7 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.signals import instrument
 from loopshape.identify.smooth.resonances import Resonance, resonances
 from loopshape.identify.spectra.averages import pooled_variance
+from loopshape.toolbox.gap.two_runs.level_dependence import Bend, Change, LevelDependence
 from loopshape.toolbox.gap.two_runs.table_paths import known_lines, on_common_lines
 
 APART = 1.25  # ratio of levels, below which two recordings are of one level

@@ -10,11 +10,11 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.level_dependence import LevelDependence
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.quality.distortion import Distortion, distortion
 from loopshape.toolbox.gap.nouns.gap_table import DistortionLevels, GapRow, GapTable, NuGapRow
+from loopshape.toolbox.gap.two_runs.level_dependence import LevelDependence
 from loopshape.toolbox.gap.two_runs.levels import at_level, dependences, level_of
 from loopshape.toolbox.gap.two_runs.nu_gap import NuGap, nu_gap, order_of, shaped
 from loopshape.toolbox.gap.two_runs.table_pairs import Pair, check_runs, pair_recordings

@@ -32,8 +32,8 @@ def simulate(
     They are those of a study; a run and a figure of each are written.
     """
     from loopshape.cli.pictures import save
+    from loopshape.toolbox.rig.pictures import responses
     from loopshape.toolbox.rig.verbs.machine import ended_early
-    from loopshape.view.verdict.time import responses
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")

@@ -18,10 +18,10 @@ from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.io.run.arriving import adopted, arriving, keep_arrived
 from loopshape.io.run.journal import note
-from loopshape.io.run.measuring import marked
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run.run_tables import recording_table
 from loopshape.io.write.verdicts import read_verdicts
+from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.study import Study

@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.io.run.measuring import driver
+from loopshape.toolbox.rig.files.measuring import driver
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import REFUSALS, Ask
 from loopshape.toolbox.rig.target.session import NO_PLACE, RefusedError, Session

@@ -22,7 +22,7 @@ from loopshape.data.signal.excitation_parts import (
     repeated,
     samples,
 )
-from loopshape.data.signal.multisine import Multisine
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 __all__ = [
     "BandNoise",
