@@ -1,6 +1,6 @@
 """A machine that no model fits to its noise: a name is still a name, what has none is drawn, and shares add up.
 
-The winch of `tests/own_machine.py` rubs or cogs by formulas of the test's own.
+The winch of `tests/helpers/toolbox/own_machine.py` rubs or cogs by formulas of the test's own.
 """
 
 from dataclasses import replace
