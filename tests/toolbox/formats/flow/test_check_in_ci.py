@@ -19,7 +19,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.verdicts import read_verdicts
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 WORKFLOW = ROOT / "examples" / "ci" / "check-controllers.yml"
 BENCH = ROOT / "examples" / "motor_bench"
 REQUIRE = BENCH / "requirements.toml"
