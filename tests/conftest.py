@@ -48,6 +48,13 @@ def every_figure_is_readable(monkeypatch):
     assert not found, "\n".join(dict.fromkeys(found))
 
 
+@pytest.fixture(autouse=True)
+def every_figure_of_a_test_of_pictures_is_readable(request):
+    """For every test in a folder `pictures`."""
+    if request.path.parent.name == "pictures":
+        request.getfixturevalue("every_figure_is_readable")
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Folder of the shared data: LOOPSHAPE_SHARED, else ../shared beside the repository."""

@@ -1,12 +1,7 @@
 """A structure contains what is left of it where a block does nothing: it never ends lower than that."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "truth"))
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servo, servos, wished
 
 from loopshape.design.problem.evaluation import Evaluation

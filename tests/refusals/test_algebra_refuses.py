@@ -1,13 +1,9 @@
 """FRFs that do not go together: the sentence a user gets."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
 from algebra_nouns import any_frf
 
 from loopshape.core.errors import WrongUseError

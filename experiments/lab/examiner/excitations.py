@@ -10,7 +10,7 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, rad
 from loopshape.data.control.controller import Controller
-from loopshape.toolbox.rig.excitation.excitation import Profile, ramp
+from loopshape.data.signal.excitation import Profile, ramp
 
 RATE_HZ = 1000.0
 PERIOD_S, PERIODS, RAMP_S = 10.0, 4, 1.0

@@ -10,6 +10,7 @@ from typing import Any
 from loopshape.core.errors import LoopshapeError, WrongUseError, refuse_unknown_keys
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import Channel
+from loopshape.data.signal.excitation_sets import realised
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import excited_recordings
@@ -19,7 +20,6 @@ from loopshape.toolbox.gap import registry
 from loopshape.toolbox.planning.plan import plan as plan_from
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
-from loopshape.toolbox.rig.excitation.excitation_sets import realised
 from loopshape.toolbox.rig.simulated import plan as doable
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.files import read

@@ -17,6 +17,7 @@ import numpy as np
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import Array, rad
 from loopshape.data.signal.channel import Channel, sum_terms
+from loopshape.data.signal.excitation import Multisine, Staircase
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
@@ -24,7 +25,6 @@ from loopshape.toolbox.gap.diagnose.evidence import Moves
 from loopshape.toolbox.gap.nouns.gap_report import Proposal
 from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.gap.recordings.probing import Habits, habits, sampled
-from loopshape.toolbox.rig.excitation.excitation import Multisine, Staircase
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 SHARES = (0.4, 1.0, 2.0)  # of the run's own amplitudes

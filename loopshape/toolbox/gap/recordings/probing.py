@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 
 from loopshape.core.units import Array
+from loopshape.data.signal.excitation import Multisine, samples
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.toolbox.rig.excitation.excitation import Multisine, samples
 from loopshape.toolbox.rig.study import ExperimentTemplate
 
 INNER = (0.01, 0.99)  # shares of an injected signal's power below its band's ends

@@ -22,8 +22,7 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
-from loopshape.io.words import Words, said_in
-from loopshape.toolbox.rig.excitation.excitation import (
+from loopshape.data.signal.excitation import (
     BandNoise,
     Excitation,
     Multisine,
@@ -32,7 +31,8 @@ from loopshape.toolbox.rig.excitation.excitation import (
     Staircase,
     Sweep,
 )
-from loopshape.toolbox.rig.excitation.excitation_sets import LOOP_STEP
+from loopshape.data.signal.excitation_sets import LOOP_STEP
+from loopshape.io.words import Words, said_in
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {

@@ -1,1 +1,0 @@
-"""What is injected: a kind and its numbers come in, samples go out."""

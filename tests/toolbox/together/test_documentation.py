@@ -1,0 +1,174 @@
+"""The documentation site builds without a warning, its pages hang together, and its notebooks run as plain Python."""
+
+import json
+import pkgutil
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib
+import matplotlib.pyplot as plt
+import pytest
+from text_layout import looked_at, unreadable
+
+import loopshape as ls
+from loopshape.core.toolboxes import found
+
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
+NOTEBOOKS, GALLERY = (sorted((DOCS / kind).glob("*.py")) for kind in ("notebooks", "gallery"))
+DRAWN = [path for kind in ("readme", "diagrams", "demo") for path in (ROOT / "figures" / kind).glob("*.png")]
+SLOW = {"4_detuning", "5_estimators_on_a_sweep"} | {path.stem for path in NOTEBOOKS[1:]}
+
+
+def copied(to: Path) -> Path:
+    """What the site is made of, without what was made."""
+    shutil.copytree(DOCS, to / "docs", ignore=shutil.ignore_patterns("made", "reference", "__pycache__"))
+    shutil.copytree(ROOT / "examples", to / "examples")
+    shutil.copytree(ROOT / "figures", to / "figures")
+    return to / "docs"
+
+
+def run_python(words: list[str], here: Path, tmp_path: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
+    environment = looked_at() | {"MPLBACKEND": "Agg", "TMPDIR": str(tmp_path)}
+    return subprocess.run(
+        [sys.executable, *words], cwd=here, env=environment, capture_output=True, text=True, check=False,
+        timeout=timeout_s,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "path",
+    # the site runs them all when it is built: the slow ones on their own, warnings as errors, by the hour
+    [
+        pytest.param(p, marks=(pytest.mark.long, pytest.mark.hour) if p.stem in SLOW else [])
+        for p in NOTEBOOKS + GALLERY
+    ],
+    ids=lambda p: p.stem,
+)
+@pytest.mark.usefixtures("every_figure_is_readable")
+def test_an_example_runs_and_its_figures_can_be_read(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if path.stem == "6_a_rig" and shutil.which("cc") is None:
+        pytest.skip("there is no C compiler, which the emulator needs")
+    here = tmp_path / "docs" / path.parent.name
+    here.mkdir(parents=True)
+    shutil.copy(path, here)
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    matplotlib.use("Agg")
+    runpy.run_path(path.name)
+    plt.close("all")
+
+
+def test_there_are_six_notebooks_in_the_percent_format() -> None:
+    assert len(NOTEBOOKS) == 6
+    for path in NOTEBOOKS:
+        text = path.read_text()
+        assert text.startswith('# %% [markdown]\n"""\n')
+        assert text.count("\n# %%\n") >= 3
+
+
+def test_every_page_is_in_the_contents() -> None:
+    index = (DOCS / "index.md").read_text()
+    listed = set(
+        re.findall(r"^[\w/]+$", "\n".join(re.findall(r"```{toctree}\n(.*?)```", index, flags=re.S)), flags=re.M)
+    )
+    made = {"made/notebooks/index", "made/gallery/index"}
+    assert listed == {str(page.with_suffix("")) for page in PAGES} - {"index"} | made
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    listed = set(re.findall(r"^   ([\w.]+)$", (DOCS / "api.md").read_text(), flags=re.M))
+    boxes = {key: dir(getattr(ls, key)) for key in ("plot", *found().toolboxes) if hasattr(ls, key)}
+    inner = {f"{box}.{name}" for box, names in boxes.items() for name in names if not name.startswith("_")}
+    assert listed == set(dir(ls)) - {"__version__", *boxes} | inner
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_what_a_page_leads_to_exists(page: Path) -> None:
+    text = (DOCS / page).read_text()
+    targets = [t.split("#")[0] for t in re.findall(r"\]\(([^):\s]+)\)", text)]
+    assert all((DOCS / page.parent / target).exists() for target in targets if target)
+    for code in re.findall(r"`(loopshape(?:\.[a-z_0-9]+)+)`", text):
+        pkgutil.resolve_name(code)  # raises where there is no such thing
+
+
+@pytest.mark.parametrize("page", ["estimators", "intervals"])
+def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
+    text = (DOCS / "mathematics" / f"{page}.md").read_text()
+    parts = re.split(r"^## ", text, flags=re.M)[1:]
+    assert [part.splitlines()[0] for part in parts if "*Code:*" not in part] == []
+
+
+def test_the_pictures_show_what_the_code_computes_and_can_be_read() -> None:
+    noted = json.loads((ROOT / "figures" / "shown.json").read_text())
+    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    figures = pictures["drawn"]()
+    plt.close("all")
+    computed = pictures["shown"]() | {name: pictures["shown_in"](figure) for name, figure in figures.items()}
+    assert set(noted) - {"demo", "swing"} == set(computed)
+    kept = {path.relative_to(ROOT / "figures").with_suffix("").as_posix() for path in DRAWN}
+    assert kept == set(figures) | {"demo/gap", "readme/swing"}
+    for name, rows in computed.items():
+        assert set(noted[name]) == set(rows)
+        for row, what in rows.items():
+            assert noted[name][row] == pytest.approx(what, rel=2e-3), (name, row, "make pictures")
+    assert {name: found for name, figure in figures.items() if (found := unreadable(figure))} == {}
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)  # two joints with two sensors: 80 s of a free core
+@pytest.mark.parametrize(
+    ("name", "made", "drawn"),
+    [
+        ("demo", "diagnosed", "gap_figure"),
+        pytest.param("swing", "diagnosed_swing", "swing_figure", marks=pytest.mark.hour),
+    ],
+)
+def test_the_picture_of_a_gap_shows_what_the_code_computes(name: str, made: str, drawn: str) -> None:
+    noted = json.loads((ROOT / "figures" / "shown.json").read_text())[name]
+    pictures = runpy.run_path(str(DOCS / "pictures.py"))
+    report = pictures[made]()
+    computed = pictures["shown_of"](report)
+    assert set(noted) == set(computed)
+    for row, numbers in computed.items():
+        assert noted[row] == pytest.approx(numbers, rel=2e-3), (row, "make pictures")
+    assert unreadable(pictures[drawn](report)) == []
+
+
+def test_every_picture_kept_is_named_by_a_page() -> None:
+    """By its name or its study's folder: a picture that no page names is neither looked at nor drawn anew."""
+    pages = [ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "experiments").rglob("*.md")]
+    text = "\n".join(page.read_text() for page in pages if "made" not in page.parts)
+    shape = ROOT / "figures" / "shape"  # `make pictures` draws the page of shape in every size
+    kept = [path for path in sorted((ROOT / "figures").rglob("*.png")) if path.parent != shape]
+    named = [path for path in kept if path.name in text or re.search(rf"figures/{path.parent.name}(?!/[\w-]+\.)", text)]
+    assert [str(path.relative_to(ROOT)) for path in kept if path not in named] == []
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    for module in ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery"):
+        pytest.importorskip(module, reason="the extra `docs` is not installed")
+    docs, out = copied(tmp_path), tmp_path / "site"
+    done = run_python(
+        ["-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(docs), str(out)], docs, tmp_path, 280.0
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    pages = {path.relative_to(out).as_posix() for path in out.rglob("*.html")}
+    assert {"index.html", "api.html", "reference/loopshape.tune.html", "mathematics/intervals.html"} <= pages
+    for kind in ("gallery", "notebooks"):
+        for script in (docs / kind).glob("*.py"):
+            page = (out / "made" / kind / f"{script.stem}.html").read_text()
+            assert f"sphx_glr_{script.stem}_001.png" in page, script.stem
+    assert "<math" in (out / "mathematics" / "intervals.html").read_text()
+    loaded = re.compile(r"<(?:script|img)[^>]+src=\"https?:|<link[^>]+stylesheet[^>]+href=\"https?:")
+    assert [path.name for path in out.rglob("*.html") if loaded.search(path.read_text())] == []

@@ -1,0 +1,112 @@
+"""Several loops tuned in turn: as each alone where they do not meet; where they do, a point that none improves on."""
+
+from dataclasses import replace
+
+import pytest
+from two_axes import RATE, F, matrix
+
+import loopshape as ls
+from loopshape.core.errors import WrongUseError
+from loopshape.data.control.controller import Block, Controller
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.response.frf import FRF
+from loopshape.design.several import tune_several
+from loopshape.design.tune import tune
+from loopshape.loop.matrix.several import check_several
+
+
+def wished(name, **limits):
+    table = {
+        "name": name,
+        "integrators": 1,
+        "sensitivity_peak_db": 6.0,
+        "phase_margin_deg": 40.0,
+        "gain_margin_db": 5.0,
+        "control_peak_db": 60.0,
+        "structure": [
+            {"kind": "gain", "gain": {"min": 0.1, "max": 1000.0}},
+            {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 100.0}, "f2_hz": {"min": 5.0, "max": 400.0}},
+        ],
+    }
+    return Requirements.from_table(table | limits)
+
+
+WISHES = (wished("a"), wished("b"))
+WHOLE = SeveralRequirements(unstable_poles=0)
+FEW = {"starts": 4, "draws": 20, "several": WHOLE}
+
+
+def test_loops_that_do_not_meet_are_tuned_as_each_alone():
+    found = ls.tune(matrix(0.0), WISHES, starts=4, together=WHOLE)
+    assert found.converged
+    assert found.feasible
+    assert [turn.round for turn in found.turns] == [1, 1, 2, 2]
+    for k, wish in enumerate(WISHES):
+        own = matrix(0.0)
+        part = FRF(
+            F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.trusted, ("z",), ("y",), "known",
+            "one", wish.loop, RATE,
+        )  # fmt: skip
+        alone = tune([part], replace(wish, unstable_poles=0), starts=4, draws=20)
+        assert found.tunings[wish.loop].bandwidth_hz == pytest.approx(alone.bandwidth_hz, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    frfs = [matrix(1.0), matrix(1.1, (0.005, 0.006), "two")]
+    return frfs, tune_several(frfs, WISHES, **FEW)
+
+
+def test_coupled_loops_come_to_rest_and_pass_together(coupled):
+    frfs, found = coupled
+    assert found.converged
+    assert found.feasible
+    assert check_several(frfs, found.controllers, WISHES, WHOLE).passed
+    moved = [turn.moved for turn in found.turns if turn.round > 1]
+    assert moved[-1] < 3e-3 < moved[0]
+
+
+def test_tuned_alone_they_fail_together(coupled):
+    frfs, _ = coupled
+    alone = tune_several([matrix(0.0), matrix(0.0, (0.005, 0.006), "two")], WISHES, **FEW)
+    assert not check_several(frfs, alone.controllers, WISHES).passed
+
+
+def test_at_rest_no_loop_improves_alone(coupled):
+    frfs, found = coupled
+    again = tune_several(frfs, WISHES, found.controllers, rounds=1, starts=1)
+    for turn in again.turns:
+        assert turn.tuning.bandwidth_hz == pytest.approx(found.tunings[turn.loop].bandwidth_hz, rel=3e-3)
+
+
+@pytest.mark.long
+def test_same_seed_same_controllers(coupled):
+    frfs, found = coupled
+    again = tune_several(frfs, WISHES, **FEW)
+    blocks = [[b.parameters for c in one.controllers for b in c.blocks] for one in (found, again)]
+    assert blocks[0] == blocks[1]
+
+
+def test_a_loop_without_wishes_stays_closed_as_it_is():
+    still = Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
+    found = tune_several([matrix(0.6)], WISHES[:1], [still], **FEW)
+    assert {turn.others for turn in found.turns} == {("b",)}
+    assert [c.loop for c in found.controllers] == ["a", "b"]
+    assert found.controllers[1] is still
+
+
+def test_one_loop_is_refused():
+    with pytest.raises(WrongUseError, match="several loops are two at least"):
+        tune_several([matrix(0.0)], WISHES[:1])
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"R": WISHES, "grow": 1}, "structure, fits, growth and error_rms are of a single loop"),
+        ({"R": WISHES[0], "start": []}, "one loop starts from one controller"),
+    ],
+)
+def test_what_is_of_one_loop_alone_is_not_asked_of_several(asked, words):
+    with pytest.raises(WrongUseError, match=words):
+        ls.tune(matrix(0.0), **asked)
