@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plant_behind import plant_behind
 from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
 from scipy.stats import binom
 
@@ -12,7 +13,7 @@ from loopshape.data.result.prediction import Comparison
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
 from loopshape.loop.predict.agreement import combined, on_common_lines, paired
-from loopshape.loop.predict.prediction import compare, compare_plants, plant_behind, sensitivity_of
+from loopshape.loop.predict.prediction import compare, compare_plants, sensitivity_of
 
 LINES = 0.1 * np.arange(1, 151)
 #: line overlap, averages behind each variance (0: it is known), lines that a variance is pooled over
