@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help docs pictures demo test test-long test-oldest test-newest check speed studies exam clean install
+.PHONY: help docs pictures demo test test-bench test-long test-oldest test-newest check speed studies exam clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -32,6 +32,11 @@ docs: $(STAMP) ## build the documentation site into build/docs; every warning is
 WORKERS = -n auto --dist worksteal
 test: $(STAMP) ## run the tests
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(WORKERS) tests  # libraries add no threads
+
+BENCH = build/bench
+test-bench: $(STAMP) ## the tests of the bench, with no toolbox that could be imported
+	$(BIN)/python .ci/bench.py $(BENCH)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONSAFEPATH=1 PYTHONPATH=$(abspath $(BENCH)) $(BIN)/pytest $(WORKERS) --ignore tests/toolbox tests
 
 LONG ?= long
 test-long: $(STAMP) ## run the tests of minutes: draws by the hundred, kills, damaged files, bad lines; LONG="long and not hour" for what CI runs

@@ -1,4 +1,4 @@
-"""What several tests need: the folder of shared data, and the 1-DoF arm with experiments on it.
+"""What all tests need: the folder of shared data, and an eye on their pictures.
 
 Every PNG that a test writes must be readable: `text_layout` says what it looks for.
 """
@@ -6,14 +6,11 @@ Every PNG that a test writes must be readable: `text_layout` says what it looks 
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis.configuration import set_hypothesis_home_dir
 from matplotlib.figure import Figure
 from text_layout import look_at_each_png, unreadable
-
-from loopshape.data.signal.experiment import Experiment
 
 # the same examples in every run, and no folder .hypothesis at the root, which pytest would look into
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None)
@@ -63,81 +60,3 @@ def shared():
     if not folder.is_dir():
         pytest.skip("the shared data are not here: set LOOPSHAPE_SHARED to their folder")
     return folder
-
-
-@pytest.fixture(scope="session")
-def arm():
-    from loopshape.toolbox.arm.arm1 import Arm1
-
-    return Arm1()
-
-
-@pytest.fixture(scope="session")
-def quiet():
-    """Parameter changes that switch the sensors' noise and the converters off."""
-    return {"angle_noise_deg": 0.0, "pressure_noise_bar": 0.0, "converter_bits": 0.0}
-
-
-@pytest.fixture(scope="session")
-def arm_constants():
-    """The kernel's constants for named parameter changes."""
-    from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
-
-    return lambda **changes: constants(ARM1_PARAMETERS.vector(changes))
-
-
-@pytest.fixture(scope="session")
-def all_effects(arm):
-    """Parameter changes that switch all of the arm's effects on, each by its first form at its first start."""
-    first = {form.effect: form for form in reversed(arm.effects)}
-    moves = [form.at(form.scale * form.free[0].starts[0]).moves for form in first.values()]
-    assert len(first) == 21
-    return {name: value for move in moves for name, value in move.items()}
-
-
-@pytest.fixture(scope="session")
-def arm_experiment(arm):
-    """An experiment at 1 kHz that starts at rest at `start` (deg, bar) and is asked to hold `setpoint`."""
-
-    def make(start, samples, *, setpoint=None, injection="reference", controllers=None, **fields):
-        theta_deg, p_ab = start if setpoint is None else setpoint
-        settings = {
-            "references": np.tile([np.radians(theta_deg), p_ab], (samples, 1)),
-            "injected": np.zeros((samples, 2)),
-            "closed_loop": injection != "control",
-            "operating_point": {"theta2_deg": start[0], "p_ab_bar": start[1]},
-        } | fields
-        loops = arm.loop_setups(controllers or arm.default_controllers(1000.0), injection)
-        return Experiment("one", "none", loops, 1000.0, injection=injection, **settings)
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def arm_open_loop():
-    """The bare kernel, driven by z (n, 2) in V from a state (7,), SI, without noise: log (n, 12) and last state.
-
-    `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
-    """
-    from loopshape.toolbox.arm.dynamics import closed_loop, memory
-    from loopshape.toolbox.arm.parameters import Sensors
-
-    sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9)  # no noise, no converters, a range without end
-    no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
-
-    def run(c, start, z, *, solver=closed_loop.EDGES, steps=1, tick_s=1e-3, period_ticks=20, dead_zone=0.01, m=None):
-        z = np.ascontiguousarray(z, dtype=float)
-        z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
-        state, out = np.array(start, dtype=float), np.empty((len(z), len(closed_loop.LOGGED)))
-        if m is None:
-            m = np.empty(memory.SIZE)
-            memory.start(c, state, m)
-        ended, n = closed_loop.run(
-            c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), closed_loop.plain_wiring(2),
-            np.zeros((len(z), 2)), z,
-            closed_loop.CONTROL, False, tick_s, period_ticks, dead_zone, solver, steps, 1, out,
-        )  # fmt: skip
-        assert (ended, n) == (closed_loop.COMPLETE, len(z))
-        return out, state
-
-    return run

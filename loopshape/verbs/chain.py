@@ -82,13 +82,21 @@ def frf(run: Run | str | Path, loop: str | None = None, *, recording: str | None
 
 
 def fit(
-    P: FRF, structure: str = "auto", *, weighting: str = "variance", stable: bool | None = None, **orders: Any
+    P: FRF,
+    structure: str = "auto",
+    *,
+    R: Requirements | None = None,
+    weighting: str = "variance",
+    stable: bool | None = None,
+    band_hz: tuple[float, float] | None = None,
+    **orders: Any,
 ) -> Fit:
     """A low-order model of a FRF, with intervals and a test of what it leaves.
 
     `structure` is "auto", "third_order", "integrator" (each with "_delay" too) or "rational" with `numerator`,
     `denominator`, `integrators` and `delay`. With `stable` rational structures have
-    no pole in the right half plane; None asks for that of FRFs that were recorded in open loop. Misleads where the
+    no pole in the right half plane; None asks for that where `R` declares no unstable poles, else of FRFs that were
+    recorded in open loop. `band_hz` replaces the valid band. Misleads where the
     structure is wrong: see `sufficient` and `misfit_db`, and `disputed` where few starts reached the optimum.
 
     Examples
@@ -103,15 +111,19 @@ def fit(
     from loopshape.identify.fit import fit as fit_structure
 
     refuse_unknown_keys("a fit has no such option", orders, ORDERS)
+    if stable is None and R is not None and R.unstable_poles is not None:
+        stable = R.unstable_poles == 0
     if structure == "auto":
-        return fit_automatically(P, weighting=weighting, stable=stable)
-    return fit_structure(P, structure_by_name(structure, **orders), weighting=weighting, stable=stable)
+        return fit_automatically(P, weighting=weighting, band_hz=band_hz, stable=stable)
+    chosen = structure_by_name(structure, **orders)
+    return fit_structure(P, chosen, weighting=weighting, band_hz=band_hz, stable=stable)
 
 
 @overload
 def tune(
     P: Plants, R: Requirements, structure: Sequence[BlockTemplate] | None = None, *, fits: Sequence[Fit] = (),
     start: Controller | Tuning | None = None, seed: int = 0, starts: int = 16, grow: int = 0, least_gain: float = 0.01,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
 ) -> Tuning: ...  # fmt: skip
 
 
@@ -367,23 +379,29 @@ def compare(
 ) -> list[Comparison]: ...
 @overload
 def compare(
-    run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0
-) -> list[Remeasured]: ...
+    run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0, frfs: Sequence[FRF] = (),
+    resolution_hz: float | None = None,
+) -> list[Remeasured]: ...  # fmt: skip
 def compare(
     run: Run | str | Path | FRF | Sequence[FRF],
     predictions: Sequence[Prediction] | FRF | Sequence[FRF],
     *,
     tolerance_db: float = 0.0,
+    frfs: Sequence[FRF] = (),
+    resolution_hz: float | None = None,
 ) -> list[Remeasured] | list[Comparison]:
     """Predictions against a run that was recorded under the predicted controllers: S, steps and profiles.
 
     Each has `comparisons` with an outcome; all together reject true predictions 5 % of the time. Deviations of |S|
-    of the rms size `tolerance_db` count as none. Raises WrongUseError where no recording belongs to a prediction.
+    of the rms size `tolerance_db` count as none. `frfs` are those of the run that name their controller: they serve
+    where it has no recording that excites the loop; `resolution_hz` is that of new estimates. Raises WrongUseError
+    where no recording belongs to a prediction.
 
     Two FRFs, or FRFs of two runs (also of import-frf), are compared as plants: each of the second with each of the
     first that is of its loop and operating point.
     """
     from loopshape.data.result.prediction import Prediction
+    from loopshape.identify.settings import Settings
     from loopshape.loop.predict.prediction import compare_all
     from loopshape.loop.predict.remeasured import remeasure
 
@@ -396,4 +414,7 @@ def compare(
         )
     if not isinstance(run, Run | str | Path):
         return compare_all(plants_of(run), plants, tolerance_db=tolerance_db)
-    return remeasure(run if isinstance(run, Run) else read(run), foretold, tolerance_db=tolerance_db)
+    return remeasure(
+        run if isinstance(run, Run) else read(run), foretold, frfs=frfs,
+        settings=Settings(resolution_hz=resolution_hz), tolerance_db=tolerance_db,
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
+    from loopshape.data.control.controller import Controller
     from loopshape.data.response.interaction import Interaction
     from loopshape.data.signal.recording import Recording
 
@@ -49,12 +50,22 @@ def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, w
     return found
 
 
-def interaction(P: FRF, loops: Sequence[str] | None = None) -> Interaction:
+def interaction(
+    P: FRF,
+    loops: Sequence[str] | None = None,
+    controllers: Mapping[str, Controller] | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
+    limit_db: float = -20.0,
+    bands: Sequence[tuple[float, float]] | None = None,
+) -> Interaction:
     """How much the loops of a matrix FRF meet in each other, frequency by frequency, with 95 % bounds.
 
     Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
-    loop meets with the others closed. Raises WrongUseError for a FRF of a single loop.
+    loop meets with the others closed, by `controllers` where those are known, by loop. `outputs` are the loops' rows
+    where names do not tell. Each of the `bands` in Hz (octaves by default) is judged against `limit_db`. Raises
+    WrongUseError for a FRF of a single loop.
     """
     from loopshape.identify.matrix.interaction import interaction as interaction_of
 
-    return interaction_of(P, loops)
+    return interaction_of(P, loops, controllers, outputs=outputs, limit_db=limit_db, bands=bands)

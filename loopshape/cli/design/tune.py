@@ -116,10 +116,10 @@ def _each(
     diagram: Path | None, disturbance: Path | None, **search: Any,
 ) -> _Found:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
-    from loopshape.design.tune import tune as tune_loop
     from loopshape.io.write.check_files import read_diagram
     from loopshape.io.write.frfs import read_frfs
     from loopshape.verbs.chain import disturbances_of
+    from loopshape.verbs.chain import tune as tune_loop
 
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
@@ -128,8 +128,8 @@ def _each(
     found = []
     for required in requirements:
         mine = [one for one in frfs if one.loop == required.loop]
-        known = disturbances_of(disturbance, required.loop)
-        found.append(tune_loop(mine, required, fits, start=began.get(required.loop), disturbances=known, **search))
+        known = disturbances_of(disturbance, required.loop) or None
+        found.append(tune_loop(mine, required, fits=fits, start=began.get(required.loop), disturbance=known, **search))
         report_tuning(found[-1], output, len(mine))
     missed = not all(t.feasible for t in found)
     return found, f"no controller was found that meets all requirements: {_reason(found)}" if missed else "", {}

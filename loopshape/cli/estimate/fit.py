@@ -76,27 +76,21 @@ def fit_run(
 ) -> None:
     """Fit the FRFs of a run (of one loop if named), store the fits beside those of other loops, report them."""
     from loopshape.core.errors import WrongUseError
-    from loopshape.identify.fit import fit as fit_one
-    from loopshape.identify.fit import fit_automatically, structure_by_name
     from loopshape.io.held import held
     from loopshape.io.write.fits import read_fits, write_fits
     from loopshape.io.write.frfs import read_frfs
     from loopshape.io.write.requirements import read_requirements
+    from loopshape.verbs.chain import fit as fit_one
 
-    required = () if require is None else read_requirements(require)
-    poles = {one.loop: one.unstable_poles for one in required if one.unstable_poles is not None}
+    required = {} if require is None else {one.loop: one for one in read_requirements(require)}
     frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
     if not frfs:
         raise WrongUseError("the run has no FRF of such a loop", repr(loop))
-    chosen = None if structure == "auto" else structure_by_name(structure, **orders)
+    chosen: dict[str, Any] = {"weighting": weighting, "band_hz": band_hz, "stable": stable, **orders}
     made = []
     with output.progress("fit", len(frfs)) as step:
         for one in frfs:
-            asked = poles[one.loop] == 0 if stable is None and one.loop in poles else stable
-            if chosen is None:
-                made.append(fit_automatically(one, weighting=weighting, band_hz=band_hz, stable=asked))
-            else:
-                made.append(fit_one(one, chosen, weighting=weighting, band_hz=band_hz, stable=asked))
+            made.append(fit_one(one, structure, R=required.get(one.loop), **chosen))
             step(one.recording)
     known = {(f.recording, f.loop) for f in made}
     with held(run):

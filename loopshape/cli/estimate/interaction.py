@@ -36,8 +36,8 @@ def interaction(
 
     From the matrix FRFs of a run; needs `frf RUN --matrix` before.
     """
-    from loopshape.identify.matrix.interaction import interaction as analyse
     from loopshape.io.write.frfs import read_several_loops
+    from loopshape.verbs.several import interaction as analyse
 
     output = Output(as_json, quiet)
     chosen, rows = _names(loops), _names(outputs)

@@ -36,20 +36,18 @@ def compare(
     Each confirmed, or where not and by how much; exit code 0 where all are. With another run, also one of import-frf,
     in the place of predictions the FRFs of both are compared.
     """
-    from loopshape.identify.settings import Settings
     from loopshape.io.run.run_folder import read_run
     from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
     from loopshape.io.write.predictions import read_predictions
-    from loopshape.loop.predict.remeasured import remeasure
+    from loopshape.verbs.chain import compare as remeasure
 
     output = Output(as_json, quiet)
     if has_any(prediction, FOLDER):
         _two_runs(read_frfs(run), read_frfs(prediction), tolerance_db, output)
         return
     frfs = read_frfs(run) if has_any(run, FOLDER) else ()
-    settings = Settings(resolution_hz=resolution_hz)
     found = remeasure(
-        read_run(run), read_predictions(prediction), frfs=frfs, settings=settings, tolerance_db=tolerance_db
+        read_run(run), read_predictions(prediction), frfs=frfs, resolution_hz=resolution_hz, tolerance_db=tolerance_db
     )
     drawn = _draw(found, figures_of(run)) if figures else []
     outcome = report(found, output)
@@ -61,7 +59,7 @@ def compare(
 
 def _two_runs(first: Sequence[FRF], second: Sequence[FRF], tolerance_db: float, output: Output) -> None:
     """FRFs of two runs: a table of each pair, the worst outcome, exit code 1 where it is not that all agree."""
-    from loopshape.loop.predict.prediction import compare_all
+    from loopshape.verbs.chain import compare as compare_all
 
     found = compare_all(first, second, tolerance_db=tolerance_db)
     columns = ["loop", "first", "second", "outcome", "p-value", "lines", "worst band [Hz]", "P off [dB]"]

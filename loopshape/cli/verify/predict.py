@@ -32,7 +32,7 @@ def predict(
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
     from loopshape.io.write.predictions import write_predictions
-    from loopshape.loop.predict.prediction import predict as predict_loop
+    from loopshape.verbs.chain import predict as predict_loop
 
     output = Output(as_json, quiet)
     frfs, fits, controllers = read_frfs(run), fits_of(run), read_controllers(controller)
@@ -42,10 +42,10 @@ def predict(
             "the run has no FRF of a loop of these controllers",
             f"loops {', '.join(one.loop for one in controllers)} and FRFs of {', '.join({f.loop for f in frfs})}",
         )
-    made = []
+    made: list[Prediction] = []
     with output.progress("predict", len(pairs)) as step:
         for own, mine in pairs:
-            made += predict_loop(mine, own, fits, seed=seed)
+            made += predict_loop(mine, own, fits=fits, seed=seed)
             step(own.loop)
     write_predictions(out, made)
     _report(made, output)

@@ -180,6 +180,8 @@ def controller(
 
 def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[BlockTemplate, ...]:
     """The structure with bounds for what was open: frequencies in the plants' valid bands, gains about 1/|P|."""
+    if not any(value is OPEN for block in structure for value in block.parameters.values()):
+        return tuple(structure)
     bands = np.array([frf.trusted_band_hz for frf in plants])
     low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
     sizes = np.concatenate([np.abs(frf.siso[frf.trusted]) for frf in plants])
