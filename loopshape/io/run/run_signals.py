@@ -45,7 +45,8 @@ def _check_recording(run: Run, recording: Recording) -> list[str]:
             raise BadSignalError(
                 f"{name} of recording {info.file} does not move although loop {loop.name} is excited",
                 f"{float(values[:1][0]):g} in all {values.size} rows",
-                "check the sensor and the column, or leave the recording out",
+                "check the sensor and the column, or leave the recording out"
+                + ("; in open loop the control is what enters the plant" if name == loop.control else ""),
             )
         if name != loop.injected:
             found += _spoiled(name, values, info, recording.rate_hz)

@@ -86,7 +86,7 @@ def in_arrays(n: Array, rate_hz: float, seed: int) -> tuple[Run, dict[str, float
     """A sweep n as arrays alone, which say nothing of its kind, with noise of 1 %, and the errors of the peers."""
     y = lfilter(*IN_ARRAYS, n)
     y = y + 0.01 * y.std() * np.random.default_rng(seed).standard_normal(n.size)
-    run = Run.from_arrays(u=np.zeros(n.size), y=y, excitation=n, rate_hz=rate_hz, injection="plant_input")
+    run = Run.from_arrays(u=n, y=y, rate_hz=rate_hz)
     return run, _peer_errors(n, n, y, rate_hz, easy_plant)
 
 
