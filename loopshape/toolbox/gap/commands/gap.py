@@ -55,6 +55,8 @@ def gap(
     Between a run and the nominal model of its plant, or between two runs; the verdict first.
     """
     output = Output(as_json, quiet)
+    from loopshape.toolbox.gap.commands.gap_two_runs import check_files
+
     check_files(save_answer, report, next_study)
     if baseline is not None and (sim is not None or identifiable):
         refuse_baseline("a second run" if sim is not None else "--identifiable")
@@ -101,6 +103,7 @@ def diagnose_run(
     Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
     """
     from loopshape.io.run.run_folder import read_run
+    from loopshape.toolbox.gap.commands.gap_two_runs import check_files
     from loopshape.toolbox.gap.verbs import gap as run_gap
 
     check_files(save_answer, report, next_study)
@@ -148,17 +151,6 @@ def _fix_line(fix: Fix, answer: Path | None) -> str:
     whose = "fix" if fix.is_verdict else f"fix, if it is {fix.of}"
     files = [str(answer.parent / name) for name in (fix.file, fix.function) if name] if answer is not None else []
     return f"{whose}: {fix.sentence}" + (f" ({' and '.join(files)})" if files else "")
-
-
-def check_files(save_answer: Path | None, report: Path | None, study: Path | None = None) -> None:
-    """Refuse, before anything is computed, a picture of another kind than PNG and a folder in a file's place."""
-    from loopshape.core.errors import WrongUseError
-
-    if report is not None and report.suffix.lower() != ".png":
-        raise WrongUseError("a report is a picture as PNG", str(report), "name a file that ends in .png")
-    for path in (save_answer, report, study):
-        if path is not None and path.is_dir():
-            raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
 
 
 def refuse_baseline(beside: str) -> None:

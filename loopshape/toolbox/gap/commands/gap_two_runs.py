@@ -40,6 +40,7 @@ def two_runs(
     from loopshape.io.run.run_folder import read_run
     from loopshape.toolbox.gap.two_runs.table import compare
 
+    check_files(save_answer, report)
     output = output or Output()
     table = compare(read_run(real), read_run(sim), bands=bands, real_name=real.name, sim_name=sim.name)
     output.paragraph(table.conclusion)
@@ -163,3 +164,14 @@ def time_cells(row: TimeRow) -> Sequence[Any]:
         f"{row.floor:.2g}",
         "*" if row.loud else "",
     )
+
+
+def check_files(save_answer: Path | None, report: Path | None, study: Path | None = None) -> None:
+    """Refuse, before anything is computed, a picture of another kind than PNG and a folder in a file's place."""
+    from loopshape.core.errors import WrongUseError
+
+    if report is not None and report.suffix.lower() != ".png":
+        raise WrongUseError("a report is a picture as PNG", str(report), "name a file that ends in .png")
+    for path in (save_answer, report, study):
+        if path is not None and path.is_dir():
+            raise WrongUseError("a folder stands where a file is to be written", str(path), "name a file")
