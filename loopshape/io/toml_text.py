@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from loopshape.core.errors import WrongUseError
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -28,7 +26,7 @@ def toml_text(data: Mapping[str, Any]) -> str:
 
 def _plain(value: Any) -> Any:
     """Mappings as dicts without None, tuples and arrays as lists, numpy numbers as numbers."""
-    if isinstance(value, np.generic | np.ndarray):
+    if hasattr(value, "tolist"):  # of numpy, which writing a file of words need not import
         return value.tolist()
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items() if v is not None}

@@ -87,6 +87,22 @@ def test_import_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_help_loads_nothing_heavy() -> None:
+    """`--help` is words of commands, those of toolboxes among them: numpy alone would be a third of its time."""
+    words = """
+import sys
+from loopshape.cli import script
+sys.argv = ["loopshape", "--help"]
+try:
+    script()
+except SystemExit:
+    print([m for m in ("numpy", "scipy", "matplotlib", "numba", "pandas") if m in sys.modules], file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=True, timeout=60)
+    assert "campaign" in done.stdout
+    assert done.stderr.strip() == "[]"
+
+
 BOXES = [name for name in found().toolboxes if hasattr(ls, name)]
 EVERY = [name for name in dir(ls) if name != "__version__"]
 EVERY += [f"{box}.{name}" for box in BOXES for name in dir(getattr(ls, box))]
