@@ -41,6 +41,12 @@ def counted() -> dict[str, int]:
     folders = [p for p in folders if not {"node_modules", "__pycache__"} & set(p.parts)]
     full = [p for p in folders if sum(q.suffix in (".py", ".ts") for q in p.iterdir()) > DOZEN]
     inner = [name for p in modules(PACKAGE / "cli") for name in imports(p) if VERBS.match(name)]
+    pairs = {
+        (one.relative_to(PACKAGE).parts[1], name.split(".")[2])
+        for one in modules(PACKAGE / "toolbox")
+        for name in imports(one)
+        if name.startswith("loopshape.toolbox.")
+    }
     crossing = [name for p in bench for name in imports(p) if name.startswith("loopshape.toolbox")]
 
     def lines(paths: list[Path]) -> int:
@@ -58,6 +64,7 @@ def counted() -> dict[str, int]:
         "public_names": len(dir(loopshape)) - 1,
         "imports_of_cli_below_verbs": len(inner),
         "imports_over_the_wall": len(crossing),
+        "pairs_of_toolboxes": sum(one != other for one, other in pairs),
     }
 
 
