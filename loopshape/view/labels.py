@@ -15,7 +15,7 @@ _USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz", "_kg": "kg"}
 
 
 def split_unit(column: str) -> tuple[str, str]:
-    """Name and unit as written: `theta2_deg` is ("theta2", "deg"); no unit is ""."""
+    """Name and unit as written: `theta1_deg` is ("theta1", "deg"); no unit is ""."""
     for suffix, unit in _USER_SUFFIXES.items():
         if column.endswith(suffix):
             return column[: -len(suffix)], unit
@@ -27,7 +27,7 @@ def split_unit(column: str) -> tuple[str, str]:
 
 
 def symbol(name: str) -> str:
-    """`theta2` as a Greek letter with its index, `p_ab` as p with index AB; other words stay."""
+    """`theta1` as a Greek letter with its index, `p_ab` as p with index AB; other words stay."""
     if match := re.fullmatch(rf"(?:(\w)_)?({'|'.join(_GREEK)})_?(\d*)", name):
         lead, letter, index = match.groups()
         inner = rf"\{letter}" + (f"_{{{index}}}" if index else "")

@@ -20,7 +20,7 @@ _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", 
 
 def interaction(
     run: RunFolder,
-    loops: Annotated[str | None, typer.Option(help="Loops, as theta1,theta2; default: all of the matrix.")] = None,
+    loops: Annotated[str | None, typer.Option(help="Loops, as x,y; default: all of the matrix.")] = None,
     outputs: Annotated[
         str | None, typer.Option(help="Their outputs in order, where names do not identify them.")
     ] = None,

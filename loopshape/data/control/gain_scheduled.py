@@ -44,7 +44,7 @@ class Follows(StrEnum):
 class Variable:
     """A scheduling variable: its name in an operating point, its knots, and the loop whose signal it follows.
 
-    A name that ends in a unit (`theta2_deg`) is in that unit, the signal in the stored one. Following the reference
+    A name that ends in a unit (`theta_deg`) is in that unit, the signal in the stored one. Following the reference
     adds no feedback; following the output does, which no frozen operating point shows.
     """
 

@@ -1,4 +1,4 @@
-"""A channel: one signal of a rig, whose column name ends in its unit (`theta2_rad`, `p_a_bar`)."""
+"""A channel: one signal of a rig, whose column name ends in its unit (`theta_rad`, `p_a_bar`)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Channel:
 
     @classmethod
     def from_column(cls, column: str) -> Channel:
-        """Split `theta2_rad` into name and unit; refuses a column that ends in no known unit."""
+        """Split `theta_rad` into name and unit; refuses a column that ends in no known unit."""
         for suffix in SUFFIXES:  # the longest suffixes stand first
             if column.endswith("_" + suffix) and len(column) > len(suffix) + 1:
                 return cls(column[: -len(suffix) - 1], suffix)

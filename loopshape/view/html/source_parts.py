@@ -25,7 +25,7 @@ _PICTURES = {
 
 
 def alt_text(name: str) -> str:
-    """What a picture shows, from its file's name: `nichols_theta2.png`."""
+    """What a picture shows, from its file's name: `nichols_axis.png`."""
     stem = name.rsplit(".", 1)[0]
     kind, _, rest = stem.partition("_")
     return f"{_PICTURES.get(kind, f'Picture {stem}')}{f': {rest}' if rest and kind in _PICTURES else ''}"
