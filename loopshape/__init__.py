@@ -168,12 +168,14 @@ def _behind_gate(function: Any, public: str) -> Any:
 
 
 class _Names:
-    """The names of a toolbox, loaded when they are used; called, it does what the verb of the toolbox's name does."""
+    """The names of a toolbox, loaded when they are used."""
 
     def __init__(self, name: str, purpose: str, homes: Mapping[str, str]) -> None:
         self.__name__, self.__doc__, self.__homes = name, purpose, homes
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # before its fields are there, too: copies and pickles ask
+            raise AttributeError(name)
         if name not in self.__homes:
             raise AttributeError(f"loopshape.{self.__name__} has no {name!r}: it has {', '.join(dir(self))}")
         return _public(self.__homes[name], name, f"ls.{self.__name__}.{name}")
@@ -184,15 +186,36 @@ class _Names:
     def __repr__(self) -> str:
         return f"loopshape.{self.__name__}: {', '.join(dir(self))}"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _toolbox, (self.__name__,)
+
+
+class _Verb(_Names):
+    """A toolbox with a verb of its own name: called, it does what that does."""
+
+    def __init__(self, name: str, purpose: str, homes: Mapping[str, str]) -> None:
+        super().__init__(name, f"{purpose}.\n\nCalled, it is `{name}.{name}`.", homes)
+
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return getattr(self, self.__name__)(*arguments, **named)
+
+    @property
+    def __signature__(self) -> Any:
+        from inspect import signature
+
+        return signature(getattr(self, self.__name__))
+
+
+def _toolbox(name: str) -> _Names:
+    return _toolboxes()[name]
 
 
 @cache
 def _toolboxes() -> dict[str, _Names]:
     from loopshape.core.toolboxes import found
 
-    return {key: _Names(key, one.purpose, one.names) for key, one in found().toolboxes.items() if one.names}
+    boxes = {key: one for key, one in found().toolboxes.items() if one.names}
+    return {key: (_Verb if key in one.names else _Names)(key, one.purpose, one.names) for key, one in boxes.items()}
 
 
 def __dir__() -> list[str]:

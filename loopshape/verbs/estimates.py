@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.errors import BadSignalError, LoopshapeError, WrongUseError
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.estimates import Estimates, Remark
@@ -53,6 +53,7 @@ def estimate(
     (1, ())
     """
     from loopshape.identify.frequency_response import excited_recordings
+    from loopshape.io.run.run_folder import check_recordings
 
     alone_here, chosen = watch is None, settings_of(settings)
     watch = watch or Unwatched()
@@ -60,10 +61,21 @@ def estimate(
     name = None if loop is None else whole.loop(loop).name
     recordings = [r for r in excited_recordings(whole) if name is None or (r.info.alone and r.info.excites == name)]
     alone = [r for r in recordings if r.info.alone]
-    frfs, warnings = _single(whole, alone, chosen, realisations, watch)
+    if name is not None and not alone:
+        raise WrongUseError("no recording excites this loop alone", f"loop {name!r}", "take all, or ls.frf_matrices")
+    looked_at = whole if name is None else replace(whole, recordings=tuple(recordings))
+    warnings = check_recordings(looked_at)
+    frfs = _single(whole, alone, chosen, realisations, watch, warnings)
     frfs = frfs if renew is None else _renewed(Path(renew), frfs)
     several = matrix is not False and (matrix or len(alone) < len(recordings))
-    matrices = matrices_of(whole, recordings, chosen, watch) if several else []
+    matrices: list[FRF] = []
+    if several:
+        try:
+            matrices = matrices_of(whole, recordings, chosen, watch)
+        except BadSignalError as error:
+            if matrix or not frfs:
+                raise
+            warnings.append(f"no matrix of the plant: {error}")
     if not frfs and not matrices and (alone if matrix is False else recordings):
         raise BadSignalError("no recording of the run gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
     looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs)]
@@ -74,15 +86,14 @@ def estimate(
 
 
 def _single(
-    run: Run, recordings: list[Recording], settings: Settings, realisations: bool, watch: Watch
-) -> tuple[list[FRF], list[str]]:
-    """FRFs of single loops; a recording that ended early and gives none is a warning."""
+    run: Run, recordings: list[Recording], settings: Settings, realisations: bool, watch: Watch, warnings: list[str]
+) -> list[FRF]:
+    """FRFs of single loops; of a recording that ended early and gives none a sentence goes to `warnings`."""
     from loopshape.identify import groups
     from loopshape.identify.frequency_response import estimate_together
-    from loopshape.io.run.run_folder import check_recordings
 
     grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
-    made, warnings = [], check_recordings(replace(run, recordings=tuple(recordings))) if recordings else []
+    made = []
     with watch.progress("estimate", len(grouped)) as step:
         for group in grouped:
             info = group[0].info
@@ -93,7 +104,7 @@ def _single(
                     raise
                 warnings.append(f"{info.name}: {info.ended_early}; no FRF from it ({error.what})")
             step(info.name)
-    return made, warnings
+    return made
 
 
 def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
@@ -110,8 +121,13 @@ def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
 
 
 def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> Iterable[Remark]:
-    for place in found().all("looks").values():
-        yield from function_at(place)(run, recordings, frfs)
+    for kind, place in found().all("looks").items():
+        try:
+            yield from function_at(place)(run, recordings, frfs)
+        except LoopshapeError:
+            raise
+        except Exception as error:  # whatever a stranger's look does: the estimate does not hang on it
+            yield Remark("looks", f"the look {kind} of a toolbox failed: {type(error).__name__}: {error}", warning=True)
 
 
 def _renewed(earlier: Path, new: Sequence[FRF]) -> list[FRF]:

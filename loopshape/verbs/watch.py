@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -35,9 +36,12 @@ class Unwatched:
         """Nothing."""
 
     def warn(self, lines: Iterable[str]) -> None:
-        """Each line a `UserWarning`."""
+        """Each line a `UserWarning` of the line that called this package."""
+        frame, level = sys._getframe(1), 2
+        while frame.f_back is not None and str(frame.f_globals.get("__name__", "")).startswith("loopshape."):
+            frame, level = frame.f_back, level + 1
         for line in lines:
-            warnings.warn(line, stacklevel=3)
+            warnings.warn(line, stacklevel=level)
 
     @contextmanager
     def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:

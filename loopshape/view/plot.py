@@ -61,12 +61,14 @@ class Plots:
                 return self.interaction(thing)
             case Prediction():
                 return self.prediction([thing])
+            case tuple() | list() if thing and all(isinstance(one, Prediction) for one in thing):
+                return self.prediction(thing)
             case Verdict() if thing.lines:
                 return margins_map(thing)
         if callable(draw := getattr(thing, "figure", None)):
             made: Figure = draw()
             return made
-        what = "there is no picture of this"
+        what = "there is no picture of this" + (", which has no required margin" if isinstance(thing, Verdict) else "")
         raise WrongUseError(what, type(thing).__name__, "a loop is drawn by ls.plot.bode(P, C), .nyquist and .nichols")
 
     @staticmethod

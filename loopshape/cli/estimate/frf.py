@@ -146,12 +146,11 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     keys += ["distortion_percent"] if told else []
     frfs = zip(rows, found.frfs, strict=True)
     output.json(
-        {
+        found.to_dict()
+        | {
             "run": str(folder),
             "frfs": [dict(zip(keys, row, strict=True)) | {"method": one.method} for row, one in frfs],
             "matrices": matrix_rows,
-            "distortion": found.of("distortion"),
-            "levels": found.of("levels"),
             "figures": drawn,
             "warnings": warnings,
         }

@@ -36,6 +36,12 @@ class Estimates:
         """What the FRFs say of themselves, each with its recording."""
         return [f"{one.recording}: {note}" for one in [*self.frfs, *self.matrices] for note in one.notes]
 
+    def to_dict(self) -> dict[str, Any]:
+        """Warnings and remarks by kind for JSON; the FRFs by recording, loop and digest."""
+        frfs = [{"recording": one.recording, "loop": one.loop, "digest": one.digest} for one in self.frfs]
+        kinds = dict.fromkeys(["distortion", "levels", *(one.kind for one in self.remarks)])
+        return {"frfs": frfs, "warnings": [*self.warnings, *self.notes]} | {kind: self.of(kind) for kind in kinds}
+
     def of(self, kind: str) -> Sequence[Any]:
         """The remarks of one kind, as JSON has them."""
         return [one.sentence if one.data is None else one.data for one in self.remarks if one.kind == kind]

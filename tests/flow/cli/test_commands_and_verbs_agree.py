@@ -2,6 +2,8 @@
 
 import json
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,11 @@ from commands import loopshape
 from scipy.signal import lfilter
 
 import loopshape as ls
+from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import json_ready
+from loopshape.core.toolboxes import Found, Toolbox
 from loopshape.io.write.frfs import read_frfs
+from loopshape.verbs import estimates
 
 RATE_HZ = 500.0
 REQUIREMENTS = """
@@ -116,3 +121,39 @@ def test_predict_says_what_its_verb_gives(folder, estimated):
     words = said("predict", folder / "run", folder / "controller.toml", "--out", out, "--no-figures")
     (C,) = ls.read_controllers(folder / "controller.toml")
     same(words["predictions"], plain(list(ls.predict(estimated[1].frfs, C))))
+
+
+def clipped(name, role="estimation", excites="loop"):
+    """Arrays of a loop whose output is cut off, as one recording."""
+    u = np.random.default_rng(2).standard_normal(6000)
+    y = np.clip(lfilter([0.05], [1.0, -0.95], u), -0.1, 0.1)
+    (one,) = ls.Run.from_arrays(u=u, y=y, rate_hz=RATE_HZ).recordings
+    return replace(one, info=replace(one.info, file=f"{name}.parquet", role=role, excites=excites))
+
+
+def test_faults_of_recordings_that_give_no_frf_are_told():
+    u = np.random.default_rng(1).standard_normal(6000)
+    run = ls.Run.from_arrays(u=u, y=lfilter([0.05], [1.0, -0.95], u), rate_hz=RATE_HZ)
+    both = replace(run, recordings=(*run.recordings, clipped("held-out", role="validation")))
+    with pytest.warns(UserWarning, match="held-out.*saturated") as caught:
+        found = ls.estimate(both)
+    assert [one.recording for one in found.frfs] == ["recording"]
+    assert {Path(one.filename).name for one in caught} == {Path(__file__).name}
+
+
+def test_a_broken_look_harms_nothing(monkeypatch):
+    box = Toolbox("mine", "looks", looks={"odd": "no_such_module:look"})
+    monkeypatch.setattr(estimates, "found", lambda: Found({"mine": box}, ()))
+    u = np.random.default_rng(1).standard_normal(6000)
+    with pytest.warns(UserWarning, match="the look odd of a toolbox failed: ModuleNotFoundError"):
+        assert ls.frf(ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=RATE_HZ)).frequency_hz.size
+
+
+def test_a_loop_that_nothing_excites_alone_is_refused():
+    u = np.random.default_rng(1).standard_normal(6000)
+    run = ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=RATE_HZ)
+    (one,) = run.recordings
+    two = replace(one, info=replace(one.info, excites="other"))
+    other = replace(run, loops=(*run.loops, replace(run.loops[0], name="other")), recordings=(two,))
+    with pytest.raises(WrongUseError, match="no recording excites this loop alone"):
+        ls.estimate(other, "loop")

@@ -1,7 +1,10 @@
 """`import loopshape as ls`: from arrays to a verdict in ten lines or a complex response in five; refusals."""
 
+import copy
 import doctest
+import inspect
 import json
+import pickle
 import shutil
 import subprocess
 import sys
@@ -122,6 +125,13 @@ def test_a_name_of_a_toolbox_says_where_it_is() -> None:
         _ = ls.measure
     with pytest.raises(AttributeError, match=r"loopshape\.rig has no 'mesure': it has Study, connect"):
         _ = ls.rig.mesure
+
+
+def test_a_toolbox_s_names_are_copied_pickled_and_called_as_they_should() -> None:
+    assert copy.copy(ls.gap) is ls.gap
+    assert pickle.loads(pickle.dumps(ls.rig)) is ls.rig
+    assert [name for name in BOXES if callable(getattr(ls, name))] == ["campaign", "gap", "learning"]
+    assert list(inspect.signature(ls.gap).parameters)[:2] == ["run", "model"]
 
 
 @pytest.mark.timeout(900)  # s; compiles what no other test has before
