@@ -8,6 +8,7 @@ import re
 import sys
 import warnings
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from weakref import WeakSet
 
@@ -23,6 +24,7 @@ from sphinx_gallery.scrapers import figure_rst
 from sphinx_gallery.sorting import FileNameSortKey
 
 import loopshape
+from loopshape.core.toolboxes import found
 
 project = "loopshape"
 author = "the loopshape developers"
@@ -30,7 +32,16 @@ copyright = "the loopshape developers; BSD-3-Clause"
 release = version = loopshape.__version__
 
 sys.path.insert(0, str(Path(__file__).parent))  # the gallery finds `last_picture` by its name
-sys.modules["loopshape.plot"] = loopshape.plot  # pages name pictures as a script does
+for _name in (
+    "plot",
+    *found().toolboxes,
+):  # pages name pictures and toolboxes' names as a script does
+    if (_names := getattr(loopshape, _name, None)) is not None:
+        _module = ModuleType(f"loopshape.{_name}", _names.__doc__)
+        vars(_module).update(
+            {one: getattr(_names, one) for one in dir(_names) if not one.startswith("_")}
+        )
+        sys.modules[_module.__name__] = _module
 
 extensions = [
     "myst_parser",

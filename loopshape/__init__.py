@@ -171,23 +171,23 @@ class _Names:
     """The names of a toolbox, loaded when they are used."""
 
     def __init__(self, name: str, purpose: str, homes: Mapping[str, str]) -> None:
-        self.__name__, self.__doc__, self.__homes = name, purpose, homes
+        self.__name__, self.__doc__, self._key, self.__homes = f"loopshape.{name}", purpose, name, homes
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):  # before its fields are there, too: copies and pickles ask
             raise AttributeError(name)
         if name not in self.__homes:
-            raise AttributeError(f"loopshape.{self.__name__} has no {name!r}: it has {', '.join(dir(self))}")
-        return _public(self.__homes[name], name, f"ls.{self.__name__}.{name}")
+            raise AttributeError(f"{self.__name__} has no {name!r}: it has {', '.join(dir(self))}")
+        return _public(self.__homes[name], name, f"ls.{self._key}.{name}")
 
     def __dir__(self) -> list[str]:
         return sorted(self.__homes)
 
     def __repr__(self) -> str:
-        return f"loopshape.{self.__name__}: {', '.join(dir(self))}"
+        return f"{self.__name__}: {', '.join(dir(self))}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _toolbox, (self.__name__,)
+        return _toolbox, (self._key,)
 
 
 class _Verb(_Names):
@@ -197,13 +197,13 @@ class _Verb(_Names):
         super().__init__(name, f"{purpose}.\n\nCalled, it is `{name}.{name}`.", homes)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        return getattr(self, self.__name__)(*arguments, **named)
+        return getattr(self, self._key)(*arguments, **named)
 
     @property
     def __signature__(self) -> Any:
         from inspect import signature
 
-        return signature(getattr(self, self.__name__))
+        return signature(getattr(self, self._key))
 
 
 def _toolbox(name: str) -> _Names:

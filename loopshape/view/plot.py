@@ -47,6 +47,8 @@ def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Lo
 class Plots:
     """Plants, a controller and perhaps requirements in, matplotlib's Axes or Figure out."""
 
+    __name__ = "loopshape.plot"
+
     def __call__(self, thing: object) -> Figure:
         """The picture that suits one thing: a FRF, an interaction, a verdict, a prediction, or a toolbox's noun.
 

@@ -15,6 +15,7 @@ STUDY = Path(__file__).parents[4] / "experiments" / "examiner_cases"
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore:.*saturated:UserWarning")  # a machine with play rests at its ends
 def test_open_loop_records_are_not_called_closed(monkeypatch):
     monkeypatch.syspath_prepend(str(STUDY))
     import open_loop
