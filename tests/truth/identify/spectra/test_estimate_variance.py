@@ -117,13 +117,11 @@ def loud():
     return np.abs(response - plant(f)) ** 2, variance, freedom
 
 
-@pytest.mark.timeout(900)  # s; hundreds of sweeps are estimated before
 def test_a_disturbance_that_comes_with_the_sweep_counts_where_it_came(loud):
     error, variance, _ = loud
     assert 0.9 < np.mean(variance.mean(0) / error.mean(0)) < 1.5  # pooled over the record it would be a tenth
 
 
-@pytest.mark.timeout(900)  # s; hundreds of sweeps are estimated before
 def test_circles_hold_where_a_disturbance_comes_with_the_sweep(loud):
     # some 15 independent lines of 60 records: 0.7 % of chance, twice that as windows are chosen by the same noise
     error, variance, freedom = loud
