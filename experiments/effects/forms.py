@@ -24,7 +24,7 @@ from loopshape.toolbox.gap.diagnose.decide import UNKNOWN_LEAVES
 from loopshape.toolbox.gap.diagnose.diagnose import BRIEF_S, PERIODIC_S
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
-from loopshape.toolbox.gap.registry import diagnosable
+from loopshape.toolbox.rig.registry import diagnosable
 
 TABLE = Path(__file__).parent / "forms.csv"
 COLUMNS = ["effect", "true_form", "fitted_form", "healthy_excess", "excess", "share_left", "log_ratio"]

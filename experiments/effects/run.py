@@ -13,8 +13,8 @@ from loopshape.core.units import deg
 from loopshape.io.files import write_bytes_whole
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
+from loopshape.toolbox.arm.effects_page import effects_page
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet
-from loopshape.toolbox.gap.pictures.effects import effects_page
 from loopshape.toolbox.rig.effect_sheets import sheets
 from loopshape.toolbox.rig.effects import asked
 from loopshape.view.style import png

@@ -28,7 +28,7 @@ from loopshape.data.signal.run import Run
 from loopshape.io.files import make_folder, read_json, reading, write_bytes_whole, write_json, write_text_whole
 from loopshape.io.run.run_folder import alone, write_run
 from loopshape.toolbox.gap.diagnose import diagnose as diagnosis
-from loopshape.toolbox.gap.registry import diagnosable
+from loopshape.toolbox.rig.registry import diagnosable
 from loopshape.view import style
 
 FORMAT = "loopshape-exam/1"

@@ -16,7 +16,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 from loopshape.toolbox.gap.nouns.effect import EffectForm
-from loopshape.toolbox.gap.registry import diagnosable
+from loopshape.toolbox.rig.registry import diagnosable
 
 PLANT = "arm-1dof"
 LEAD_S = 4.0  # a replayed arm stands so long at its first references

@@ -44,6 +44,8 @@ class Toolbox:
     lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
     a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
     its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them.
+    From a plant's name in a study, `plants` lead to what makes the simulated rig, `boards` to that of the emulator,
+    `effect_pages` to a function that draws what its effects do.
     """
 
     name: str
@@ -55,6 +57,9 @@ class Toolbox:
     formats: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
     looks: Mapping[str, str] = field(default_factory=dict)
+    plants: Mapping[str, str] = field(default_factory=dict)
+    boards: Mapping[str, str] = field(default_factory=dict)
+    effect_pages: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -20,4 +20,11 @@ TOOLBOX = Toolbox(
             30,
         ),
     ),
+    plants={
+        "arm-1dof": "loopshape.toolbox.arm.arm1:Arm1",
+        "arm-2dof": "loopshape.toolbox.arm.arm2:Arm2",
+        "arm-2dof-pairs": "loopshape.toolbox.arm.arm2:arm2_pairs",
+    },
+    boards={"arm-1dof": "loopshape.toolbox.arm.emulated:BOARD"},
+    effect_pages={"arm-1dof": "loopshape.toolbox.arm.effects_page:draw_effects"},
 )

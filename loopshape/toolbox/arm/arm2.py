@@ -15,7 +15,7 @@ from loopshape.toolbox.arm.dynamics.equilibrium2 import resting
 from loopshape.toolbox.arm.parameters import P_IN
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2, named, sensor_constants2
 from loopshape.toolbox.arm.simulation import Arm
-from loopshape.toolbox.arm.strategies2 import DUAL, Strategy
+from loopshape.toolbox.arm.strategies2 import DUAL, PAIRS, Strategy
 
 
 class Arm2(Arm):
@@ -93,3 +93,8 @@ class Arm2(Arm):
         names = (key.removesuffix("_bar").removeprefix("p_").upper() for key in self.strategy.point_keys[2:])
         asked = ", ".join(f"p_{name} {bar:g} bar" for name, bar in zip(names, point[2:], strict=True))
         return resting(four, point[0], point[1], float(c[P_IN]), asked)
+
+
+def arm2_pairs() -> Arm2:
+    """The 2-DoF arm with what each muscle of a pair is measured and driven by in common."""
+    return Arm2(PAIRS)

@@ -1,4 +1,4 @@
-"""What the emulated target (`toolbox/rig/c_target/boards/arm_emulator.c`) must know of the arm: its plant's file."""
+"""The arm behind the emulated target: its board in C (`board/arm_emulator.c`), and what that must know of a plant."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect import effect_parameters as e
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, EXPONENT, constants, sensor_constants
 from loopshape.toolbox.arm.simulation import period_ticks
+from loopshape.toolbox.rig.emulator import Board
 
 _EXTRA = (
     e.DEAD_A, e.DEAD_B, e.TWO_L_A, e.TWO_L_B, e.COMPRESSION, e.LEAK_A, e.LEAK_B, e.TILT_SINE, e.TILT_COSINE
@@ -63,3 +64,10 @@ def _check_known(changes: Mapping[str, float], c: np.ndarray) -> None:
 def _plain_names() -> set[str]:
     effects = {row.name for row in e.EFFECT_ROWS}
     return set(ARM1_PARAMETERS.names) - effects
+
+
+BOARD = Board(
+    "loopshape.toolbox.arm",
+    ("board/arm1_model.h", "board/arm_options.h", "board/arm_options.c", "board/arm_emulator.c"),
+    plant_file,
+)

@@ -84,7 +84,7 @@ class _Planned:
 def _planned(file: Path) -> _Planned:
     """Read and check a campaign; refuses what its machines cannot do, before anything is written."""
     from loopshape.io.provenance import file_sha256
-    from loopshape.toolbox.gap import registry
+    from loopshape.toolbox.rig import registry
     from loopshape.toolbox.rig.simulated import plan
 
     asked, study_file = _read(file)
@@ -97,7 +97,7 @@ def _planned(file: Path) -> _Planned:
 
 def _read(file: Path) -> tuple[Campaign, Path]:
     from loopshape.toolbox.campaign.files import read_campaign
-    from loopshape.toolbox.gap import registry
+    from loopshape.toolbox.rig import registry
     from loopshape.toolbox.rig.effects import asked
 
     def of(plant: str, words: Iterable[str]) -> dict[str, float]:

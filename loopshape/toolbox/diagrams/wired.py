@@ -15,8 +15,8 @@ from loopshape.toolbox.diagrams.diagram import Diagram
 class Wired:
     """A diagram whose controllers run on a target, with the study's columns that its signals are.
 
-    `columns` name, for each signal, a loop's column: a reference (`r_theta2_rad`) or an output (`theta2_rad`) is read,
-    a control (`z_theta2_v`) is what the diagram gives in place of that loop's controller. None is a signal from outside
+    `columns` name, for each signal, a loop's column: a reference (`r_x_mm`) or an output (`x_mm`) is read,
+    a control (`z_x_v`) is what the diagram gives in place of that loop's controller. None is a signal from outside
     that nothing moves, as a disturbance. What is injected at the controllers' input of a loop is taken off its output.
     Loops whose control is not named keep their own controllers. Refuses signals that the diagram does not have.
 

@@ -96,7 +96,7 @@ def _followable(run: Run, model: Model | str | Path | None) -> tuple[Followable,
     from loopshape.toolbox.gap.own.file import read_model
     from loopshape.toolbox.gap.own.kinds import with_kinds
     from loopshape.toolbox.gap.own.plant import OwnMachine
-    from loopshape.toolbox.gap.registry import diagnosable
+    from loopshape.toolbox.rig.registry import diagnosable
 
     if model is not None:
         own = read_model(Path(model)) if isinstance(model, str | Path) else model

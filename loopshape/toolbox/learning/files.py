@@ -2,7 +2,7 @@
 
 A feedforward has the columns `t_s` and `feedforward_<unit>`; a study names its file beside itself:
 
-    feedforward = { theta2 = "next.csv" }
+    feedforward = { x = "next.csv" }
 """
 
 from __future__ import annotations

@@ -16,10 +16,10 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import excited_recordings
 from loopshape.io.files import make_folder, write_text_whole, write_toml
 from loopshape.io.write.check_files import controller_of
-from loopshape.toolbox.gap import registry
 from loopshape.toolbox.planning.plan import plan as plan_from
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
+from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.simulated import plan as doable
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.files import read

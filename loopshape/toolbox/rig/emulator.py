@@ -8,24 +8,24 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import cast
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.folders import cache_folder
+from loopshape.core.toolboxes import found
+from loopshape.toolbox.rig.registry import declared
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 SOURCES = (
     "bytes.h", "board.h", "target.h", "state.h", "frames.h", "frames.c", "target.c", "configure.c", "loops.c", "run.c",
     "schedule.c", "blocks.c", "stream.c",
 )  # fmt: skip
-BOARD_SOURCES = (
-    "boards/line.h", "boards/line.c", "boards/arm1_model.h", "boards/arm_options.h", "boards/arm_options.c",
-    "boards/arm_emulator.c",
-)  # fmt: skip
+BOARD_SOURCES = ("boards/line.h", "boards/line.c")
 STOP_S = 10.0
 
 
@@ -34,8 +34,26 @@ class NoCompilerError(LoopshapeError):
 
 
 @dataclass(frozen=True)
+class Board:
+    """A machine simulated in C behind the target: where its sources lie, and what writes the plant's file.
+
+    `plant_file` takes changed parameters, a point and ticks a second, and gives the text that the program reads.
+    """
+
+    package: str
+    sources: tuple[str, ...]
+    plant_file: Callable[..., str]
+
+
+def board(name: str | None = None) -> Board:
+    """The board that a toolbox declares for a plant, the first of all without a name; refuses another."""
+    name = name or min(found().all("boards"))
+    return cast("Board", declared("boards", name, "this plant has no emulator"))
+
+
+@dataclass(frozen=True)
 class Emulator:
-    """How the emulated target runs. `plant` is the text of the plant's file (`plants.arm.emulated.plant_file`).
+    """How the emulated target runs. `plant` is the text of the plant's file (`Board.plant_file`) of a board.
 
     `tcp` is a port of 127.0.0.1 (0: any), None a pseudo-terminal. `drop`, `corrupt` and `duplicate` are probabilities a
     frame of a bad line; `die_after` and `mute_after` count ticks of recordings.
@@ -51,6 +69,7 @@ class Emulator:
     seed: int = 0
     die_after: int = 0
     mute_after: int = 0
+    board: str | None = None
 
     def __post_init__(self) -> None:
         if self.number_bytes not in (4, 8):
@@ -72,9 +91,11 @@ class Emulator:
         return out
 
 
-def source(name: str) -> bytes:
-    """One of the target's C sources, as it lies in the package."""
-    return (files("loopshape.toolbox.rig") / "c_target" / name).read_bytes()
+def sources(one: Board) -> dict[str, bytes]:
+    """The C sources of the target and of a board, by the names that they are compiled by."""
+    target, machine = files("loopshape.toolbox.rig") / "c_target", files(one.package)
+    made = {name: (target / name).read_bytes() for name in (*SOURCES, *BOARD_SOURCES)}
+    return made | {f"boards/{Path(name).name}": (machine / name).read_bytes() for name in one.sources}
 
 
 def compiler() -> list[str]:
@@ -89,8 +110,8 @@ def compiler() -> list[str]:
     return command
 
 
-def program(number_bytes: int = 8) -> Path:
-    """The compiled emulator; compiles it where this version has not been compiled by this compiler yet."""
+def program(number_bytes: int = 8, plant: str | None = None) -> Path:
+    """The compiled emulator of a plant; compiles it where this version has not been compiled by this compiler yet."""
     command = [
         *compiler(),
         *FLAGS,
@@ -99,15 +120,15 @@ def program(number_bytes: int = 8) -> Path:
         "-DTARGET_TICKS=16384",
         "-DTARGET_POOL=65536",
     ]
-    names = (*SOURCES, *BOARD_SOURCES)
+    code = sources(board(plant))
     key = hashlib.sha256("\0".join([*command, _version(command[0])]).encode())
-    for name in names:
-        key.update(source(name))
-    path = cache_folder() / f"arm_emulator-{key.hexdigest()[:16]}"
+    for text in code.values():
+        key.update(text)
+    path = cache_folder() / f"emulator-{key.hexdigest()[:16]}"
     if not path.exists():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _compile(command, names, path)
+            _compile(command, code, path)
         except OSError as error:
             raise WrongUseError(
                 "the emulator cannot be kept where it is compiled to", f"{path.parent}: {error}", "set XDG_CACHE_HOME"
@@ -120,12 +141,12 @@ def _version(command: str) -> str:
     return said.stdout
 
 
-def _compile(command: list[str], names: tuple[str, ...], path: Path) -> None:
+def _compile(command: list[str], code: dict[str, bytes], path: Path) -> None:
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         (Path(folder) / "boards").mkdir()
-        for name in names:
-            (Path(folder) / name).write_bytes(source(name))
-        units = [name for name in names if name.endswith(".c")]
+        for name, text in code.items():
+            (Path(folder) / name).write_bytes(text)
+        units = [name for name in code if name.endswith(".c")]
         said = subprocess.run(
             [*command, "-I.", *units, "-o", "made", "-lm"], cwd=folder, capture_output=True, text=True, check=False
         )
@@ -137,7 +158,7 @@ def _compile(command: list[str], names: tuple[str, ...], path: Path) -> None:
 def start(emulator: Emulator) -> tuple[subprocess.Popen[str], str]:
     """The emulator as a process, and its port: a terminal's path, or tcp://127.0.0.1:PORT. It ends with its input."""
     process = subprocess.Popen(
-        [str(program(emulator.number_bytes)), *emulator.words()],
+        [str(program(emulator.number_bytes, emulator.board)), *emulator.words()],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdin is not None

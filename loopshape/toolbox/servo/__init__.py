@@ -10,4 +10,5 @@ from loopshape.core.toolboxes import Toolbox
 TOOLBOX = Toolbox(
     "servo",
     "The servo axis by its numbers: one mass under a position controller: friction, perhaps a spring",
+    plants={"servo-axis": "loopshape.toolbox.servo.axis:ordinary_axis"},
 )

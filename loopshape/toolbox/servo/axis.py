@@ -249,3 +249,8 @@ def _columns(e: Experiment, out: Array, n: int) -> dict[str, Array]:
     if out.shape[1] > kernel.MEASURED:
         columns |= {"true_position_m": out[:, 2], "true_velocity_m_s": out[:, 3], "true_load_m": out[:, 4]}
     return columns
+
+
+def ordinary_axis() -> ServoAxis:
+    """The axis whose numbers a study gives, diagnosed as ordinary at its zeros."""
+    return ServoAxis(zero_is_ordinary=True)

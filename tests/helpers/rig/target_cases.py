@@ -42,7 +42,7 @@ def compiler() -> list[str]:
 @cache
 def built(*flags: str, rows: int = 64, ticks: int = 256) -> Path:
     """The scripted board compiled with every warning an error, and with sanitizers where the compiler has them."""
-    units = [str(TARGET / name) for name in (*CORE, "boards/scripted.c")]
+    units = [*(str(TARGET / name) for name in CORE), str(Path(__file__).with_name("scripted.c"))]
     folder = tempfile.TemporaryDirectory()
     atexit.register(folder.cleanup)
     out = Path(folder.name) / "scripted"

@@ -14,7 +14,7 @@ from loopshape.cli.main import app
 from loopshape.core.errors import LoopshapeError
 from loopshape.identify.frequency_response import estimate_realisations
 from loopshape.io.run.run_folder import read_run
-from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 

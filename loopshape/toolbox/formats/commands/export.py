@@ -121,7 +121,7 @@ def export_excitation(
 ) -> None:
     """Write a study's injected signals and setpoints. Sample by sample, for a rig that loads files."""
     from loopshape.toolbox.formats.controllers.excitation_export import export_signals
-    from loopshape.toolbox.gap import registry
+    from loopshape.toolbox.rig import registry
     from loopshape.toolbox.rig.described import DescribedRig
     from loopshape.toolbox.rig.files.study import read_study
     from loopshape.toolbox.rig.simulated import experiment, plan

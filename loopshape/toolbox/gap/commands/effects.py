@@ -32,7 +32,7 @@ def effects(
     quiet: Quiet = False,
 ) -> None:
     """List a plant's catalogue of effects. Of each its place, its forms and its usual magnitudes."""
-    from loopshape.toolbox.gap import registry
+    from loopshape.toolbox.rig import registry
     from loopshape.toolbox.rig.effects import catalogue
 
     output = Output(as_json, quiet)
@@ -42,7 +42,8 @@ def effects(
         output.say(markdown_table(rows))
     else:
         output.table(f"Effects of {plant}", COLUMNS, rows)
-    drawn = draw_effects(plant, figure, effect or ()) if figure is not None else []
+    draw = figure and registry.declared("effect_pages", plant, "no page of effects is drawn of this plant")
+    drawn = [str(file) for file in draw(figure, effect or ())] if draw else []
     if drawn:
         output.say("\n".join(drawn))
     cells = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
@@ -92,34 +93,3 @@ def markdown_table(rows: Sequence[Sequence[Any]]) -> str:
             cells[:2] = ["", ""]
         lines.append(f"| {' | '.join(cells)} |".replace("|  |", "| |"))
     return "\n".join(lines)
-
-
-def draw_effects(plant: str, path: Path, words: Sequence[str]) -> list[str]:
-    """Pages of what effects do, at most eleven a page; gives the files. Refuses another plant than the 1-DoF arm."""
-    from loopshape.cli.pictures import save
-    from loopshape.core.errors import WrongUseError
-    from loopshape.toolbox.arm.arm1 import Arm1
-    from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
-    from loopshape.toolbox.gap.pictures.effects import effects_page
-    from loopshape.toolbox.rig.effect_sheets import sheets
-    from loopshape.toolbox.rig.effects import asked
-
-    arm = Arm1()
-    if plant != arm.name:
-        raise WrongUseError("a page of effects is drawn of the 1-DoF arm alone", repr(plant), "leave --figure out")
-    if path.suffix != ".png":
-        raise WrongUseError("a page of effects is a .png file", str(path), f"write {path.with_suffix('.png')}")
-    every = words or list(dict.fromkeys(form.effect for form in arm.effects))
-    found = list(sheets(arm, effect_study(), asked(arm, every), signals, paths))
-    pages = -(-len(found) // 11)
-    each = -(-len(found) // pages)
-    files = [path.with_stem(f"{path.stem}_{k + 1}") for k in range(pages)] if pages > 1 else [path]
-    return [
-        str(save(effects_page(found[k * each : (k + 1) * each], title=_title(k, pages)), file))
-        for k, file in enumerate(files)
-    ]
-
-
-def _title(k: int, pages: int) -> str:
-    title = "What each effect does to the 1-DoF arm"
-    return f"{title} ({k + 1} of {pages})" if pages > 1 else title

@@ -196,6 +196,6 @@ def _off(trace: Trace, simulated: Array) -> Array:
 
 
 def _channel(trace: Trace) -> tuple[str, str]:
-    """Name and unit of `theta2 [deg]`."""
+    """Name and unit of `theta [deg]`."""
     name, _, unit = trace.channel.partition(" [")
     return name, unit.rstrip("]")

@@ -92,7 +92,7 @@ def _lines(table: GapTable) -> tuple[dict[_Key, float], dict[float, str]]:
 
 
 def _path(path: str) -> str:
-    """A path's name with symbols: `z_theta2 -> theta2` as on paper."""
+    """A path's name with symbols: `z_x -> x` as on paper."""
     ends = [
         " + ".join(" − ".join(symbol(name) for name in term.split("-")) for term in end.split("+"))
         for end in path.split(" -> ")

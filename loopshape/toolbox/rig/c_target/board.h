@@ -2,9 +2,9 @@
  * What a board has to write so that the target runs on it. How to port:
  *
  * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
- *    safe, send bytes. boards/arm_emulator.c is a whole example; boards/scripted.c, a board of the tests, has the functions and
+ *    safe, send bytes. the arm's board (toolbox/arm/board/arm_emulator.c) is a whole example; scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
- *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c and arm_options.c are the emulator's.
+ *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c is the emulator's.
  * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,
  *    five columns) to 11 kB (as target.h has them), + 8 TARGET_POOL bytes and 0.5 kB a loop for schedules and blocks (none
  *    where it is 0), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
@@ -52,7 +52,7 @@
 struct board_info {
     const char *name, *version;   /* up to 60 bytes each */
     uint8_t sensors, commands;    /* up to TARGET_SENSORS, TARGET_COMMANDS */
-    const char *const *columns;   /* names of the sensors, then of the commands, with their unit: `theta2_rad`, `u_a_v` */
+    const char *const *columns;   /* names of the sensors, then of the commands, with their unit: `x_mm`, `u_v` */
     const double (*ranges)[2];    /* lowest and highest value of each, in the same order: no limit lies beyond */
     double rate_hz;               /* ticks a second */
     double pwm_hz, dead_zone;     /* the board's own; 0 Hz: no PWM */

@@ -15,28 +15,29 @@ def emulator(
     number_bytes: Annotated[int, typer.Option(help="Bytes of a number in transmission: 4 or 8.")] = 8,
     rate_hz: Annotated[float, typer.Option(help="Ticks a second.")] = 1000.0,
     change: Annotated[list[str] | None, typer.Option(help="A parameter of the arm, as payload_kg=0.2; again.")] = None,
-    theta2_deg: Annotated[float, typer.Option(help="Where the arm stands before it is armed.")] = 0.0,
-    p_ab_bar: Annotated[float, typer.Option(help="Where the arm stands before it is armed.")] = 1.0,
+    at: Annotated[
+        list[str] | None, typer.Option(help="Where it stands before it is armed, as p_ab_bar=1.2; again.")
+    ] = None,
     drop: Annotated[float, typer.Option(help="Probability that a frame is lost, each way.")] = 0.0,
     corrupt: Annotated[float, typer.Option(help="Probability that a frame is corrupted, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Probability that a frame comes twice, each way.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the transmission errors.")] = 0,
 ) -> None:
-    """Emulate a target that drives the 1-DoF arm.
+    """Emulate a target that drives a simulated arm.
 
     Prints the port for `loopshape measure --port`; runs until Ctrl-C.
     """
-    from loopshape.toolbox.arm.emulated import plant_file
-    from loopshape.toolbox.rig.emulator import Emulator, running
+    from loopshape.toolbox.rig.emulator import Emulator, board, running
 
-    plant = plant_file(_changes(change or []), {"theta2_deg": theta2_deg, "p_ab_bar": p_ab_bar}, rate_hz)
+    plant = board().plant_file(_numbers(change or [], "a change is a parameter and its value", "payload_kg=0.2"),
+                               _numbers(at or [], "a point is a coordinate and its value", "p_ab_bar=1.2"), rate_hz)  # fmt: skip
     wanted = Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed)
     with until_interrupted(), interrupts(), running(wanted) as (process, port):
         print(port, flush=True)
         process.wait()
 
 
-def _changes(words: list[str]) -> dict[str, float]:
+def _numbers(words: list[str], what: str, example: str) -> dict[str, float]:
     from loopshape.core.errors import WrongUseError
 
     out = {}
@@ -45,5 +46,5 @@ def _changes(words: list[str]) -> dict[str, float]:
         try:
             out[name] = float(value)
         except ValueError:
-            raise WrongUseError("a change is a parameter and its value", repr(word), "payload_kg=0.2") from None
+            raise WrongUseError(what, repr(word), example) from None
     return out

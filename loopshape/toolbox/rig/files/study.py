@@ -2,21 +2,21 @@
 
     format = "loopshape-study/1"
     rig = "simulated"
-    plant = "arm-1dof"
+    plant = "servo-axis"
     rate_hz = 1000.0                           # default 1000
     seed = 1                                   # default 0; excitations without a seed of their own take it
     solver = "edges"                           # the plant's word for how it integrates
-    operating_points = [{ theta2_deg = 0.0, p_ab_bar = 1.0 }]
+    operating_points = [{ x_mm = 0.0 }]
 
     [parameters]                               # of the plant, where they are not its own
-    [effects]                                  # of the plant's catalogue, by magnitude: joint_friction = 0.12
+    [effects]                                  # of the plant's catalogue, by magnitude: friction = 0.12
     [pwm]                                      # frequency_hz, dead_zone
     [[loop]]                                   # name, and controller or schedule (over, nodes), and decoupling; other
                                                # loops keep the plant's
     [[experiment]]
     name = "sweep"
-    excites = "theta2"
-    excitation = { kind = "sweep", f_low_hz = 0.5, f_high_hz = 30.0, duration_s = 60.0, amplitude_deg = 5.0 }
+    excites = "x"
+    excitation = { kind = "sweep", f_low_hz = 0.5, f_high_hz = 30.0, duration_s = 60.0, amplitude_mm = 5.0 }
 
 An experiment has an `excitation` (with `lead_s`, `tail_s`), `references` or `control` by loop, or only
 `duration_s`; `study_signals` lists their keys. Its kind is the excitation's by default, its injection
@@ -25,9 +25,9 @@ An experiment has an `excitation` (with `lead_s`, `tail_s`), `references` or `co
     [[experiment]]
     name = "both"                              # recordings both-r1-s1, both-r1-s2, both-r2-s1, both-r2-s2
     realisations = 2                           # optional: multisines again with new phases
-    excitations = { theta1 = { kind = "multisine", ... }, theta2 = { kind = "multisine", ... } }
+    excitations = { x = { kind = "multisine", ... }, y = { kind = "multisine", ... } }
 
-`feedforward = { theta2 = "next.csv" }` beside references is added at the plant's input, sample by sample
+`feedforward = { x = "next.csv" }` beside references is added at the plant's input, sample by sample
 (`io.trials`, which `loopshape learning` writes); the file lies beside the study.
 
 `excitations` stands for `excites` and `excitation` where several loops are excited at once: multisines become

@@ -10,11 +10,11 @@ settle_s = 2.0                        # rest at an operating point before a reco
 place = true                          # an emulated machine stands at the operating point at a recording's start
 
 [target.commands]                     # each command as a sum of loops' z
-u_a_v = { theta2 = 1.0, p_ab = 1.0 }
-u_b_v = { theta2 = -1.0, p_ab = 1.0 }
+u_a_v = { x = 1.0, p = 1.0 }
+u_b_v = { x = -1.0, p = 1.0 }
 
 [limits]                              # of every sensor and command by name without unit; the rate may be left out
-theta2 = { low_deg = -40.0, high_deg = 40.0, rate_deg_s = 800.0 }
+x = { low_mm = -40.0, high_mm = 40.0, rate_mm_s = 800.0 }
 u_a = { low_v = -4.0, high_v = 4.0 }
 """
 

@@ -16,7 +16,7 @@ from loopshape.data.signal.run import Run
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.toolbox.diagrams.wired import Wired
-from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.effects import asked
 from loopshape.toolbox.rig.files.study import read_study
@@ -168,14 +168,13 @@ def connect(port: str, *, baud: int = BAUD) -> Target:
 def emulator(
     changes: Mapping[str, float] | None = None, at: Mapping[str, float] | None = None, *, rate_hz: float = 1000.0
 ) -> Iterator[str]:
-    """The 1-DoF arm behind the target's protocol, for trying out a measurement; gives the port, ends with the block.
+    """A simulated arm behind the target's protocol, for trying out a measurement; gives the port, ends with the block.
 
-    `changes` are parameters of the arm, `at` is where it stands (theta2_deg, p_ab_bar). Needs a C compiler, once.
+    `changes` are parameters of the arm, `at` is where it stands, by the names of its point. Needs a C compiler, once.
     """
-    from loopshape.toolbox.arm.emulated import plant_file
-    from loopshape.toolbox.rig.emulator import Emulator, emulated
+    from loopshape.toolbox.rig.emulator import Emulator, board, emulated
 
-    with emulated(Emulator(plant_file(changes, at, rate_hz), tcp=0)) as port:
+    with emulated(Emulator(board().plant_file(changes, at, rate_hz), tcp=0)) as port:
         yield port
 
 

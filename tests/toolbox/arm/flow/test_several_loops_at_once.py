@@ -8,7 +8,7 @@ from arm2_cases import QUIET
 
 from loopshape.core.errors import WrongUseError
 from loopshape.io.run.run_folder import check_recordings, read_run, start_run, write_run
-from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure, plan
 

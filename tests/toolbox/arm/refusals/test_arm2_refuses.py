@@ -6,7 +6,7 @@ from arm2_cases import ARM, MIDDLE, experiment, point
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block, Controller
 from loopshape.toolbox.arm.arm2 import Arm2
-from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 

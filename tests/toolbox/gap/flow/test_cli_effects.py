@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from loopshape.cli.main import app
 from loopshape.io.run.run_folder import read_run
-from loopshape.toolbox.gap import registry
 from loopshape.toolbox.gap.commands.effects import catalogue_rows, markdown_table
+from loopshape.toolbox.rig import registry
 
 DOCS = (Path(__file__).parents[4] / "docs" / "effects.md").read_text()
 STUDY = """

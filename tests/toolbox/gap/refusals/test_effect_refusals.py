@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from loopshape.core.errors import WrongUseError
-from loopshape.toolbox.gap.commands.effects import draw_effects
+from loopshape.toolbox.gap.commands.effects import effects
 from loopshape.toolbox.rig.effects import asked, catalogue, chosen, moves
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
@@ -114,10 +114,10 @@ def test_an_effect_of_another_plant():
 
 
 def test_a_page_of_another_plant_or_kind(tmp_path):
-    with pytest.raises(WrongUseError, match="drawn of the 1-DoF arm alone; received 'servo-axis'"):
-        draw_effects("servo-axis", tmp_path / "page.png", ())
+    with pytest.raises(WrongUseError, match="no page of effects is drawn of this plant; received 'servo-axis'"):
+        effects("servo-axis", tmp_path / "page.png")
     with pytest.raises(WrongUseError, match=r"a page of effects is a \.png file"):
-        draw_effects("arm-1dof", tmp_path / "page.jpeg", ())
+        effects("arm-1dof", tmp_path / "page.jpeg")
 
 
 def test_effects_in_a_study_are_numbers(tmp_path):

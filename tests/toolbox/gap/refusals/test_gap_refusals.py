@@ -112,7 +112,7 @@ def test_recordings_that_are_all_saturated(good, tmp_path, capsys) -> None:
 
 def test_an_unknown_plant(good, tmp_path, capsys) -> None:
     said = refused(replace(good, plant="crane"), tmp_path, capsys)
-    assert "a plant is not known; received 'crane'; use one of arm-1dof, servo-axis" in said
+    assert "a plant is not known; received 'crane'; use one of arm-1dof, arm-2dof, arm-2dof-pairs, servo-axis" in said
 
 
 def test_another_plant(good, tmp_path, capsys) -> None:

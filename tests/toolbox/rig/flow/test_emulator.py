@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulated_cases import emulator, excited, needs_a_compiler, record, settings
-from target_cases import TARGET, WARNINGS
+from target_cases import WARNINGS
 from typer.testing import CliRunner
 
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.folders import cache_folder
 from loopshape.toolbox.arm.emulated import plant_file
 from loopshape.toolbox.rig import emulator as rig
-from loopshape.toolbox.rig.emulator import Emulator, NoCompilerError, program, source, start, stop
+from loopshape.toolbox.rig.emulator import Emulator, NoCompilerError, program, start, stop
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Ask, State
 from loopshape.toolbox.rig.target.session import Session
@@ -28,9 +28,15 @@ from loopshape.toolbox.rig.target.target import configuration
 
 def test_every_source_lies_in_the_package():
     here = Path(rig.__file__).parent / "c_target"
-    known = {*rig.SOURCES, *rig.BOARD_SOURCES, "boards/scripted.c"}
-    assert known == {str(p.relative_to(here)) for p in here.rglob("*.[ch]")}
-    assert all(source(name) for name in known)
+    code = rig.sources(rig.board())
+    assert {*rig.SOURCES, *rig.BOARD_SOURCES} == {str(p.relative_to(here)) for p in here.rglob("*.[ch]")}
+    assert {*code} > {*rig.SOURCES, *rig.BOARD_SOURCES, "boards/arm_emulator.c"}
+    assert all(code.values())
+
+
+def test_a_plant_without_a_board_is_refused():
+    with pytest.raises(WrongUseError, match=r"this plant has no emulator; received 'servo-axis'; use one of arm-1dof"):
+        rig.board("servo-axis")
 
 
 def test_it_is_compiled_once(tmp_path, monkeypatch):
@@ -84,8 +90,11 @@ def test_a_plant_without_a_rest_does_not_start():
 @pytest.mark.parametrize("bytes_each", [4, 8])
 def test_its_sources_compile_without_a_warning(tmp_path, bytes_each):
     needs_a_compiler()
-    units = [TARGET / name for name in (*rig.SOURCES, *rig.BOARD_SOURCES) if name.endswith(".c")]
-    flags = [*WARNINGS, f"-DTARGET_NUMBER_BYTES={bytes_each}", "-I", TARGET, "-o", tmp_path / "made", "-lm"]
+    (tmp_path / "boards").mkdir()
+    for name, text in rig.sources(rig.board()).items():
+        (tmp_path / name).write_bytes(text)
+    units = [*tmp_path.rglob("*.c")]
+    flags = [*WARNINGS, f"-DTARGET_NUMBER_BYTES={bytes_each}", "-I", tmp_path, "-o", tmp_path / "made", "-lm"]
     subprocess.run([*rig.compiler(), *units, *flags], check=True)
 
 

@@ -23,7 +23,7 @@ from loopshape.toolbox.arm.dynamics.linear2 import (
 )
 from loopshape.toolbox.arm.dynamics.model2 import standing_torques
 from loopshape.toolbox.arm.strategies2 import PAIRS
-from loopshape.toolbox.gap import registry
+from loopshape.toolbox.rig import registry
 
 PAIR_ARM = Arm2(PAIRS)
 CENTRE = (0.0, 0.0, 0.8, 0.8)  # deg, deg, bar, bar

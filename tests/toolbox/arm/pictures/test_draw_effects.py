@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from loopshape.core.errors import WrongUseError
+from loopshape.toolbox.arm.effects_page import effects_page
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Free
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet, FrfChange, TimeChange
-from loopshape.toolbox.gap.pictures.effects import effects_page
 from loopshape.view.style import png
 
 F = np.geomspace(0.15, 15.0, 30)

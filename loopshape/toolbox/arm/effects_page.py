@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,6 +32,33 @@ TITLES = (
 UNITS = ("dB over Hz", "deg over Hz", "dB over Hz", "deg over Hz", "mbar over deg", "deg over s")
 ROW_IN = 0.84
 STEP_S = 1.0  # when the setpoint jumps
+
+
+def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
+    """Pages of what effects do, at most eleven a page; gives the files. Refuses another ending than .png."""
+    from loopshape.cli.pictures import save
+    from loopshape.toolbox.arm.arm1 import Arm1
+    from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
+    from loopshape.toolbox.rig.effect_sheets import sheets
+    from loopshape.toolbox.rig.effects import asked
+
+    arm = Arm1()
+    if path.suffix != ".png":
+        raise WrongUseError("a page of effects is a .png file", str(path), f"write {path.with_suffix('.png')}")
+    every = words or list(dict.fromkeys(form.effect for form in arm.effects))
+    found = list(sheets(arm, effect_study(), asked(arm, every), signals, paths))
+    pages = -(-len(found) // 11)
+    each = -(-len(found) // pages)
+    files = [path.with_stem(f"{path.stem}_{k + 1}") for k in range(pages)] if pages > 1 else [path]
+    return [
+        save(effects_page(found[k * each : (k + 1) * each], title=_title(k, pages)), file)
+        for k, file in enumerate(files)
+    ]
+
+
+def _title(k: int, pages: int) -> str:
+    title = "What each effect does to the 1-DoF arm"
+    return f"{title} ({k + 1} of {pages})" if pages > 1 else title
 
 
 @styled()

@@ -7,9 +7,9 @@
  *                                               lines out: f HEX (a frame), g NUMBERS (pulses), safe, enable, noise N
  *     scripted decode                           bytes in; lines out: type, tag, length and CRC of each frame; bad N
  */
-#include "../board.h"
-#include "../frames.h"
-#include "../target.h"
+#include "board.h"
+#include "frames.h"
+#include "target.h"
 
 #include <stdio.h>
 #include <stdlib.h>
