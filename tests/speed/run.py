@@ -281,12 +281,27 @@ def main() -> None:
     line("scipy's solve_ivp, same arm, noise off, 3 s", ivp, f"simulated s/s, {ivp / speed:.5f} of ours")
     line("first call, empty cache, Python's start included", first_call(False), "s")
     line("  filled cache", first_call(True), "s")
+    start_up()
     frf()
     long_recording()
     million()
     runs()
     tuning()
     campaign()
+
+
+def start_up() -> None:
+    """`loopshape --help` and `import loopshape` as whole processes, against an interpreter that imports typer and rich."""
+
+    def process(code: str) -> Callable[[], object]:
+        return lambda: subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+    asked = "import sys; sys.argv = ['loopshape', '--help']; from loopshape.cli import script; script()"
+    parts = "import typer, rich.console, rich.table, rich.panel, importlib.metadata"
+    help_s, bare = interleaved(process(asked), process(parts))
+    line("loopshape --help", help_s, f"s, {help_s / bare:.2f} of an interpreter with typer and rich")
+    import_s, empty = interleaved(process("import loopshape"), process("pass"))
+    line("import loopshape", import_s - empty, f"s beside an empty interpreter's {empty:.3f}")
 
 
 def frf() -> None:
