@@ -291,7 +291,7 @@ def main() -> None:
 
 
 def start_up() -> None:
-    """`loopshape --help` and `import loopshape` as whole processes, against an interpreter that imports typer and rich."""
+    """`loopshape --help` and `import loopshape` as processes, against an interpreter with typer and rich."""
 
     def process(code: str) -> Callable[[], object]:
         return lambda: subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
