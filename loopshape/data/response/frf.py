@@ -308,7 +308,10 @@ class FRF:
                 )
         new = newer.trusted_lines()
         f, (low, high) = self.frequency_hz, new.frequency_hz[[0, -1]]
-        old = self.select((f < low * (1.0 - 1e-6)) | (f > high * (1.0 + 1e-6)))  # the ends are lines of both
+        outside = (f < low * (1.0 - 1e-6)) | (f > high * (1.0 + 1e-6))  # the ends are lines of both
+        if not outside.any():
+            return new
+        old = self.select(outside)
         order = np.argsort(np.concatenate([old.frequency_hz, new.frequency_hz]))
         alike = self.power_per == newer.power_per  # else powers of two kinds would stand in one array
         kept = [name for name in (*_ARRAYS, "trusted") if alike or not name.endswith("_power")]

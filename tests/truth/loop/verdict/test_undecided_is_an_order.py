@@ -72,6 +72,14 @@ def test_the_ordered_band_renews_the_old_lines_and_decides():
         old.renewed(other)
 
 
+def test_a_measurement_of_the_whole_band_takes_the_place_of_the_old_one():
+    f = np.geomspace(1.0, 10.0, 9)
+    old, newer = (FRF.from_arrays(f, 1.0 / (1j * f), std=std) for std in (0.1, 0.01))
+    made = old.renewed(newer)
+    np.testing.assert_array_equal(made.frequency_hz, f)
+    np.testing.assert_array_equal(made.relative_std, newer.relative_std)
+
+
 def test_seconds_go_with_the_square_of_the_error():
     """The seconds bring the deviation of a line that is too uncertain to 5 %: (0.3/0.05)² periods, (0.6/0.05)²."""
     seconds = []
