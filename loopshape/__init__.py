@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from loopshape.core.errors import LoopshapeError as LoopshapeError
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
+    from loopshape.data.control.loop import Loop as Loop
     from loopshape.data.control.shorthand import biquad as biquad
     from loopshape.data.control.shorthand import complex_lead as complex_lead
     from loopshape.data.control.shorthand import controller as controller
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from loopshape.data.response.control_frd import from_control as from_control
     from loopshape.data.response.control_frd import to_control as to_control
     from loopshape.data.response.frf import FRF as FRF
-    from loopshape.data.response.interaction import Interaction as Interaction
     from loopshape.data.response.model import Fit as Fit
     from loopshape.data.result.prediction import Prediction as Prediction
     from loopshape.data.result.verdict import Outcome as Outcome
@@ -91,7 +91,7 @@ _HOME = {
     "Disturbance": "data.signal.disturbance",
     "FRF": "data.response.frf",
     "Fit": "data.response.model",
-    "Interaction": "data.response.interaction",
+    "Loop": "data.control.loop",
     "LoopshapeError": "core.errors",
     "Margins": "data.requirement.requirements",
     "Mask": "data.requirement.limits_over",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,28 @@ def negated(A: FRF) -> FRF:
     """-A, with its error: the response of a loop whose measurement held the sign of its summing point."""
     cross = None if A.cross_power is None else -A.cross_power
     return replace(A, response=-A.response, cross_power=cross, notes=(*A.notes, "the sign was turned, as stated"))
+
+
+def series(A: Any, B: Any) -> FRF:
+    """A B: one of them a FRF, the other a FRF, a controller as it runs, or a number; of one channel, names may differ.
+
+    Gives NotImplemented for anything else, as the operators of Python want it.
+    """
+    P = A if isinstance(A, FRF) else B
+    other = B if P is A else A
+    if isinstance(other, Number):
+        k = complex(other)  # type: ignore[call-overload]
+        noise = None if P.noise_covariance is None else abs(k) ** 2 * P.noise_covariance
+        return replace(
+            P, response=k * P.response, covariance=abs(k) ** 2 * P.covariance, noise_covariance=noise,
+            input_power=None, output_power=None, cross_power=None,
+        )  # fmt: skip
+    if isinstance(other, Controller):
+        other = controller_frf(other, P.frequency_hz, P.outputs, P.inputs)
+    if not isinstance(other, FRF):
+        return NotImplemented
+    one = P.response.shape[1:] == other.response.shape[1:] == (1, 1)
+    return product(*((P, other) if P is A else (other, P)), connect="order" if one else "names")
 
 
 def without_controller(L: FRF, controller: Controller) -> FRF:

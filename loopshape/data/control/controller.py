@@ -162,6 +162,27 @@ class Controller:
         kinds = ", ".join(block.kind for block in self.blocks)
         return f"Controller{f' {self.loop}' if self.loop else ''}: {kinds} at {self.rate_hz:g} Hz"
 
+    def __mul__(self, other: Controller) -> Controller:
+        """Both in series, as one controller; times a FRF, the FRF of the open loop. Refuses two that run otherwise.
+
+        >>> import loopshape as ls
+        >>> ls.controller(ls.gain(2.0), rate_hz=1000.0) * ls.controller(ls.pi(0.5), rate_hz=1000.0)
+        Controller: gain, pi at 1000 Hz
+        """
+        if not isinstance(other, Controller):
+            return NotImplemented
+        alike = ("rate_hz", "discretisation", "prewarp_hz", "added_hold", "precision")
+        if differ := [name for name in alike if getattr(self, name) != getattr(other, name)]:
+            raise WrongUseError(
+                "controllers in series run alike",
+                ", ".join(f"{name} = {getattr(self, name)!r} and {getattr(other, name)!r}" for name in differ),
+                "give both the same settings",
+            )
+        return replace(
+            self, loop=self.loop or other.loop, blocks=self.blocks + other.blocks,
+            computation_delay_s=self.computation_delay_s + other.computation_delay_s,
+        )  # fmt: skip
+
     @property
     def number_format(self) -> Precision:
         """The format of its coefficients."""

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -33,6 +33,9 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.response.smoothed import Scatter
+
+if TYPE_CHECKING:
+    from loopshape.data.algebra import ClosedLoop
 
 #: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
 KNOWN_ABOVE = 0.2
@@ -66,6 +69,11 @@ def _kept(values: Values) -> Values:
 @dataclass(frozen=True, eq=False)
 class Loop:
     """One plant FRF (1 x 1) under one controller; responses (nf,) on the FRF's lines.
+
+    >>> import loopshape as ls
+    >>> P = ls.FRF.from_arrays([1.0, 2.0], [1.0 + 0j, 0.5], std=0.01)
+    >>> ls.Loop(P, ls.controller(ls.gain(1.0), rate_hz=100.0)).complementary.siso.real.round(3).tolist()
+    [0.5, 0.333]
 
     `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane (None: not
     known); the data alone do not show them, they come from the recorded loop, a fit or the user. `model`, where there
@@ -117,6 +125,35 @@ class Loop:
     def PS(self) -> ComplexArray:
         """Process sensitivity."""
         return self.plant.siso * self.S
+
+    @property
+    def open_loop(self) -> FRF:
+        """L = P C as a FRF with its covariance."""
+        return self.plant * self.controller
+
+    @property
+    def sensitivity(self) -> FRF:
+        """S = 1/(1 + P C) as a FRF with its covariance."""
+        return self._closed.S_o
+
+    @property
+    def complementary(self) -> FRF:
+        """T = P C S as a FRF with its covariance."""
+        return self._closed.T_o
+
+    @property
+    def process(self) -> FRF:
+        """P S as a FRF with its covariance."""
+        return self._closed.PS
+
+    @property
+    def control(self) -> FRF:
+        """C S as a FRF with its covariance."""
+        return self._closed.KS
+
+    @cached_property
+    def _closed(self) -> ClosedLoop:
+        return self.plant.feedback(self.controller)
 
     @cached_property
     def above_hz(self) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.units import TWO_PI, from_db
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
@@ -62,17 +63,38 @@ def lead_lag(f1_hz: Parameter = None, f2_hz: Parameter = None) -> BlockTemplate:
 
 
 def notch(
-    f_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None, f2_hz: Parameter = None
-) -> BlockTemplate:
+    f_hz: Parameter = None, damping1: Parameter = None, damping2: Parameter = None, f2_hz: Parameter = None,
+    *, depth_db: float | None = None, width_hz: float | None = None,
+) -> BlockTemplate:  # fmt: skip
     """A notch at `f_hz`: damping of its zeros over that of its poles; `f2_hz` moves its poles (a skewed notch).
+
+    `depth_db` (above 3.01) at `f_hz` and `width_hz` between its -3 dB points are another way to say the dampings.
 
     >>> import loopshape as ls
     >>> ls.notch(58.8, 0.05, 0.7).tie
     {'f2_hz': 'f1_hz'}
+    >>> round(ls.notch(50.0, depth_db=20.0, width_hz=10.0).parameters["damping2"], 4)
+    0.101
     """
+    if depth_db is not None or width_hz is not None:
+        damping1, damping2 = _dampings(f_hz, (damping1, damping2, f2_hz), depth_db, width_hz)
     if f2_hz is None:
         return _block("notch", {"f2_hz": "f1_hz"}, f1_hz=f_hz, damping1=damping1, damping2=damping2)
     return _block("notch", f1_hz=f_hz, f2_hz=f2_hz, damping1=damping1, damping2=damping2)
+
+
+def _dampings(
+    f_hz: Parameter, others: tuple[Parameter, ...], depth_db: float | None, width_hz: float | None
+) -> tuple[float, float]:
+    """Dampings of a notch by depth and width: with x = f/f0 - f0/f it is 1/2 where x^2 = 4 z2^2 - 8 z1^2 in power."""
+    what = "a notch by its depth (above 3.01 dB) and its width needs both and f_hz as numbers, and no dampings"
+    numbers = [x for x in (f_hz, depth_db, width_hz) if isinstance(x, int | float) and 0.0 < x < np.inf]
+    if len(numbers) < 3 or any(x is not None for x in others) or from_db(-numbers[1]) >= np.sqrt(0.5):
+        raise WrongUseError(what, f"f_hz = {f_hz!r}, depth_db = {depth_db!r}, width_hz = {width_hz!r}")
+    f, depth, width = numbers
+    ratio = float(from_db(-depth))
+    damping2 = width / (2.0 * f * np.sqrt(1.0 - 2.0 * ratio**2))
+    return ratio * damping2, float(damping2)
 
 
 def biquad(
@@ -140,14 +162,29 @@ def pi(f_hz: Parameter = None) -> BlockTemplate:
 
 
 def pid(
-    gain: Parameter = None, fi_hz: Parameter = None, fd_hz: Parameter = None, ff_hz: Parameter = None
-) -> BlockTemplate:
+    gain: Parameter = None, fi_hz: Parameter = None, fd_hz: Parameter = None, ff_hz: Parameter = None,
+    **gains: float,
+) -> BlockTemplate:  # fmt: skip
     """A PID with a tame derivative, gain (1 + wi/s + (s/wd)/(s/wf + 1)); corners in Hz, `ff_hz` that of the filter.
+
+    By `kp`, `ti`, `td`, `tf` (in s) it is kp (1 + 1/(ti s) + td s/(tf s + 1)), by `kp`, `ki`, `kd`, `tf` it is
+    kp + ki/s + kd s/(tf s + 1): all four are numbers above zero.
 
     >>> import loopshape as ls
     >>> ls.controller(ls.pid(2.0, 0.5, 8.0, 200.0), rate_hz=1000.0).integrators()
     1
+    >>> round(ls.pid(kp=2.0, ti=0.5, td=0.02, tf=0.001).parameters["fi_hz"], 4)
+    0.3183
     """
+    if gains:
+        if {*gains} not in ({"kp", "ti", "td", "tf"}, {"kp", "ki", "kd", "tf"}) or not min(gains.values()) > 0.0:
+            raise WrongUseError(
+                "a PID by its times or gains has kp, ti, td, tf or kp, ki, kd, tf, all above zero",
+                ", ".join(f"{name} = {value!r}" for name, value in gains.items()), "or use corners in Hz",
+            )  # fmt: skip
+        kp, tf = gains["kp"], gains["tf"]
+        ti, td = (gains["ti"], gains["td"]) if "ti" in gains else (kp / gains["ki"], gains["kd"] / kp)
+        gain, fi_hz, fd_hz, ff_hz = kp, *(1.0 / (TWO_PI * t) for t in (ti, td, tf))
     return _block("pid", gain=gain, fi_hz=fi_hz, fd_hz=fd_hz, ff_hz=ff_hz)
 
 

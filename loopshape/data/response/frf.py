@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from hashlib import sha256
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,9 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.arrays import number, rate
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf_arrays import NEEDED, lines_of, passed, stated_arrays
+
+if TYPE_CHECKING:
+    from loopshape.data.algebra import ClosedLoop
 
 _ARRAYS = (
     "frequency_hz",
@@ -221,6 +224,41 @@ class FRF:
         rate = f", rate {self.rate_hz:g} Hz" if self.rate_hz else ""
         return f"FRF{f' {of}' if of else ''}: {f.size} frequencies, {f[0]:.4g} to {f[-1]:.4g} Hz{valid}, {size}{rate}"
 
+    def __mul__(self, other: FRF | Controller | complex) -> FRF:
+        """P Q or P C, what stands on the right comes first (a controller as it runs), or P times a number."""
+        return _series(self, other)
+
+    def __rmul__(self, other: Controller | complex) -> FRF:
+        return _series(other, self)
+
+    def __add__(self, other: FRF) -> FRF:
+        """P + Q, side by side."""
+        from loopshape.data.algebra import add
+
+        return add(self, other) if isinstance(other, FRF) else NotImplemented
+
+    def __sub__(self, other: FRF) -> FRF:
+        from loopshape.data.algebra import subtract
+
+        return subtract(self, other) if isinstance(other, FRF) else NotImplemented
+
+    def __neg__(self) -> FRF:
+        return _series(-1.0, self)
+
+    def feedback(self, K: FRF | Controller | Sequence[Controller]) -> ClosedLoop:
+        """The closed loop of this plant and K with negative feedback: S, T, PS and KS, each with its covariance.
+
+        Whether it is stable is for `ls.check` to say.
+
+        >>> import loopshape as ls
+        >>> P = ls.FRF.from_arrays([1.0, 2.0], [1.0 + 0j, 0.5], std=0.01)
+        >>> P.feedback(ls.controller(ls.gain(1.0), rate_hz=100.0)).S_o.siso.round(3).tolist()
+        [(0.5+0j), (0.667+0j)]
+        """
+        from loopshape.data.algebra import feedback
+
+        return feedback(self, K)
+
     @property
     def digest(self) -> str:
         """A short mark of lines and response, by which a fit knows the FRF that it was made for."""
@@ -330,3 +368,9 @@ class FRF:
             open_loop=self.open_loop and newer.open_loop,
             notes=tuple(dict.fromkeys([*self.notes, *newer.notes])),
         )
+
+
+def _series(A: Any, B: Any) -> FRF:
+    from loopshape.data.algebra.operations import series
+
+    return series(A, B)

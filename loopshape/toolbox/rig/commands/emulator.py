@@ -29,8 +29,9 @@ def emulator(
     """
     from loopshape.toolbox.rig.emulator import Emulator, board, running
 
-    plant = board().plant_file(_numbers(change or [], "a change is a parameter and its value", "payload_kg=0.2"),
-                               _numbers(at or [], "a point is a coordinate and its value", "p_ab_bar=1.2"), rate_hz)  # fmt: skip
+    changes = _numbers(change or [], "a change is a parameter and its value", "payload_kg=0.2")
+    point = _numbers(at or [], "a point is a coordinate and its value", "p_ab_bar=1.2")
+    plant = board().plant_file(changes, point, rate_hz)
     wanted = Emulator(plant, tcp, real_time, number_bytes, drop, corrupt, duplicate, seed)
     with until_interrupted(), interrupts(), running(wanted) as (process, port):
         print(port, flush=True)
