@@ -19,6 +19,7 @@ from time import monotonic
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.interrupts import until_interrupted
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import SeveralLoops, served_page
@@ -80,6 +81,11 @@ class ShapeServer:
             self.http.serve_forever()
         finally:
             self.http.server_close()
+
+    def serve_until_interrupted(self) -> None:
+        """The same for a command: Ctrl-C is its right end."""
+        with until_interrupted():
+            self.serve()
 
     def answer(self, name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What a button asks: "check", "tune", "save" or "close" (the other loops, as they are now); one at a time."""

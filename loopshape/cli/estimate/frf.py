@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.response.frf import FRF
@@ -85,6 +84,7 @@ def estimate_and_report(
     """
     from loopshape.verbs.estimates import estimate, store
     from loopshape.verbs.files import read
+    from loopshape.verbs.pictures import draw_frfs, draw_matrices, figures_of
 
     run = made or read(folder)
     for note in run.extra.get("notes", ()):
@@ -92,28 +92,13 @@ def estimate_and_report(
     chosen = {"realisations": realisations, "matrix": matrix or None, "renew": renew, **(settings or {})}
     found = estimate(run, watch=output, **chosen)
     store(folder, run, found, matrices=matrix, csv=csv)
-    drawn = draw_frfs(folder, found.frfs, output) + draw_matrices(folder, found.matrices) if figures else []
+    drawn: list[str] = []
+    if figures:
+        drawn = draw_frfs(figures_of(folder), found.frfs, watch=output)
+        drawn += draw_matrices(figures_of(folder), found.matrices)
     report(found, output, folder, drawn, ended_early)
     if ended_early:
         raise typer.Exit(2)
-
-
-def draw_frfs(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str]:
-    """A page for each FRF, an overview of each loop."""
-    from loopshape.cli.pictures import save
-    from loopshape.view.plots.frequency import frf_overview, frf_page
-
-    drawn = []
-    loops = list(dict.fromkeys(one.loop for one in frfs))
-    with output.progress("draw", len(frfs)) as step:
-        for loop in loops:
-            mine = [one for one in frfs if one.loop == loop]
-            drawn.append(str(save(frf_overview(mine), figures_of(folder) / f"frf_{loop}.png")))
-            for one in mine:
-                name = f"frf_{one.loop}_{one.recording}.png"
-                drawn.append(str(save(frf_page(one), figures_of(folder) / name)))
-                step(one.recording)
-    return drawn
 
 
 def report(found: Estimates, output: Output, folder: Path, drawn: list[str], ended_early: Sequence[str]) -> None:
@@ -183,16 +168,6 @@ def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
     columns = ["recordings", "loops", "outputs", "operating point", "valid from [Hz]", "to [Hz]", "lines"]
     output.table("The plant's matrices", [*columns, "median std of elements [%]"], rows)
     return [dict(zip(_OF_MATRIX, row, strict=True)) | {"method": f.method} for row, f in zip(rows, frfs, strict=True)]
-
-
-def draw_matrices(folder: Path, frfs: Sequence[FRF]) -> list[str]:
-    """A page for each matrix."""
-    from loopshape.cli.pictures import save
-    from loopshape.view.plots.matrix import matrix_page
-
-    tails = [f"_{k + 1:02d}" if len(frfs) > 1 else "" for k in range(len(frfs))]
-    names = [f"matrix_{one.loop}{tail}.png" for one, tail in zip(frfs, tails, strict=True)]
-    return [str(save(matrix_page(one), figures_of(folder) / name)) for one, name in zip(frfs, names, strict=True)]
 
 
 def distortion_share(frf: FRF) -> float | None:

@@ -96,13 +96,13 @@ def markdown_table(rows: Sequence[Sequence[Any]]) -> str:
 
 def draw_effects(plant: str, path: Path, words: Sequence[str]) -> list[str]:
     """Pages of what effects do, at most eleven a page; gives the files. Refuses another plant than the 1-DoF arm."""
-    from loopshape.cli.pictures import save
     from loopshape.core.errors import WrongUseError
     from loopshape.toolbox.arm.arm1 import Arm1
     from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
     from loopshape.toolbox.gap.pictures.effects import effects_page
     from loopshape.toolbox.rig.effect_sheets import sheets
     from loopshape.toolbox.rig.effects import asked
+    from loopshape.verbs.pictures import save
 
     arm = Arm1()
     if plant != arm.name:
