@@ -24,29 +24,22 @@ unreadable input, 130 interrupted.
 
 #: headings of `--help`, in the order of the work
 HEADINGS = ("Start", "Measure and import", "Estimate", "Design", "Verify", "Diagnose", "Exchange")
-#: commands of the bench (heading, name, function, example, rank); those of toolboxes stand where these are found
+#: commands of the bench (heading, module, example, rank); those of toolboxes stand where these are found
 OWN = (
-    ("Start", "examples", "loopshape.cli.examples:examples", "loopshape examples --out examples", 20),
-    ("Estimate", "frf", "loopshape.cli.estimate.frf:frf", "loopshape frf runs/axis", 10),
-    ("Estimate", "fit", "loopshape.cli.estimate.fit:fit", "loopshape fit runs/axis --structure auto", 20),
-    ("Estimate", "interaction", "loopshape.cli.estimate.interaction:interaction", "loopshape interaction runs/arm2",
-     30),
-    ("Estimate", "figures", "loopshape.cli.estimate.figures:figures",
-     "loopshape figures runs/axis --controller controller.toml", 60),
-    ("Design", "tune", "loopshape.cli.design.tune:tune",
-     "loopshape tune runs/axis --require requirements.toml --out controller.toml", 10),
-    ("Design", "shape", "loopshape.cli.design.shape:shape",
-     "loopshape shape runs/axis --require requirements.toml --out shape.html", 20),
-    ("Design", "profiles", "loopshape.cli.design.profiles:profiles", "loopshape profiles --out mine.toml", 40),
-    ("Verify", "check", "loopshape.cli.verify.check:check",
-     "loopshape check runs/axis controller.toml --require requirements.toml", 10),
-    ("Verify", "predict", "loopshape.cli.verify.predict:predict",
-     "loopshape predict runs/axis controller.toml --out prediction.npz", 20),
-    ("Verify", "compare", "loopshape.cli.verify.compare:compare", "loopshape compare runs/after prediction.npz", 30),
-    ("Verify", "report", "loopshape.cli.verify.report:report",
-     "loopshape report runs/axis --controller controller.toml --require requirements.toml", 40),
-    ("Verify", "verify", "loopshape.cli.verify.verify:verify", "loopshape verify runs/axis", 50),
-)  # fmt: skip
+    ("Start", "examples", "examples --out examples", 20),
+    ("Estimate", "estimate.frf", "frf runs/axis", 10),
+    ("Estimate", "estimate.fit", "fit runs/axis --structure auto", 20),
+    ("Estimate", "estimate.interaction", "interaction runs/arm2", 30),
+    ("Estimate", "estimate.figures", "figures runs/axis --controller controller.toml", 60),
+    ("Design", "design.tune", "tune runs/axis --require requirements.toml --out controller.toml", 10),
+    ("Design", "design.shape", "shape runs/axis --require requirements.toml --out shape.html", 20),
+    ("Design", "design.profiles", "profiles --out mine.toml", 40),
+    ("Verify", "verify.check", "check runs/axis controller.toml --require requirements.toml", 10),
+    ("Verify", "verify.predict", "predict runs/axis controller.toml --out prediction.npz", 20),
+    ("Verify", "verify.compare", "compare runs/after prediction.npz", 30),
+    ("Verify", "verify.report", "report runs/axis --controller controller.toml --require requirements.toml", 40),
+    ("Verify", "verify.verify", "verify runs/axis", 50),
+)
 
 
 def _shown(error: Exception) -> Exception:
@@ -97,7 +90,7 @@ def _add(command: Command, function: Any) -> None:
     app.command(command.name, epilog=f"Example: {command.example}")(function)
 
 
-COMMANDS, BROKEN = commands(OWN, HEADINGS, _add)
+COMMANDS, BROKEN = commands("loopshape.cli", OWN, HEADINGS, _add)
 
 
 def _print_version(asked: bool) -> None:

@@ -15,11 +15,12 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.run import Run
-from loopshape.design.tune import Tuning
 
 if TYPE_CHECKING:
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.run_report import RunReport
+    from loopshape.design.tune import Tuning
+    from loopshape.io.run.verify import Finding
 
 FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
@@ -93,6 +94,13 @@ def write_profiles(path: str | Path) -> Path:
     return out
 
 
+def verify(folder: str | Path, study: str | Path | None = None) -> list[Finding]:
+    """Whether a run's files are those that were written, and whether a study is the one that it was made by."""
+    from loopshape.io.run.verify import verify as look
+
+    return look(Path(folder), None if study is None else Path(study))
+
+
 def copy_examples(to: str | Path) -> list[Path]:
     """Copy the package's examples into a new folder; gives the folders in it. Refuses a path that exists."""
     from loopshape.io.files import copy_folder, examples_folder
@@ -122,6 +130,9 @@ def write(
 def _write(what: Any, path: Path) -> None:
     from loopshape.core.toolboxes import found, function_at
 
+    if isinstance(controller := getattr(what, "controller", None), Controller):  # of a tuning
+        _write(controller, path)
+        return
     if place := found().all("writers").get(type(what).__name__):
         function_at(place)(path, what)
         return
@@ -150,11 +161,6 @@ def _(what: GainScheduled, path: Path) -> None:
     write_controllers(path, (what,))
 
 
-@_write.register
-def _(what: Tuning, path: Path) -> None:
-    _write(what.controller, path)
-
-
 @_write.register(list | tuple)
 def _(what: Sequence[Any], path: Path) -> None:
     from loopshape.io.write.controllers import write_controllers
@@ -163,7 +169,7 @@ def _(what: Sequence[Any], path: Path) -> None:
     if all(isinstance(one, Prediction) for one in what):
         write_predictions(path, what)
         return
-    made = [one.controller if isinstance(one, Tuning) else one for one in what]
+    made = [getattr(one, "controller", one) for one in what]
     if strange := [type(one).__name__ for one in made if not isinstance(one, Controller | GainScheduled)]:
         raise WrongUseError("one file holds controllers or predictions", ", ".join(strange), "write others one by one")
     write_controllers(path, made)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.profile import Profile, zone_sentence, zone_shares
+from loopshape.data.requirement.profile import Profile, zone_shares
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction
+from loopshape.data.result.verdict_words import outcome_of, page_text
 from loopshape.design.tune import Tuning
 from loopshape.io.held import held
 from loopshape.io.profiles import joined, profile_of
@@ -35,7 +36,6 @@ from loopshape.verbs.watch import Unwatched, Watch
 if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction
     from loopshape.design.several import SeveralTuning
-    from loopshape.io.run.verify import Finding
 
 
 def fit(
@@ -68,11 +68,7 @@ def store_fits(run: Path, made: Sequence[Fit]) -> None:
 
 
 def interactions(
-    run: Path,
-    loops: Sequence[str] | None = None,
-    *,
-    controllers: Path | None = None,
-    **options: Any,
+    run: Path, loops: Sequence[str] | None = None, *, controllers: Path | None = None, **options: Any
 ) -> list[Interaction]:
     """How much the loops of each matrix of a run interact; `options` as in `ls.interaction`.
 
@@ -208,20 +204,16 @@ class CheckedRun:
     @property
     def outcome(self) -> str | None:
         """The outcome of all loops, None where nothing was required."""
-        return self.checks.outcome if self.required else None
+        return outcome_of(self.checks.verdicts) if self.required else None
+
+    def text(self, run: str = "RUN") -> str:
+        """The verdict in one sentence, and of each loop its requirements in 80 columns."""
+        return page_text(self.checks.verdicts, ", and worse than the baseline" if self.worse else "", run)
 
     @property
     def worse(self) -> bool:
         """Whether something is worse than the baseline, and may not be."""
         return self.compared is not None and self.compared.worse and not self.allow_worse
-
-    @property
-    def profile_sentences(self) -> tuple[str, ...]:
-        """The zone of each loop, then standard, clause and who has to confirm."""
-        if self.profile is None:
-            return ()
-        zones = (zone_sentence(one, self.profile) for one in self.checks.verdicts if not one.together)
-        return (*filter(None, zones), *self.profile.sentences())
 
     @property
     def profile_words(self) -> dict[str, Any] | None:
@@ -317,10 +309,3 @@ def compare(
         read(run), read_predictions(prediction), frfs=frfs, resolution_hz=resolution_hz, tolerance_db=tolerance_db
     )
     return ComparedRun(tuple(c for one in found for c in one.comparisons), tuple(found))
-
-
-def verify(run: Path, study: Path | None = None) -> list[Finding]:
-    """Whether a run's files are those that were written, and whether a study is the one that it was made by."""
-    from loopshape.io.run.verify import verify as look
-
-    return look(run, study)

@@ -80,14 +80,22 @@ def ended_by(stopped: BaseException | None) -> int | None:
 
 
 def commands(
-    own: Iterable[tuple[str, str, str, str, float]], headings: Iterable[str], add: Callable[[Command, Any], None]
+    package: str,
+    own: Iterable[tuple[str, str, str, float]],
+    headings: Iterable[str],
+    add: Callable[[Command, Any], None],
 ) -> tuple[dict[str, list[Command]], list[str]]:
-    """Commands of the bench and of toolboxes by heading, each added with its function, and what could not be loaded."""
+    """Commands of the bench and of toolboxes by heading, each added with its function, and what could not be loaded.
+
+    Its `own` are rows (heading, module in the package, example, rank); the example begins with the command's name.
+    """
     from loopshape.core.toolboxes import Command, found, function_at
 
     broken = list(found().broken)
     by_heading: dict[str, list[Command]] = {heading: [] for heading in headings}
-    all_of_them = [*(Command(*row) for row in own), *(c for box in found().toolboxes.values() for c in box.commands)]
+    rows = [(heading, example.split()[0], module, example, rank) for heading, module, example, rank in own]
+    all_of_them = [Command(h, name, f"{package}.{at}:{name}", f"loopshape {x}", rank) for h, name, at, x, rank in rows]
+    all_of_them += [c for box in found().toolboxes.values() for c in box.commands]
     for one in sorted(all_of_them, key=lambda c: c.rank):
         try:
             if any(other.name == one.name for names in by_heading.values() for other in names):

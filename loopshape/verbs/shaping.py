@@ -67,9 +67,9 @@ class SeveralLoops:
         return Shaped(met, own, required, (), check(met, own, others.judged(required)), others)
 
 
-def page_of(loops: Sequence[Shaped], title: str) -> bytes:
-    """The page as bytes."""
-    return shape_page(loops, title, __version__).encode("utf-8")
+def page_of(loops: Sequence[Shaped], title: str, saved: str | None = None) -> bytes:
+    """The page as bytes; with `saved`, the mark of what its Save may replace, it has the buttons that ask a server."""
+    return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
 def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
@@ -84,11 +84,6 @@ def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
             "a widget needs the package anywidget", "it is not installed", "pip install 'loopshape[notebook]'"
         ) from error
     return ShapeWidget(loops[0], title, __version__)
-
-
-def served_page(loops: Sequence[Shaped], title: str, saved: str) -> bytes:
-    """The page as bytes with the buttons that ask a server; `saved` marks what its Save may replace."""
-    return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
 def write_page(path: Path, loops: Sequence[Shaped], title: str) -> int:

@@ -64,23 +64,14 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
         mine = [f for f in fits if f.structure == name]
         shown = [p.name for p in mine[0].parameters if p.unit != "SI"]  # bare coefficients are in --json
         parameters = [f"{p.name} [{p.unit}]" for p in mine[0].parameters if p.name in shown]
-        columns = [
-            "recording",
-            "loop",
-            "operating point",
-            *parameters,
-            "misfit [dB]",
-            "chi²/dof",
-            "adequate?",
-            "outcome",
-        ]
+        columns = ["recording", "loop", "operating point", *parameters, "misfit [dB]", "chi²/dof", "adequate?"]
         rows = [
             [f.recording, f.loop, point(f.operating_point, f.rig_parameters)]
             + [parameter_text(f, p) for p in f.parameters if p.name in shown]
             + [f.misfit_db, f.chi2_per_dof, f.sufficient, f.outcome]
             for f in mine
         ]
-        output.table(f"Fits of structure {name} (± 95 %)", columns, rows)
+        output.table(f"Fits of structure {name} (± 95 %)", [*columns, "outcome"], rows)
         if name.startswith("rational"):
             columns = ["recording", "loop", "root", "f [Hz]", "damping", "time constant [s]"]
             output.table("Zeros and poles (± 95 %)", columns, [row for f in mine for row in root_rows(f)])

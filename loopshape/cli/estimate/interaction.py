@@ -75,14 +75,8 @@ def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], outpu
     output.warn([f"{one.frf.recording}: {note}" for one in found for note in one.frf.notes])
     if drawn:
         output.say(f"{len(drawn)} figures in {run / 'figures'}")
-    output.json(
-        {
-            "run": str(run),
-            "decoupled": all(one.decoupled for one in found),
-            "interactions": found,
-            "figures": drawn,
-        }
-    )
+    decoupled = all(one.decoupled for one in found)
+    output.json({"run": str(run), "decoupled": decoupled, "interactions": found, "figures": drawn})
 
 
 def _row(one: Interaction, v: BandVerdict) -> list[Any]:

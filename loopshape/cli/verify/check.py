@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Details, DiagramFile, Output, ProfileName, Quiet, RunFolder
-from loopshape.view.verdict.tables import (
-    comparison_tables,
-    margins_table,
-    notices,
-    phase_budget_tables,
-    verdict_tables,
-)
+from loopshape.view.verdict import tables
 
 if TYPE_CHECKING:
     from loopshape.data.result.baseline import Comparison
@@ -111,15 +105,17 @@ def check_run(
 def _report(found: CheckedRun, run: Path, output: Output, details: bool) -> None:
     """The verdict in one sentence, of each loop the requirements in 80 columns, and what stands beside them."""
     checks = found.checks
-    output.say(f"{checks.text(', and worse than the baseline' if found.worse else '', str(run))}\n")
+    output.say(f"{found.text(str(run))}\n")
     if details:
         report_verdicts(checks.verdicts, output)
         for one in checks.loops:
-            output.tables(phase_budget_tables(one.verdict, one.controller))
+            output.tables(tables.phase_budget_tables(one.verdict, one.controller))
     else:
         warn_of(checks.verdicts, output)
-    for sentence in found.profile_sentences:
-        output.paragraph(sentence)
+    if found.profile is not None:
+        zones = [tables.zone_sentence(one, found.profile) for one in checks.verdicts if not one.together]
+        for sentence in (*filter(None, zones), *found.profile.sentences()):
+            output.paragraph(sentence)
     if found.compared is not None:
         report_comparisons(found.compared.parts, output, details=details)
 
@@ -127,21 +123,21 @@ def _report(found: CheckedRun, run: Path, output: Output, details: bool) -> None
 def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
     """Requirement lines, and the margins of each operating point."""
     for verdict in verdicts:
-        output.tables(verdict_tables(verdict, margins=margins))
+        output.tables(tables.verdict_tables(verdict, margins=margins))
     warn_of(verdicts, output)
 
 
 def report_margins(verdicts: Sequence[Verdict], output: Output, *, details: bool = True) -> None:
     """The margins of each operating point where nothing was required; without `details` in 80 columns."""
     for verdict in verdicts:
-        output.table(*margins_table(verdict, details=details))
+        output.table(*tables.margins_table(verdict, details=details))
     warn_of(verdicts, output)
 
 
 def warn_of(verdicts: Sequence[Verdict], output: Output) -> None:
     """Warnings of verdicts, and each operating point whose loop is not known to be stable."""
     for verdict in verdicts:
-        output.warn(notices(verdict))
+        output.warn(tables.notices(verdict))
 
 
 def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *, details: bool = True) -> None:
@@ -150,7 +146,7 @@ def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *,
         if not details:
             output.paragraph(comparison.text(title))
             continue
-        output.tables(comparison_tables(title, comparison))
+        output.tables(tables.comparison_tables(title, comparison))
         for line in comparison.remarks:
             output.say(line)
         output.say(f"{title}: {comparison.counts}\n")

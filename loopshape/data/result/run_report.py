@@ -17,7 +17,6 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.result.verdict_words import WORDS
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.data.signal.run import Run
 
@@ -153,8 +152,3 @@ class RunReport:
         found = {one.outcome for one in self.checked} | {asked_outcome(one) for one in self.inner.values()}
         found |= {"undecided"} if self.unchecked else set()
         return next((word for word in ("failed", "undecided", "passed") if word in found), "none")
-
-    @property
-    def word(self) -> str:
-        """The outcome as it is printed."""
-        return WORDS.get(self.outcome, "no requirement")

@@ -18,7 +18,6 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Checked, Comparison
 from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.result.verdict_words import outcome_of, page_text
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
 from loopshape.io.run.run_folder import RUN_TOML, read_run
@@ -70,15 +69,6 @@ class Checks:
     loops: tuple[LoopCheck, ...] = ()
     matrix: MatrixCheck | None = None
     diagram: Diagram | None = None
-
-    @property
-    def outcome(self) -> str:
-        """The outcome of all loops."""
-        return outcome_of(self.verdicts)
-
-    def text(self, more: str = "", run: str = "RUN") -> str:
-        """The verdict in one sentence, with `more` after its word, and the requirements of each loop in 80 columns."""
-        return page_text(self.verdicts, more, run)
 
     @property
     def single(self) -> tuple[LoopCheck, ...]:

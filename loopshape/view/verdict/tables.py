@@ -20,6 +20,7 @@ from loopshape.data.result.verdict_words import (
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
+    from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.baseline import Comparison
     from loopshape.data.result.verdict import Line, Verdict
 
@@ -30,20 +31,10 @@ def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]
     """Requirement lines, and the margins of each operating point."""
     stable, at, word = stability_of(verdict)
     rows: list[list[Any]] = [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
-    rows += [
-        [
-            line.quantity,
-            line.unit,
-            _cell(line, line.wished),
-            _worst(line),
-            interval_or_bound_text(line),
-            _cell(line, line.spare),
-            line.recording,
-            line.at_hz,
-            WORDS[line.outcome] + longer_text(line),
-        ]
-        for line in verdict.lines
-    ]
+    for line in verdict.lines:
+        numbers = [_cell(line, line.wished), _worst(line), interval_or_bound_text(line), _cell(line, line.spare)]
+        word = WORDS[line.outcome] + longer_text(line)
+        rows.append([line.quantity, line.unit, *numbers, line.recording, line.at_hz, word])
     columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]", "verdict"]
     yield f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows
     if margins:
@@ -54,6 +45,19 @@ def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]
 def notices(verdict: Verdict) -> list[str]:
     """The warnings, and a sentence for each operating point whose loop is not known to be stable."""
     return [*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)]
+
+
+def zone_sentence(verdict: Verdict, profile: Profile) -> str:
+    """The likeliest zone of a loop with its probability, and what it means; "" where there is none."""
+    from loopshape.data.requirement.profile import zone_shares  # numpy with it: `--help` does without
+
+    shares = zone_shares(verdict, profile)
+    if not shares:
+        return ""
+    best = max(profile.zones, key=lambda zone: shares[zone.name])
+    worst = max(m.sensitivity_peak_db for m in verdict.margins.values())
+    rest = ", ".join(f"{name} {100.0 * p:.1f} %" for name, p in shares.items() if p >= 5e-4)
+    return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."
 
 
 def _worst(line: Line) -> object:
@@ -96,23 +100,13 @@ def _several(verdict: Verdict) -> Table:
 
 
 def _all_margins(verdict: Verdict) -> Table:
-    rows = [
-        [
-            name,
-            m.stable,
-            m.bandwidth_hz,
-            m.gain_margin_db,
-            m.phase_margin_deg,
-            m.modulus_margin,
-            1e3 * m.delay_margin_s,
-            "-" if m.detuning is None else f"{'> ' * m.detuning.worst.beyond}{m.detuning_percent:.3g}",
-            m.sensitivity_peak_db,
-            m.complementary_peak_db,
-            m.control_peak_db,
-            ", ".join(f"{f:.3g}" for f in m.crossings_hz) or "none",
-        ]
-        for name, m in verdict.margins.items()
-    ]
+    rows: list[list[Any]] = []
+    for name, m in verdict.margins.items():
+        detuning = "-" if m.detuning is None else f"{'> ' * m.detuning.worst.beyond}{m.detuning_percent:.3g}"
+        margins = [m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.modulus_margin, 1e3 * m.delay_margin_s]
+        peaks = [m.sensitivity_peak_db, m.complementary_peak_db, m.control_peak_db]
+        crossings = ", ".join(f"{f:.3g}" for f in m.crossings_hz) or "none"
+        rows.append([name, m.stable, *margins, detuning, *peaks, crossings])
     columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]"]
     columns += ["detuning [%]", "|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
     return f"Margins of loop {verdict.loop}", columns, rows
