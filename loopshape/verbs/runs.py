@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,13 +84,12 @@ def interactions(
 
 @dataclass(frozen=True, eq=False)
 class TunedRun:
-    """Tunings by loop with the number of FRFs of each, and why they are not enough, "" where they are.
+    """Tunings by loop, and why they are not enough, "" where they are.
 
     `turns` is what several loops gave that were tuned in turn, `profile` the one whose limits were kept too.
     """
 
     tunings: tuple[Tuning, ...]
-    points: tuple[int, ...]
     missed: str
     profile: Profile | None = None
     turns: SeveralTuning | None = None
@@ -107,12 +106,14 @@ def tune(
     disturbance: Path | None = None,
     grow: int = 0,
     watch: Watch | None = None,
+    each: Callable[[Tuning], None] = lambda tuning: None,
     **search: Any,
 ) -> TunedRun:
     """Tune the loops of a requirements file; `search` as in `ls.tune`.
 
-    Each by itself, or with `matrix` in turn with the others closed; a profile then limits each with the others closed.
-    Refuses a file to `start` from without any of these loops, and with `matrix` what is of single loops alone.
+    Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
+    profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
+    `matrix` what is of single loops alone.
     """
     if matrix and grow:
         raise WrongUseError(
@@ -122,8 +123,11 @@ def tune(
     requirements, chosen = joined(profile, given)
     began = _to_start(start, [one.loop for one in requirements])
     if not matrix:
-        tunings, points = _each(run, requirements, began, diagram, disturbance, grow=grow, **search)
-        return TunedRun(tunings, points, _missed(tunings), chosen)
+        tunings = []
+        for tuning in _alone(run, requirements, began, diagram, disturbance, grow=grow, **search):
+            tunings.append(tuning)
+            each(tuning)
+        return TunedRun(tuple(tunings), _missed(tunings), chosen)
     if diagram is not None:
         raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
     if disturbance is not None:
@@ -134,26 +138,23 @@ def tune(
         frfs, requirements, start=[*began.values()], together=together, recorded_under=under, watch=watch, **search
     )
     missed = "" if turns.feasible else "the loops do not meet all requirements together"
-    return TunedRun(tuple(turns.tunings.values()), (len(frfs),) * len(turns.tunings), missed, chosen, turns)
+    return TunedRun(tuple(turns.tunings.values()), missed, chosen, turns)
 
 
-def _each(
+def _alone(
     run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], diagram: Path | None,
     disturbance: Path | None, **search: Any,
-) -> tuple[tuple[Tuning, ...], tuple[int, ...]]:  # fmt: skip
+) -> Iterator[Tuning]:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
         met = read_diagram(diagram, run).equivalent()
         frfs, fits, requirements = met.plants, (), tuple(map(met.asked, requirements))
-    found, points = [], []
     for required in requirements:
         mine = [one for one in frfs if one.loop == required.loop]
         known = chain.disturbances_of(disturbance, required.loop) or None
         start = began.get(required.loop)
-        found.append(chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search))
-        points.append(len(mine))
-    return tuple(found), tuple(points)
+        yield chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search)
 
 
 def _to_start(file: Path | None, loops: list[str]) -> dict[str, Controller]:

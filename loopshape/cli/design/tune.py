@@ -63,14 +63,9 @@ def tune_run(run: Path, require: Path, out: Path, output: Output, **options: Any
     from loopshape.verbs import runs
     from loopshape.verbs.files import write
 
-    found = runs.tune(run, require, watch=output, **options)
+    found = runs.tune(run, require, watch=output, each=lambda tuning: report_tuning(tuning, output), **options)
     if found.turns is not None:
         _report_turns(found.turns, output)
-    for tuning, points in zip(found.tunings, found.points, strict=True):
-        report_tuning(tuning, output, points)
-    if found.turns is not None:
-        report_verdicts(found.turns.verdict.parts, output, margins=False)
-        output.warn(found.turns.notes)
     for sentence in () if found.profile is None else found.profile.sentences():
         output.paragraph(sentence)
     if found.missed:
@@ -89,6 +84,10 @@ def _report_turns(turns: SeveralTuning, output: Output) -> None:
     output.table("Loops in turn", columns, [_row(turn) for turn in turns.turns])
     if not turns.converged:
         output.warn(["the loops interact: controllers still changed in the last round"])
+    for tuning in turns.tunings.values():
+        report_tuning(tuning, output)
+    report_verdicts(turns.verdict.parts, output, margins=False)
+    output.warn(turns.notes)
 
 
 def _row(turn: Turn) -> list[Any]:
@@ -97,7 +96,7 @@ def _row(turn: Turn) -> list[Any]:
     return [turn.round, turn.loop, others, turn.tuning.bandwidth_hz, turn.tuning.outcome, moved]
 
 
-def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
+def report_tuning(tuning: Tuning, output: Output) -> None:
     """Blocks, what binds, what keeps requirements apart, and the verdict."""
     rows = [
         [block.kind, ", ".join(f"{name} {value:.4g}" for name, value in block.parameters.items())]
@@ -107,7 +106,7 @@ def report_tuning(tuning: Tuning, output: Output, points: int) -> None:
         "" if tuning.rejection_db is None else f", low-frequency disturbances down by {tuning.rejection_db:.3g} dB"
     )
     lowest = f"lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection}{_norm(tuning)}"
-    title = f"Loop {tuning.controller.loop}: {lowest} over {points} FRFs"
+    title = f"Loop {tuning.controller.loop}: {lowest} over {len(tuning.verdict.margins)} FRFs"
     output.table(title, ["block", "parameters"], rows)
     if tuning.growth:
         report_growth(tuning.growth, output)
