@@ -24,7 +24,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import (
     WORDS,
-    comparison_text,
     line_text,
     outcome_of,
     stability_text,
@@ -103,7 +102,7 @@ class ControllerTest:
         """All verdicts, and the comparison with a baseline, as a failed test shows them."""
         head = f"{self.controller} on {self.run}: {WORDS[outcome_of(self.verdicts)]}"
         parts = {} if compared is None else compared.parts
-        texts = [comparison_text(title, one) for title, one in parts.items()]
+        texts = [one.text(title) for title, one in parts.items()]
         return "\n".join([head, *(verdict_text(verdict) for verdict in self.verdicts), *texts])
 
 

@@ -16,7 +16,7 @@ def examples(
     quiet: Quiet = False,
 ) -> None:
     """Copy the package's examples into a folder. They are the tour's recording, studies, maps and requirements."""
-    from loopshape.io.examples import copy_examples
+    from loopshape.verbs.files import copy_examples
 
     output = Output(as_json, quiet)
     copied = [str(path) for path in copy_examples(out)]

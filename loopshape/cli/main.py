@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperGroup
 
-from loopshape.cli import INTERRUPTED, script
+from loopshape.cli import script
 from loopshape.cli.output import complain, for_any_terminal, safe
-from loopshape.core.errors import LoopshapeError
-from loopshape.core.interrupts import ENDED, ended_soon, interrupted, say_once
-from loopshape.core.toolboxes import Command, found, function_at
+from loopshape.verbs.session import commands, ended_by, session
+
+if TYPE_CHECKING:
+    from loopshape.core.toolboxes import Command
 
 HELP = """From closed-loop recordings of a motion system to a tuned, checked controller, and to why a simulation lies.
 
@@ -23,65 +24,21 @@ unreadable input, 130 interrupted.
 
 #: headings of `--help`, in the order of the work
 HEADINGS = ("Start", "Measure and import", "Estimate", "Design", "Verify", "Diagnose", "Exchange")
-#: commands of the bench; those of toolboxes stand where these are found
+#: commands of the bench (heading, module, example, rank); those of toolboxes stand where these are found
 OWN = (
-    Command("Start", "examples", "loopshape.cli.examples:examples", "loopshape examples --out examples", 20),
-    Command("Estimate", "frf", "loopshape.cli.estimate.frf:frf", "loopshape frf runs/axis", 10),
-    Command("Estimate", "fit", "loopshape.cli.estimate.fit:fit", "loopshape fit runs/axis --structure auto", 20),
-    Command(
-        "Estimate",
-        "interaction",
-        "loopshape.cli.estimate.interaction:interaction",
-        "loopshape interaction runs/arm2",
-        30,
-    ),
-    Command(
-        "Estimate",
-        "figures",
-        "loopshape.cli.estimate.figures:figures",
-        "loopshape figures runs/axis --controller controller.toml",
-        60,
-    ),
-    Command(
-        "Design",
-        "tune",
-        "loopshape.cli.design.tune:tune",
-        "loopshape tune runs/axis --require requirements.toml --out controller.toml",
-        10,
-    ),
-    Command(
-        "Design",
-        "shape",
-        "loopshape.cli.design.shape:shape",
-        "loopshape shape runs/axis --require requirements.toml --out shape.html",
-        20,
-    ),
-    Command("Design", "profiles", "loopshape.cli.design.profiles:profiles", "loopshape profiles --out mine.toml", 40),
-    Command(
-        "Verify",
-        "check",
-        "loopshape.cli.verify.check:check",
-        "loopshape check runs/axis controller.toml --require requirements.toml",
-        10,
-    ),
-    Command(
-        "Verify",
-        "predict",
-        "loopshape.cli.verify.predict:predict",
-        "loopshape predict runs/axis controller.toml --out prediction.npz",
-        20,
-    ),
-    Command(
-        "Verify", "compare", "loopshape.cli.verify.compare:compare", "loopshape compare runs/after prediction.npz", 30
-    ),
-    Command(
-        "Verify",
-        "report",
-        "loopshape.cli.verify.report:report",
-        "loopshape report runs/axis --controller controller.toml --require requirements.toml",
-        40,
-    ),
-    Command("Verify", "verify", "loopshape.cli.verify.verify:verify", "loopshape verify runs/axis", 50),
+    ("Start", "examples", "examples --out examples", 20),
+    ("Estimate", "estimate.frf", "frf runs/axis", 10),
+    ("Estimate", "estimate.fit", "fit runs/axis --structure auto", 20),
+    ("Estimate", "estimate.interaction", "interaction runs/arm2", 30),
+    ("Estimate", "estimate.figures", "figures runs/axis --controller controller.toml", 60),
+    ("Design", "design.tune", "tune runs/axis --require requirements.toml --out controller.toml", 10),
+    ("Design", "design.shape", "shape runs/axis --require requirements.toml --out shape.html", 20),
+    ("Design", "design.profiles", "profiles --out mine.toml", 40),
+    ("Verify", "verify.check", "check runs/axis controller.toml --require requirements.toml", 10),
+    ("Verify", "verify.predict", "predict runs/axis controller.toml --out prediction.npz", 20),
+    ("Verify", "verify.compare", "compare runs/after prediction.npz", 30),
+    ("Verify", "verify.report", "report runs/axis --controller controller.toml --require requirements.toml", 40),
+    ("Verify", "verify.verify", "verify runs/axis", 50),
 )
 
 
@@ -97,22 +54,18 @@ class Grouped(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """A command; an interrupt ends it in one sentence, whatever a library made of the exception."""
+        done, stopped = None, None
         try:
             done = super().invoke(ctx)
         except typer.Exit:
             raise
-        except KeyboardInterrupt as stopped:
-            said = str(stopped)
-        except Exception as error:
-            if not interrupted():
-                raise _shown(error) from None
-            said = ""
-        else:
-            if not interrupted():
-                return done
-            said = ""
-        say_once(said or INTERRUPTED)
-        raise typer.Exit(ENDED)
+        except (Exception, KeyboardInterrupt) as error:
+            stopped = error
+        if (code := ended_by(stopped)) is not None:
+            raise typer.Exit(code)
+        if isinstance(stopped, Exception):
+            raise _shown(stopped)
+        return done
 
     def make_context(self, *args: Any, **words: Any) -> Any:
         """Of the program's own options; what is wrong with them steers no terminal."""
@@ -123,8 +76,8 @@ class Grouped(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Each heading with its commands and what they do."""
-        for heading, commands in COMMANDS.items():
-            names = [one.name for one in commands]
+        for heading, listed in COMMANDS.items():
+            names = [one.name for one in listed]
             rows = [(name, self.commands[name].get_short_help_str(formatter.width - 22)) for name in names]
             with formatter.section(heading):
                 formatter.write_dl(rows, col_max=20)
@@ -133,23 +86,11 @@ class Grouped(TyperGroup):
 app = typer.Typer(cls=Grouped, help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-def _all_commands() -> tuple[dict[str, list[Command]], list[str]]:
-    """Commands of the bench and of toolboxes by heading, each added to the program, and what could not be loaded."""
-    broken = list(found().broken)
-    by_heading: dict[str, list[Command]] = {heading: [] for heading in HEADINGS}
-    for one in sorted([*OWN, *(c for box in found().toolboxes.values() for c in box.commands)], key=lambda c: c.rank):
-        try:
-            if any(other.name == one.name for names in by_heading.values() for other in names):
-                raise ValueError("there is a command of this name")
-            app.command(one.name, epilog=f"Example: {one.example}")(function_at(one.at))
-        except Exception as error:  # of a package that is not ours
-            broken.append(f"the command {one.name} was left out: {type(error).__name__}: {error}")
-        else:
-            by_heading.setdefault(one.heading, []).append(one)
-    return by_heading, broken
+def _add(command: Command, function: Any) -> None:
+    app.command(command.name, epilog=f"Example: {command.example}")(function)
 
 
-COMMANDS, BROKEN = _all_commands()
+COMMANDS, BROKEN = commands("loopshape.cli", OWN, HEADINGS, _add)
 
 
 def _print_version(asked: bool) -> None:
@@ -170,30 +111,11 @@ def program(
 
 
 def run() -> None:
-    """Entry point: what the user can put right becomes a sentence on standard error and exit code 2.
-
-    So does the end of a command whose files another process changed after they were read.
-    """
-    from loopshape.io.files import remove_own_parts
-    from loopshape.io.seen import noting, refuse_changed
-
+    """Entry point: a command in its session; what its user can put right is a sentence on standard error."""
     for_any_terminal()
     for words in BROKEN:
         complain(words, "warning")
-    try:
-        with noting(), ended_soon(INTERRUPTED, remove_own_parts):
-            try:
-                app()
-            except SystemExit as ended:
-                if ended.code in (None, 0, 1):
-                    refuse_changed()
-                raise
-    except LoopshapeError as error:
-        complain(error)
-        raise SystemExit(2) from None
-    except OSError as error:  # a disk or a file that the system refuses
-        complain(f"the system refuses; received {error}; check the file, its rights and the disk.")
-        raise SystemExit(2) from None
+    session(app, complain)
 
 
 if __name__ == "__main__":

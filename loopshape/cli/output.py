@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 
-T = TypeVar("T")
+from loopshape.verbs.session import answer, folded
+
 #: what a terminal shows that does not know a sign
 PLAIN = {
     "±": "+-", "²": "^2", "³": "^3", "·": "*", "∞": "inf", "≥": ">=", "≤": "<=", "≈": "~", "−": "-", "–": "-",
@@ -65,6 +66,11 @@ class Output:
         )  # a narrow terminal folds, nothing is cut
         print()
 
+    def tables(self, tables: Iterable[tuple[str, Sequence[str], Iterable[Sequence[Any]]]]) -> None:
+        """Several of them, each with its title, columns and rows."""
+        for one in tables:
+            self.table(*one)
+
     def say(self, line: str) -> None:
         """One line."""
         if not (self.as_json or self.quiet):
@@ -72,10 +78,8 @@ class Output:
 
     def paragraph(self, words: str) -> None:
         """Sentences folded at 80 columns, each line of `words` a paragraph; what follows its first row is indented."""
-        from loopshape.data.result.verdict_words import folded
-
-        for line in words.splitlines():
-            self.say(folded(line))
+        for line in folded(words):
+            self.say(line)
 
     def warn(self, lines: Iterable[str]) -> None:
         """Warnings, each once, to standard error, beside JSON too; quiet prints nothing but errors."""
@@ -87,9 +91,7 @@ class Output:
     def json(self, payload: Mapping[str, Any]) -> None:
         """The JSON object of this command, where it was asked for; what is not known is null, never nan."""
         if self.as_json:
-            from loopshape.core.json_ready import json_ready
-
-            print(json.dumps(json_ready(payload, unknown=None), allow_nan=False))
+            print(json.dumps(answer(payload), allow_nan=False))
 
     @contextmanager
     def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:

@@ -257,6 +257,18 @@ def _write_text(path: Path, text: str) -> None:
     path.write_bytes(data)
 
 
+def examples_folder() -> Path:
+    """The folder of the examples: in an installed package among its modules, in a clone beside them."""
+    package = Path(__file__).parents[1]
+    installed = package / "examples"
+    return installed if installed.is_dir() else package.parent / "examples"
+
+
+def copy_folder(source: Path, to: Path) -> None:
+    """Copy a folder and what lies in it to a new place, without what Python compiled."""
+    shutil.copytree(source, to, ignore=shutil.ignore_patterns("__pycache__"))
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and those above it; refuses where that is not possible."""
     try:

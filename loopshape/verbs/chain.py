@@ -345,8 +345,7 @@ def shape(
     >>> page.name
     'shape.html'
     """
-    from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.shaping import SeveralLoops, notebook_widget, page_of, shaped
+    from loopshape.verbs.shaping import SeveralLoops, notebook_widget, shaped, write_page
 
     plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required = (R,) if isinstance(R, Requirements) else tuple(R or ())
@@ -357,7 +356,7 @@ def shape(
         loops = [shaped(plants, own, required[0] if required else None, tuple(fits))]
     if out is None:
         return notebook_widget(loops, "Shape")
-    write_bytes_whole(Path(out), page_of(loops, "Shape"))
+    write_page(Path(out), loops, "Shape")
     return Path(out)
 
 

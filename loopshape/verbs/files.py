@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from functools import singledispatch
 from pathlib import Path
@@ -12,12 +13,14 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.run import Run
-from loopshape.design.tune import Tuning
 
 if TYPE_CHECKING:
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.run_report import RunReport
+    from loopshape.design.tune import Tuning
+    from loopshape.io.run.verify import Finding
 
 FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
@@ -78,11 +81,45 @@ def profiles(file: str | Path | None = None) -> dict[str, Profile]:
     return read_profiles(OWN if file is None else Path(file))
 
 
-def write(what: Run | Controller | GainScheduled | Tuning | FRF, path: str | Path) -> Path:
+def write_profiles(path: str | Path) -> Path:
+    """Write the file of profiles that comes along, to be changed; gives the path. Refuses one that is there."""
+    from loopshape.io.files import make_folder, write_text_whole
+    from loopshape.io.profiles import OWN
+
+    out = Path(path)
+    if out.exists():
+        raise WrongUseError(f"{out} is there already", "profiles are not written over a file", "give another name")
+    make_folder(out.parent)
+    write_text_whole(out, OWN.read_text(encoding="utf-8"))
+    return out
+
+
+def verify(folder: str | Path, study: str | Path | None = None) -> list[Finding]:
+    """Whether a run's files are those that were written, and whether a study is the one that it was made by."""
+    from loopshape.io.run.verify import verify as look
+
+    return look(Path(folder), None if study is None else Path(study))
+
+
+def copy_examples(to: str | Path) -> list[Path]:
+    """Copy the package's examples into a new folder; gives the folders in it. Refuses a path that exists."""
+    from loopshape.io.files import copy_folder, examples_folder
+
+    if Path(to).exists():
+        raise WrongUseError("the examples are copied into a new folder", f"{to}, which exists", "name another: --out")
+    copy_folder(examples_folder(), Path(to))
+    return sorted(path for path in Path(to).iterdir() if path.is_dir())
+
+
+def write(
+    what: Run | Controller | GainScheduled | Tuning | FRF | Sequence[Controller | GainScheduled | Tuning | Prediction],
+    path: str | Path,
+) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
 
     A run becomes a folder, a controller (a schedule, what `tune` found) a controller file, a FRF a file of the kind
-    that the ending names (.csv, .mat, .uff). Raises WrongUseError for another ending and for other things.
+    that the ending names (.csv, .mat, .uff). A sequence of controllers, one a loop, or of predictions is one file, too.
+    Raises WrongUseError for another ending and for other things.
     """
     target = Path(path)
     _write(what, target)
@@ -93,6 +130,9 @@ def write(what: Run | Controller | GainScheduled | Tuning | FRF, path: str | Pat
 def _write(what: Any, path: Path) -> None:
     from loopshape.core.toolboxes import found, function_at
 
+    if isinstance(controller := getattr(what, "controller", None), Controller):  # of a tuning
+        _write(controller, path)
+        return
     if place := found().all("writers").get(type(what).__name__):
         function_at(place)(path, what)
         return
@@ -121,9 +161,18 @@ def _(what: GainScheduled, path: Path) -> None:
     write_controllers(path, (what,))
 
 
-@_write.register
-def _(what: Tuning, path: Path) -> None:
-    _write(what.controller, path)
+@_write.register(list | tuple)
+def _(what: Sequence[Any], path: Path) -> None:
+    from loopshape.io.write.controllers import write_controllers
+    from loopshape.io.write.predictions import write_predictions
+
+    if all(isinstance(one, Prediction) for one in what):
+        write_predictions(path, what)
+        return
+    made = [getattr(one, "controller", one) for one in what]
+    if strange := [type(one).__name__ for one in made if not isinstance(one, Controller | GainScheduled)]:
+        raise WrongUseError("one file holds controllers or predictions", ", ".join(strange), "write others one by one")
+    write_controllers(path, made)
 
 
 def figure_bytes(megabytes: float) -> int:
@@ -151,27 +200,29 @@ def report(
     `diagram` its picture too, and the controller stands on what its tuned block meets. Raises
     UnreadableInputError for a folder with neither recordings nor FRFs.
     """
-    from loopshape.io.files import write_bytes_whole
-
-    folder = Path(run_folder)
     given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
-    path = Path(out or folder / "report.html")
-    write_bytes_whole(path, report_page(folder, given[0], given[1], given[2], date, figure_bytes(figures_mb))[1])
+    path = Path(out or Path(run_folder) / "report.html")
+    write_report(path, Path(run_folder), given[0], given[1], given[2], date, figures_mb)
     return path
 
 
-def report_page(
+def write_report(
+    path: Path,
     folder: Path,
     controllers: Path | None,
     requirements: Path | None,
     diagram: Path | None,
     date: str | None,
-    figures_bytes: int,
-) -> tuple[RunReport, bytes]:
-    """What a report holds, and its page; the date is now where none is given."""
+    figures_mb: float,
+) -> tuple[RunReport, int]:
+    """Write a run's report; gives what it holds, and its size in bytes. The date is now where none is given."""
+    from loopshape.io.files import write_bytes_whole
     from loopshape.io.run.gathered import gather
     from loopshape.view.html.page import page
 
+    limit = figure_bytes(figures_mb)
     day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    made = gather(folder, controllers, requirements, day, figures_bytes, diagram)
-    return made, page(made).encode("utf-8")
+    made = gather(folder, controllers, requirements, day, limit, diagram)
+    data = page(made).encode("utf-8")
+    write_bytes_whole(path, data)
+    return made, len(data)

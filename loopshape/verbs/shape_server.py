@@ -19,9 +19,10 @@ from time import monotonic
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
+from loopshape.core.interrupts import until_interrupted
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.loop.verdict import check
-from loopshape.verbs.shaping import SeveralLoops, served_page
+from loopshape.verbs.shaping import SeveralLoops, page_of
 from loopshape.view.page.payload import Shaped, certificate_words, controller_from, controller_words, requirements_from
 
 #: a request of the page is far smaller
@@ -47,7 +48,7 @@ class ShapeServer:
 
     def _show(self, loops: Sequence[Shaped]) -> None:
         self.loops = {one.controller.loop: one for one in loops}
-        self._page = served_page(loops, self.title, _MARK)
+        self._page = page_of(loops, self.title, _MARK)
 
     @property
     def page(self) -> bytes:
@@ -80,6 +81,11 @@ class ShapeServer:
             self.http.serve_forever()
         finally:
             self.http.server_close()
+
+    def serve_until_interrupted(self) -> None:
+        """The same for a command: Ctrl-C is its right end."""
+        with until_interrupted():
+            self.serve()
 
     def answer(self, name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What a button asks: "check", "tune", "save" or "close" (the other loops, as they are now); one at a time."""

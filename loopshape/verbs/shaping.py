@@ -67,9 +67,9 @@ class SeveralLoops:
         return Shaped(met, own, required, (), check(met, own, others.judged(required)), others)
 
 
-def page_of(loops: Sequence[Shaped], title: str) -> bytes:
-    """The page as bytes."""
-    return shape_page(loops, title, __version__).encode("utf-8")
+def page_of(loops: Sequence[Shaped], title: str, saved: str | None = None) -> bytes:
+    """The page as bytes; with `saved`, the mark of what its Save may replace, it has the buttons that ask a server."""
+    return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
 def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
@@ -86,18 +86,25 @@ def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
     return ShapeWidget(loops[0], title, __version__)
 
 
-def served_page(loops: Sequence[Shaped], title: str, saved: str) -> bytes:
-    """The page as bytes with the buttons that ask a server; `saved` marks what its Save may replace."""
-    return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
+def write_page(path: Path, loops: Sequence[Shaped], title: str) -> int:
+    """Write the page; gives its size in bytes."""
+    from loopshape.io.files import write_bytes_whole
+
+    data = page_of(loops, title)
+    write_bytes_whole(path, data)
+    return len(data)
 
 
-def several_run(run: Path, require: Path | None, controller: Path) -> tuple[SeveralLoops, list[Shaped]]:
+def several_run(run: Path, require: Path | None, controller: Path | None) -> tuple[SeveralLoops, list[Shaped]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
     from loopshape.io.write.check_files import recorded_under
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_several_loops
     from loopshape.io.write.requirements import read_required
 
+    if controller is None:
+        what = "loops are closed by their controllers"
+        raise WrongUseError(what, "--matrix alone", "give them by --controller FILE")
     required, together = read_required(require) if require else ((), None)
     made = SeveralLoops(read_several_loops(run), required, together, recorded_under(run))
     return made, made.shaped(read_controllers(controller))

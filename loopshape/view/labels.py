@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.units import SUFFIXES
+from loopshape.core.units import SUFFIXES, TWO_PI
 from loopshape.data.response.frf import FRF
+from loopshape.data.result.prediction import INDICATORS, Indicators
 from loopshape.data.signal.channel import Channel, sum_terms
 
+if TYPE_CHECKING:
+    from loopshape.data.response.model import Estimate, Fit
+
 _GREEK = ("theta", "kappa", "zeta", "omega", "phi", "psi", "alpha", "beta", "gamma", "delta", "tau")
+#: phase in rad at the highest line that a delay must turn to be one
+NO_DELAY_RAD = 1e-6
+#: times the highest line from which on a real root is not told from one at infinity
+FAR = 10.0
 _USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz", "_kg": "kg"}
 
 
@@ -167,3 +176,50 @@ def _phrase(name: str, values: Sequence[float]) -> str:
     text, form = _PHRASES[name]
     ends = dict.fromkeys((format(min(values), form), format(max(values), form)))
     return text.format("-".join(ends))
+
+
+def parameter_text(fit: Fit, p: Estimate) -> str:
+    """A parameter with its 95 % interval; a delay that turns no line's phase is none."""
+    if p.name == "delay_s" and abs(p.value) * TWO_PI * fit.band_hz[1] < NO_DELAY_RAD:
+        return "none"
+    return f"{p.value:.5g} ± {1.96 * p.std:.2g}"
+
+
+def indicator_texts(read: Indicators) -> list[str]:
+    """What was read off a step with its 95 % intervals, shares as percent, in the order of `INDICATORS`."""
+    return [_indicator(read, name, 100.0 if unit == "1" else 1.0) for name, unit in INDICATORS.items()]
+
+
+def _indicator(read: Indicators, name: str, scale: float) -> str:
+    value, interval = scale * getattr(read, name), read.intervals.get(name)
+    text = f"{value:.3g}" if abs(value) >= 5e-4 else "0"
+    if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
+        return text
+    return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"
+
+
+def root_rows(fit: Fit) -> list[list[str | None]]:
+    """Recording, loop, name and cells of each zero and pole of a rational fit."""
+    from loopshape.identify.fit import modes
+
+    found = modes(fit)
+    pairs = zip(found[::2], found[1::2], strict=True)
+    return [
+        [fit.recording, fit.loop, f.name.removesuffix("_f_hz"), *root_cells(f, d, fit.band_hz[1])] for f, d in pairs
+    ]
+
+
+def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> list[str | None]:
+    """Frequency, damping and time constant of a root as cells; of a real one the time constant alone.
+
+    A real root that the lines up to `highest_hz` do not tell from one at infinity has a bound in place of a value.
+    """
+    if abs(damping.value) < 1.0 - 1e-9:
+        return [*(f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)), None]
+    side = "" if damping.value > 0.0 else ", right half plane"
+    constant = 1.0 / (TWO_PI * frequency.value)
+    if frequency.value > FAR * highest_hz:
+        return [None, None, f"below {1.0 / (TWO_PI * highest_hz):.2g}, above the measured frequencies{side}"]
+    if not 1.96 * frequency.std < frequency.value:
+        return [None, None, f"about {constant:.2g}, not known{side}"]
+    return [None, None, f"{constant:.4g} ± {1.96 * constant * frequency.std / frequency.value:.2g}{side}"]

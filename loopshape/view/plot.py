@@ -20,7 +20,6 @@ from loopshape.view.plots import matrix as matrices
 from loopshape.view.plots import nichols as charts
 from loopshape.view.plots.bode import bode_page
 from loopshape.view.verdict import prediction as forecasts
-from loopshape.view.verdict.nyquist import nyquist as curves
 from loopshape.view.verdict.verdicts import margins_map
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ class Plots:
         ax: Axes | None = None,
     ) -> Axes:
         """Open loops in the complex plane about -1, with the circle that a required modulus margin keeps clear."""
-        return curves(_loops(P, C, R), R, verdict=verdict, ax=_own(ax))
+        return charts.nyquist(_loops(P, C, R), R, verdict=verdict, ax=_own(ax))
 
     @staticmethod
     def nichols(

@@ -20,12 +20,12 @@ def profiles(
 
     Of each for check and tune: limits, standard, clause, who confirms.
     """
-    from loopshape.io.profiles import OWN, read_profiles
+    from loopshape.verbs import files
 
     output = Output(as_json, quiet)
-    known = read_profiles(file or OWN)
+    known = files.profiles(file)
     if out is not None:
-        _write(out)
+        files.write_profiles(out)
     rows = [
         [one.name, ", ".join(f"{name} {value:g}" for name, value in one.limits.items()), _read(one.unread), one.edition]
         for one in known.values()
@@ -38,14 +38,3 @@ def profiles(
 
 def _read(unread: tuple[str, ...]) -> str:
     return "no" if unread else "-"
-
-
-def _write(out: Path) -> None:
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.files import make_folder, write_text_whole
-    from loopshape.io.profiles import OWN
-
-    if out.exists():
-        raise WrongUseError(f"{out} is there already", "profiles are not written over a file", "give another name")
-    make_folder(out.parent)
-    write_text_whole(out, OWN.read_text(encoding="utf-8"))

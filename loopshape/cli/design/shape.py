@@ -39,39 +39,27 @@ def shape(
     One HTML file that works offline: drag blocks, type numbers, see every operating point. It gives controller.toml
     back, which check signs.
     """
-    from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.shaping import page_of, several_run, shape_run
+    from loopshape.verbs.shaping import several_run, shape_run, write_page
 
     output, path, several = Output(as_json, quiet), out or run / "shape.html", None
     if matrix:
-        several, loops = several_run(run, require, _closing(controller))
+        several, loops = several_run(run, require, controller)
     else:
         loops = shape_run(run, require, controller)
     if serve:
         _serve(loops, run.resolve().name, save or run / "controller.toml", several)
         return
-    data = page_of(loops, run.resolve().name)
-    write_bytes_whole(path, data)
+    size = write_page(path, loops, run.resolve().name)
     for one in loops:
         output.say(f"loop {one.controller.loop}: {len(one.frfs)} FRFs, starts {one.verdict.outcome.value}")
-    output.say(f"page: {path} ({len(data) / 1e6:.1f} MB)")
-    output.json({"page": str(path), "bytes": len(data), "loops": [one.controller.loop for one in loops]})
-
-
-def _closing(controller: Path | None) -> Path:
-    from loopshape.core.errors import WrongUseError
-
-    if controller is None:
-        raise WrongUseError("loops are closed by their controllers", "--matrix alone", "give them by --controller FILE")
-    return controller
+    output.say(f"page: {path} ({size / 1e6:.1f} MB)")
+    output.json({"page": str(path), "bytes": size, "loops": [one.controller.loop for one in loops]})
 
 
 def _serve(loops: list[Shaped], title: str, save: Path, several: SeveralLoops | None) -> None:
     """The page until Ctrl+C."""
-    from loopshape.core.interrupts import until_interrupted
     from loopshape.verbs.shape_server import ShapeServer
 
     server = ShapeServer(loops, title, save, several)
     print(f"open {server.url} in a browser; Ctrl+C ends it", flush=True)
-    with until_interrupted():
-        server.serve()
+    server.serve_until_interrupted()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.response.frf import FRF
@@ -50,70 +49,44 @@ def frf(
     quiet: Quiet = False,
 ) -> None:
     """Estimate FRFs with variance, coherence and valid band. Draws a page of each, and an overview of each loop."""
-    output = Output(as_json, quiet)
-    settings = {
-        "estimator": estimator,
-        "method": method,
-        "resolution_hz": resolution_hz,
-        "overlap": overlap,
-        "window": window,
-        "symmetric": symmetric,
-        "detrend": detrend,
-        "segment_samples": segment_samples,
-    }
     estimate_and_report(
-        run, output, settings=settings, figures=figures, csv=csv, realisations=realisations, matrix=matrix, renew=renew
-    )
+        run, Output(as_json, quiet), figures=figures, csv=csv, matrix=matrix, realisations=realisations, renew=renew,
+        estimator=estimator, method=method, resolution_hz=resolution_hz, overlap=overlap, window=window,
+        symmetric=symmetric, detrend=detrend, segment_samples=segment_samples,
+    )  # fmt: skip
 
 
 def estimate_and_report(
     folder: Path,
     output: Output,
     *,
-    settings: Mapping[str, Any] | None = None,
     figures: bool = True,
     csv: bool = False,
-    realisations: bool = False,
     matrix: bool = False,
-    renew: Path | None = None,
     ended_early: Sequence[str] = (),
     made: Run | None = None,
+    **settings: Any,
 ) -> None:
     """Estimate, store, draw and print the FRFs of a run; exit code 2 where a recording `ended_early`.
 
-    `made` is the run in the folder where it was read already.
+    `made` is the run in the folder where it was read already; `settings` as in `ls.estimate`.
     """
     from loopshape.verbs.estimates import estimate, store
     from loopshape.verbs.files import read
+    from loopshape.verbs.pictures import draw_frfs, draw_matrices, figures_of
 
     run = made or read(folder)
     for note in run.extra.get("notes", ()):
         output.say(str(note))
-    chosen = {"realisations": realisations, "matrix": matrix or None, "renew": renew, **(settings or {})}
-    found = estimate(run, watch=output, **chosen)
+    found = estimate(run, matrix=matrix or None, watch=output, **settings)
     store(folder, run, found, matrices=matrix, csv=csv)
-    drawn = draw_frfs(folder, found.frfs, output) + draw_matrices(folder, found.matrices) if figures else []
+    drawn: list[str] = []
+    if figures:
+        drawn = draw_frfs(figures_of(folder), found.frfs, watch=output)
+        drawn += draw_matrices(figures_of(folder), found.matrices)
     report(found, output, folder, drawn, ended_early)
     if ended_early:
         raise typer.Exit(2)
-
-
-def draw_frfs(folder: Path, frfs: Sequence[FRF], output: Output) -> list[str]:
-    """A page for each FRF, an overview of each loop."""
-    from loopshape.cli.pictures import save
-    from loopshape.view.plots.frequency import frf_overview, frf_page
-
-    drawn = []
-    loops = list(dict.fromkeys(one.loop for one in frfs))
-    with output.progress("draw", len(frfs)) as step:
-        for loop in loops:
-            mine = [one for one in frfs if one.loop == loop]
-            drawn.append(str(save(frf_overview(mine), figures_of(folder) / f"frf_{loop}.png")))
-            for one in mine:
-                name = f"frf_{one.loop}_{one.recording}.png"
-                drawn.append(str(save(frf_page(one), figures_of(folder) / name)))
-                step(one.recording)
-    return drawn
 
 
 def report(found: Estimates, output: Output, folder: Path, drawn: list[str], ended_early: Sequence[str]) -> None:
@@ -125,12 +98,13 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in found.frfs)
     columns += ["of it distortion [%]"] if told else []
+    keys = ["recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db"]
+    keys += ["distortion_percent"] if told else []
     rows = []
     for one in found.frfs:
         lines = _valid(one)
         spread = float(20.0 * np.log10(1.0 + np.median(lines.modulus_std[:, 0, 0])))
-        share = [distortion_share(lines)] if told else []
-        rows.append([one.recording, one.loop, *_where(one), spread, *share])
+        rows.append([one.recording, one.loop, *_where(one), spread, *([distortion_share(lines)] if told else [])])
     if rows:
         output.table("Frequency responses", columns, rows)
     matrix_rows = matrix_table(found.matrices, output)
@@ -142,8 +116,6 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     output.warn(warnings)
     if drawn:
         output.say(f"{len(drawn)} figures in {folder / 'figures'}")
-    keys = ["recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db"]
-    keys += ["distortion_percent"] if told else []
     frfs = zip(rows, found.frfs, strict=True)
     output.json(
         found.to_dict()
@@ -183,16 +155,6 @@ def matrix_table(frfs: Sequence[FRF], output: Output) -> list[dict[str, Any]]:
     columns = ["recordings", "loops", "outputs", "operating point", "valid from [Hz]", "to [Hz]", "lines"]
     output.table("The plant's matrices", [*columns, "median std of elements [%]"], rows)
     return [dict(zip(_OF_MATRIX, row, strict=True)) | {"method": f.method} for row, f in zip(rows, frfs, strict=True)]
-
-
-def draw_matrices(folder: Path, frfs: Sequence[FRF]) -> list[str]:
-    """A page for each matrix."""
-    from loopshape.cli.pictures import save
-    from loopshape.view.plots.matrix import matrix_page
-
-    tails = [f"_{k + 1:02d}" if len(frfs) > 1 else "" for k in range(len(frfs))]
-    names = [f"matrix_{one.loop}{tail}.png" for one, tail in zip(frfs, tails, strict=True)]
-    return [str(save(matrix_page(one), figures_of(folder) / name)) for one, name in zip(frfs, names, strict=True)]
 
 
 def distortion_share(frf: FRF) -> float | None:

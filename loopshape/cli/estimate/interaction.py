@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import loopshape as ls
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
 
 if TYPE_CHECKING:
-    from loopshape.data.control.controller import Controller
     from loopshape.data.response.interaction import BandVerdict, Interaction
 
 _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", "95 % from", "to", "at [Hz]", "verdict"]
@@ -36,17 +35,14 @@ def interaction(
 
     From the matrix FRFs of a run; needs `frf RUN --matrix` before.
     """
-    from loopshape.io.write.frfs import read_several_loops
-    from loopshape.verbs.several import interaction as analyse
+    from loopshape.verbs import runs
+    from loopshape.verbs.pictures import draw_interactions, figures_of
 
     output = Output(as_json, quiet)
-    chosen, rows = _names(loops), _names(outputs)
-    known = _controllers(run, controller)
-    found = []
-    for one in read_several_loops(run):
-        mine = {name: c for name, c in known.items() if name in (chosen or one.loop.split("+"))}
-        found.append(analyse(one, chosen, mine, outputs=rows, limit_db=limit_db, bands=_bands(bands)))
-    drawn = _draw(run, found, output) if figures else []
+    found = runs.interactions(
+        run, _names(loops), controllers=controller, outputs=_names(outputs), limit_db=limit_db, bands=_bands(bands)
+    )
+    drawn = draw_interactions(figures_of(run), found, output) if figures else []
     _report(run, found, drawn, output)
     if require_decoupled and not all(one.decoupled for one in found):
         raise typer.Exit(1)
@@ -58,45 +54,14 @@ def _names(text: str | None) -> tuple[str, ...] | None:
 
 def _bands(text: str | None) -> tuple[tuple[float, float], ...] | None:
     """Bands of a text such as 0.5-1,1-4; refuses what are no two numbers."""
-    from loopshape.core.errors import WrongUseError
-
     made = []
     for part in text.split(",") if text else ():
         low, _, high = part.partition("-")
         try:
             made.append((float(low), float(high)))
         except ValueError:
-            raise WrongUseError("a band is two frequencies in Hz", repr(part), "write bands as 0.5-1,1-4") from None
+            raise ls.LoopshapeError("a band is two frequencies in Hz", repr(part), "write bands as 0.5-1,1-4") from None
     return tuple(made) or None
-
-
-def _controllers(run: Path, file: Path | None) -> Mapping[str, Controller]:
-    """Controllers by loop: of a file, else of the run, else none."""
-    from loopshape.io.run.run_folder import RUN_TOML, read_run
-    from loopshape.io.write.controllers import read_controllers
-
-    if file is not None:
-        return {one.loop: one for one in read_controllers(file)}
-    if not (run / RUN_TOML).exists():
-        return {}
-    return {loop.name: loop.controller for loop in read_run(run).loops if loop.controller is not None}
-
-
-def _draw(run: Path, found: Sequence[Interaction], output: Output) -> list[str]:
-    """The page of each interaction, and of its matrix, named by recordings and loops."""
-    from loopshape.cli.pictures import save
-    from loopshape.view.plots.interaction import interaction_page
-    from loopshape.view.plots.matrix import matrix_page
-
-    drawn = []
-    with output.progress("draw", len(found)) as step:
-        for k, one in enumerate(found):
-            name = f"{one.frf.recording or 'all'}.{'+'.join(one.loops)}"
-            name = name if len(name) < 120 else f"{k + 1}"
-            drawn.append(str(save(matrix_page(one.frf), figures_of(run) / f"matrix_{name}.png")))
-            drawn.append(str(save(interaction_page(one), figures_of(run) / f"interaction_{name}.png")))
-            step(one.frf.recording)
-    return drawn
 
 
 def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], output: Output) -> None:
@@ -110,14 +75,8 @@ def _report(run: Path, found: Sequence[Interaction], drawn: Sequence[str], outpu
     output.warn([f"{one.frf.recording}: {note}" for one in found for note in one.frf.notes])
     if drawn:
         output.say(f"{len(drawn)} figures in {run / 'figures'}")
-    output.json(
-        {
-            "run": str(run),
-            "decoupled": all(one.decoupled for one in found),
-            "interactions": found,
-            "figures": drawn,
-        }
-    )
+    decoupled = all(one.decoupled for one in found)
+    output.json({"run": str(run), "decoupled": decoupled, "interactions": found, "figures": drawn})
 
 
 def _row(one: Interaction, v: BandVerdict) -> list[Any]:

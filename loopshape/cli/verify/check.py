@@ -2,40 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from loopshape.cli.output import AsJson, Details, DiagramFile, Output, ProfileName, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
-from loopshape.cli.verify.verdicts import (
-    report_comparisons,
-    report_headline,
-    report_margins,
-    report_phase_budget,
-    report_verdicts,
-    warn_of,
-)
-from loopshape.data.result.verdict_words import outcome_of
+from loopshape.view.verdict import tables
 
 if TYPE_CHECKING:
-    from loopshape.data.requirement.profile import Profile
+    from loopshape.data.result.baseline import Comparison
     from loopshape.data.result.verdict import Verdict
-    from loopshape.io.write.check_files import Baseline, Checks
-
-
-@dataclass(frozen=True)
-class Reports:
-    """Files that a check writes or is compared with; None where they are not wanted."""
-
-    junit: Path | None = None
-    markdown: Path | None = None
-    save_verdict: Path | None = None
-    baseline: Path | None = None
-    allow_worse: bool = False
+    from loopshape.verbs.runs import CheckedRun
 
 
 def check(
@@ -78,6 +57,8 @@ def check(
     With --diagram (a cascade, two actuators, an observer) the plant is what the diagram's tuned block meets; loops that
     are closed within it are checked first and have to be stable.
     """
+    from loopshape.verbs.runs import Reports
+
     reports = Reports(junit, markdown, save_verdict, baseline, allow_worse)
     output = Output(as_json, quiet)
     closed = None if loops is None else tuple(name.strip() for name in loops.split(","))
@@ -96,85 +77,79 @@ def check_run(
     require: Path | None,
     output: Output,
     *,
-    reports: Reports | None = None,
     figures: bool = True,
     details: bool = False,
-    profile: str | None = None,
-    matrix: bool = False,
-    closed: Sequence[str] | None = None,
-    disturbance: Path | None = None,
-    diagram: Path | None = None,
+    **options: Any,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
-    from loopshape.io.profiles import profile_of
-    from loopshape.io.write.check_files import against, check_all
+    from loopshape.verbs import runs
+    from loopshape.verbs.pictures import draw_checks, figures_of
 
-    reports = reports or Reports()
-    chosen = None if profile is None else profile_of(profile)
-    _refuse_reports(reports, require is not None or chosen is not None)
-    found = check_all(
-        run, controller, require, chosen, matrix=matrix, closed=closed, disturbance=disturbance, diagram=diagram
-    )
-    if require is None and chosen is None:
-        return True, _report_margins(run, found, output, figures, details)
-    compared = None if reports.baseline is None else against(reports.baseline, found.single)
-    _write(reports, found, compared)
-    outcome = outcome_of(found.verdicts)
-    worse = compared is not None and compared.worse and not reports.allow_worse
-    passed = outcome == "passed" and not worse
-    report_headline(found.verdicts, output, ", and worse than the baseline" if worse else "", run)
-    if details:
-        report_verdicts(found.verdicts, output)
-        for one in found.loops:
-            report_phase_budget(one.verdict, one.controller, output)
+    found = runs.check(run, controller, require, **options)
+    runs.write_reports(found, options.get("reports") or runs.Reports())
+    verdicts = found.checks.verdicts
+    if found.required:
+        _report(found, run, output, details)
     else:
-        warn_of(found.verdicts, output)
-    _say_profile(chosen, found.verdicts, output)
-    if compared is not None:
-        report_comparisons(compared.parts, output, details=details)
-    drawn = _draw(figures_of(run), found) if figures else []
+        output.say("no requirement given; reported without verdict\n")
+        report_margins(verdicts, output, details=details)
+    drawn = draw_checks(figures_of(run), found.checks) if figures else []
     _say_figures(drawn, output, details)
-    output.json(
-        {
-            "passed": passed,
-            "outcome": outcome,
-            "loops": found.verdicts,
-            "profile": None if chosen is None else _profile_json(chosen, found.verdicts),
-            "baseline": compared,
-            "figures": drawn,
-        }
-    )
-    return passed, drawn
+    words = {"passed": found.passed, "outcome": found.outcome}
+    loops = verdicts if found.required else [v.to_dict() | words for v in verdicts]
+    profile = {"profile": found.profile_words} if found.required else {}
+    output.json({**words, "loops": loops, **profile, "baseline": found.compared, "figures": drawn})
+    return found.passed is not False, drawn
 
 
-def _refuse_reports(reports: Reports, required: bool) -> None:
-    from loopshape.core.errors import WrongUseError
-
-    if not required and reports != Reports():
-        raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
-    if reports.allow_worse and reports.baseline is None:
-        raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
-
-
-def _say_profile(profile: Profile | None, verdicts: Sequence[Verdict], output: Output) -> None:
-    """Zones of each loop, then standard, clause and who has to confirm."""
-    from loopshape.data.requirement.profile import zone_sentence
-
-    if profile is None:
-        return
-    zones = [zone_sentence(verdict, profile) for verdict in verdicts if not verdict.together]
-    for sentence in (*filter(None, zones), *profile.sentences()):
-        output.paragraph(sentence)
+def _report(found: CheckedRun, run: Path, output: Output, details: bool) -> None:
+    """The verdict in one sentence, of each loop the requirements in 80 columns, and what stands beside them."""
+    checks = found.checks
+    output.say(f"{found.text(str(run))}\n")
+    if details:
+        report_verdicts(checks.verdicts, output)
+        for one in checks.loops:
+            output.tables(tables.phase_budget_tables(one.verdict, one.controller))
+    else:
+        warn_of(checks.verdicts, output)
+    if found.profile is not None:
+        zones = [tables.zone_sentence(one, found.profile) for one in checks.verdicts if not one.together]
+        for sentence in (*filter(None, zones), *found.profile.sentences()):
+            output.paragraph(sentence)
+    if found.compared is not None:
+        report_comparisons(found.compared.parts, output, details=details)
 
 
-_PROFILE = ("name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks", "limits")
+def report_verdicts(verdicts: Sequence[Verdict], output: Output, *, margins: bool = True) -> None:
+    """Requirement lines, and the margins of each operating point."""
+    for verdict in verdicts:
+        output.tables(tables.verdict_tables(verdict, margins=margins))
+    warn_of(verdicts, output)
 
 
-def _profile_json(profile: Profile, verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    from loopshape.data.requirement.profile import zone_shares
+def report_margins(verdicts: Sequence[Verdict], output: Output, *, details: bool = True) -> None:
+    """The margins of each operating point where nothing was required; without `details` in 80 columns."""
+    for verdict in verdicts:
+        output.table(*tables.margins_table(verdict, details=details))
+    warn_of(verdicts, output)
 
-    zones = {verdict.loop: zone_shares(verdict, profile) for verdict in verdicts if not verdict.together}
-    return {name: getattr(profile, name) for name in _PROFILE} | {"zones": zones}
+
+def warn_of(verdicts: Sequence[Verdict], output: Output) -> None:
+    """Warnings of verdicts, and each operating point whose loop is not known to be stable."""
+    for verdict in verdicts:
+        output.warn(tables.notices(verdict))
+
+
+def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *, details: bool = True) -> None:
+    """What became of a baseline: outcomes that changed, then margins that did, then what lies underneath."""
+    for title, comparison in comparisons.items():
+        if not details:
+            output.paragraph(comparison.text(title))
+            continue
+        output.tables(tables.comparison_tables(title, comparison))
+        for line in comparison.remarks:
+            output.say(line)
+        output.say(f"{title}: {comparison.counts}\n")
 
 
 def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:
@@ -182,40 +157,3 @@ def _say_figures(drawn: Sequence[str], output: Output, details: bool) -> None:
         output.say("\n".join(["figures:", *drawn]))
     else:
         output.say(f"figures: {len(drawn)} in {Path(drawn[0]).parent}" if drawn else "no figures drawn")
-
-
-def _report_margins(run: Path, found: Checks, output: Output, figures: bool, details: bool) -> list[str]:
-    """Margins and stability of each loop with nothing required; gives the figures' paths."""
-    output.say("no requirement given; reported without verdict\n")
-    report_margins(found.verdicts, output, details=details)
-    drawn = _draw(figures_of(run), found) if figures else []
-    _say_figures(drawn, output, details)
-    made = [v.to_dict() | {"passed": None, "outcome": None} for v in found.verdicts]
-    output.json({"passed": None, "outcome": None, "loops": made, "baseline": None, "figures": drawn})
-    return drawn
-
-
-def _write(reports: Reports, found: Checks, compared: Baseline | None) -> None:
-    from loopshape.io.write.junit import write_junit
-    from loopshape.io.write.markdown import write_markdown
-    from loopshape.io.write.verdicts import write_verdicts
-
-    if reports.save_verdict is not None:
-        write_verdicts(reports.save_verdict, [loop.checked for loop in found.single])
-    if reports.junit is not None:
-        whole = None if compared is None else compared.whole
-        write_junit(reports.junit, found.verdicts, whole, allow_worse=reports.allow_worse)
-    if reports.markdown is not None:
-        write_markdown(reports.markdown, found.verdicts, None if compared is None else compared.parts)
-
-
-def _draw(folder: Path, found: Checks) -> list[str]:
-    from loopshape.cli.estimate.figures import draw_loops, draw_several
-    from loopshape.cli.pictures import save
-
-    if found.matrix is not None:
-        return draw_several(folder, found.matrix)
-    first = [] if found.diagram is None else [str(save(found.diagram.figure(), folder / "diagram.png"))]
-    return first + [
-        path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
-    ]

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.cli.pictures import figures_of
-from loopshape.cli.verify.predict import STEP_COLUMNS, indicator_text
+from loopshape.cli.verify.predict import STEP_COLUMNS
 
 if TYPE_CHECKING:
-    from loopshape.data.response.frf import FRF
     from loopshape.data.result.prediction import Comparison, StepComparison
     from loopshape.loop.predict.remeasured import Remeasured
 
@@ -36,32 +34,26 @@ def compare(
     Each confirmed, or where not and by how much; exit code 0 where all are. With another run, also one of import-frf,
     in the place of predictions the FRFs of both are compared.
     """
-    from loopshape.io.run.run_folder import read_run
-    from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
-    from loopshape.io.write.predictions import read_predictions
-    from loopshape.verbs.chain import compare as remeasure
+    from loopshape.verbs import runs
+    from loopshape.verbs.pictures import draw_remeasured, figures_of
 
     output = Output(as_json, quiet)
-    if has_any(prediction, FOLDER):
-        _two_runs(read_frfs(run), read_frfs(prediction), tolerance_db, output)
-        return
-    frfs = read_frfs(run) if has_any(run, FOLDER) else ()
-    found = remeasure(
-        read_run(run), read_predictions(prediction), frfs=frfs, resolution_hz=resolution_hz, tolerance_db=tolerance_db
-    )
-    drawn = _draw(found, figures_of(run)) if figures else []
-    outcome = report(found, output)
-    output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {outcome}"]))
-    output.json({"outcome": outcome, "predictions": found, "figures": drawn})
-    if outcome != "held":
+    found = runs.compare(run, prediction, tolerance_db=tolerance_db, resolution_hz=resolution_hz)
+    if found.predictions is None:
+        _report_two_runs(found.comparisons, output)
+        output.say(f"FRFs: {found.outcome}")
+        output.json({"outcome": found.outcome, "comparisons": found.comparisons})
+    else:
+        drawn = draw_remeasured(figures_of(run), found.predictions) if figures else []
+        report(found.predictions, output)
+        output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {found.outcome}"]))
+        output.json({"outcome": found.outcome, "predictions": found.predictions, "figures": drawn})
+    if found.outcome != "held":
         raise typer.Exit(1)
 
 
-def _two_runs(first: Sequence[FRF], second: Sequence[FRF], tolerance_db: float, output: Output) -> None:
-    """FRFs of two runs: a table of each pair, the worst outcome, exit code 1 where it is not that all agree."""
-    from loopshape.verbs.chain import compare as compare_all
-
-    found = compare_all(first, second, tolerance_db=tolerance_db)
+def _report_two_runs(found: Sequence[Comparison], output: Output) -> None:
+    """FRFs of two runs: a row of each pair."""
     columns = ["loop", "first", "second", "outcome", "p-value", "lines", "worst band [Hz]", "P off [dB]"]
     rows = [
         [c.loop, c.predicted_from, c.measured_from, c.outcome, f"{c.p_value:.2g}", c.lines, *_off(c), c.noticed_db]
@@ -69,11 +61,6 @@ def _two_runs(first: Sequence[FRF], second: Sequence[FRF], tolerance_db: float, 
     ]
     output.table("FRFs of two runs", [*columns, "would notice [dB]"], rows)
     output.warn(f"{c.measured_from}: {note}" for c in found for note in c.notes)
-    outcome = _worst(found)
-    output.say(f"FRFs: {outcome}")
-    output.json({"outcome": outcome, "comparisons": found})
-    if outcome != "held":
-        raise typer.Exit(1)
 
 
 def _off(c: Comparison) -> list[str]:
@@ -83,13 +70,8 @@ def _off(c: Comparison) -> list[str]:
     )
 
 
-def _worst(found: Sequence[Comparison]) -> str:
-    outcomes = {c.outcome for c in found}
-    return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
-
-
-def report(found: Sequence[Remeasured], output: Output) -> str:
-    """Tables of sensitivities, steps and profiles; gives the outcome of all: the worst of them."""
+def report(found: Sequence[Remeasured], output: Output) -> None:
+    """Tables of sensitivities, steps and profiles."""
     comparisons = [c for one in found for c in one.comparisons]
     for loop in dict.fromkeys(c.loop for c in comparisons):
         rows = [_row(c) for c in comparisons if c.loop == loop]
@@ -118,7 +100,6 @@ def report(found: Sequence[Remeasured], output: Output) -> str:
     output.warn(
         f"nothing measured of loop {one.prediction.loop} predicted from {one.prediction.recording}" for one in unseen
     )
-    return _worst(comparisons)
 
 
 def _row(c: Comparison) -> list[Any]:
@@ -137,14 +118,12 @@ def _row(c: Comparison) -> list[Any]:
 
 
 def _step_row(s: StepComparison) -> list[Any]:
-    from loopshape.data.result.prediction import INDICATORS
+    from loopshape.view.labels import indicator_texts
 
-    cells = []
-    for name in INDICATORS:
-        text = indicator_text(s.measured, name)
-        if s.predicted is not None:
-            text += f" ({indicator_text(s.predicted.indicators, name).split(' ')[0]})"
-        cells.append(text)
+    cells = indicator_texts(s.measured)
+    if s.predicted is not None:
+        pairs = zip(cells, indicator_texts(s.predicted.indicators), strict=True)
+        cells = [f"{own} ({predicted.split(' ')[0]})" for own, predicted in pairs]
     return [
         s.recording, point(s.operating_point), s.at_s, s.size, *cells, 100.0 * s.largest_miss, 100.0 * s.outside,
     ]  # fmt: skip
@@ -152,19 +131,3 @@ def _step_row(s: StepComparison) -> list[Any]:
 
 def _tracked(t: Any) -> list[float]:
     return [t.largest_error, t.predicted_largest_error, t.rms_error, t.predicted_rms_error]
-
-
-def _draw(found: Sequence[Remeasured], folder: Path) -> list[str]:
-    from loopshape.cli.pictures import save
-    from loopshape.view.verdict.prediction import comparison_grid, steps_grid
-
-    drawn = []
-    for loop in dict.fromkeys(one.prediction.loop for one in found):
-        mine = [one for one in found if one.prediction.loop == loop]
-        seen = [(one.prediction, frf, c) for one in mine for frf, c in zip(one.measured, one.comparisons, strict=True)]
-        if seen:
-            figure = comparison_grid([p for p, _, _ in seen], [m for _, m, _ in seen], [c for _, _, c in seen])
-            drawn.append(str(save(figure, folder / f"compare_{loop}.png")))
-        if steps := [s for one in mine for s in one.steps]:
-            drawn.append(str(save(steps_grid(steps), folder / f"steps_{loop}.png")))
-    return drawn

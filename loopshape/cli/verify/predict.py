@@ -11,7 +11,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.data.result.prediction import Indicators, Prediction
+    from loopshape.data.result.prediction import Prediction
 
 
 def predict(
@@ -27,35 +27,21 @@ def predict(
 
     Under a controller; `loopshape compare` compares a later run with it.
     """
-    from loopshape.cli.verify.verdicts import fits_of
-    from loopshape.core.errors import WrongUseError
-    from loopshape.io.write.controllers import read_controllers
-    from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.predictions import write_predictions
-    from loopshape.verbs.chain import predict as predict_loop
+    from loopshape.verbs import runs
+    from loopshape.verbs.files import write
+    from loopshape.verbs.pictures import draw_predictions
 
     output = Output(as_json, quiet)
-    frfs, fits, controllers = read_frfs(run), fits_of(run), read_controllers(controller)
-    pairs = [(one, mine) for one in controllers if (mine := [frf for frf in frfs if frf.loop == one.loop])]
-    if not pairs:
-        raise WrongUseError(
-            "the run has no FRF of a loop of these controllers",
-            f"loops {', '.join(one.loop for one in controllers)} and FRFs of {', '.join({f.loop for f in frfs})}",
-        )
-    made: list[Prediction] = []
-    with output.progress("predict", len(pairs)) as step:
-        for own, mine in pairs:
-            made += predict_loop(mine, own, fits=fits, seed=seed)
-            step(own.loop)
-    write_predictions(out, made)
+    made = runs.predict(run, controller, seed=seed, watch=output)
+    write(made, out)
     _report(made, output)
-    drawn = _draw(made, out) if figures else []
+    drawn = draw_predictions(out, made) if figures else []
     output.say("\n".join([f"prediction written to {out}", *drawn]))
     output.json({"prediction": str(out), "figures": drawn, "predictions": made})
 
 
 def _report(made: Sequence[Prediction], output: Output) -> None:
-    from loopshape.core.units import db
+    from loopshape.view.labels import indicator_texts
 
     for loop in dict.fromkeys(one.loop for one in made):
         mine = [one for one in made if one.loop == loop]
@@ -64,9 +50,8 @@ def _report(made: Sequence[Prediction], output: Output) -> None:
                 one.recording,
                 point(one.sensitivity.operating_point, one.sensitivity.parameters),
                 one.stability,
-                float(db(one.sensitivity.response).max()),
-                float(db(one.complementary.response).max()),
-                *_cells(None if one.step is None else one.step.indicators),
+                *one.peaks_db,
+                *(["-"] * len(STEP_COLUMNS) if one.step is None else indicator_texts(one.step.indicators)),
             ]
             for one in mine
         ]
@@ -79,35 +64,3 @@ def _report(made: Sequence[Prediction], output: Output) -> None:
 
 
 STEP_COLUMNS = ("t_r [s]", "t_s 2 % [s]", "t_s 5 % [s]", "overshoot [%]", "e_ss [%]")
-
-
-def _cells(read: Indicators | None) -> list[str]:
-    """Indicators with their 95 % intervals as people read them."""
-    from loopshape.data.result.prediction import INDICATORS
-
-    if read is None:
-        return ["-"] * len(INDICATORS)
-    return [indicator_text(read, name) for name in INDICATORS]
-
-
-def indicator_text(read: Indicators, name: str) -> str:
-    """One indicator with its interval, shares as percent."""
-    from loopshape.data.result.prediction import INDICATORS
-
-    scale = 100.0 if INDICATORS[name] == "1" else 1.0
-    value, interval = scale * getattr(read, name), read.intervals.get(name)
-    text = f"{value:.3g}" if abs(value) >= 5e-4 else "0"
-    if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
-        return text
-    return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"
-
-
-def _draw(made: Sequence[Prediction], out: Path) -> list[str]:
-    from loopshape.cli.pictures import save
-    from loopshape.view.verdict.prediction import prediction_page
-
-    drawn = []
-    for loop in dict.fromkeys(one.loop for one in made):
-        figure = prediction_page([one for one in made if one.loop == loop])
-        drawn.append(str(save(figure, out.with_name(f"{out.stem}_{loop}.png"))))
-    return drawn

@@ -24,25 +24,15 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write a run's report as one HTML file. It opens offline; exit code 0 whatever the verdict."""
-    from loopshape.data.result.verdict_words import WORDS
-    from loopshape.io.files import write_bytes_whole
-    from loopshape.verbs.files import figure_bytes, report_page
+    from loopshape.verbs.files import write_report
+    from loopshape.view.html.words import OUTCOME_WORDS
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, data = report_page(run, controller, require, diagram, date, figure_bytes(figures_mb))
-    write_bytes_whole(path, data)
+    made, size = write_report(path, run, controller, require, diagram, date, figures_mb)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())
-    word = WORDS.get(made.outcome, "no requirement")
-    output.say(f"verdict: {word}")
-    output.say(f"report: {path} ({len(data) / 1e6:.1f} MB)")
-    output.json(
-        {
-            "report": str(path),
-            "bytes": len(data),
-            "outcome": made.outcome,
-            "missing": made.missing,
-            "figures_left_out": made.figures_left_out,
-        }
-    )
+    output.say(f"verdict: {OUTCOME_WORDS.get(made.outcome, 'no requirement')}")
+    output.say(f"report: {path} ({size / 1e6:.1f} MB)")
+    told = {"outcome": made.outcome, "missing": made.missing, "figures_left_out": made.figures_left_out}
+    output.json({"report": str(path), "bytes": size, **told})

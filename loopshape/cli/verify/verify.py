@@ -17,10 +17,10 @@ def verify(
     quiet: Quiet = False,
 ) -> None:
     """Check a run's files against their hashes. The hashes were noted when the files were written."""
-    from loopshape.io.run.verify import verify as look
+    from loopshape.verbs import files
 
     output = Output(as_json, quiet)
-    found = look(run, study)
+    found = files.verify(run, study)
     words = {True: "sound", False: "NOT SOUND", None: "cannot be told"}
     output.table(f"{run}:", ("what", "outcome", "why"), [(f.what, words[f.sound], f.said) for f in found])
     wrong = [finding for finding in found if finding.sound is False]

@@ -102,14 +102,3 @@ def _all_below(verdict: Verdict, limit_db: float) -> float:
         std, room = (high - low) / _WIDTH, limit_db - found.sensitivity_peak_db
         share *= 0.5 * (1.0 + erf(room / (std * sqrt(2.0)))) if std > 0.0 else float(room >= 0.0)
     return share
-
-
-def zone_sentence(verdict: Verdict, profile: Profile) -> str:
-    """The likeliest zone of a loop with its probability, and what it means; "" where there is none."""
-    shares = zone_shares(verdict, profile)
-    if not shares:
-        return ""
-    best = max(profile.zones, key=lambda zone: shares[zone.name])
-    worst = max(m.sensitivity_peak_db for m in verdict.margins.values())
-    rest = ", ".join(f"{name} {100.0 * p:.1f} %" for name, p in shares.items() if p >= 5e-4)
-    return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."

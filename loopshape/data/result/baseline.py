@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from loopshape.core.json_ready import Plain, keys
 from loopshape.data.control.controller import Controller
 from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict_words import change_text, line_change_words
 
 #: outcomes of lines and of stability, best first
 RANK = {"passed": 0, "stable": 0, "undecided": 1, "failed": 2, "unstable": 2}
@@ -141,3 +142,25 @@ class Comparison(Plain):
         for change in (*self.of("worse"), *self.of("better")):
             kept.setdefault((change.outcome, change.loop, change.quantity), []).append(change)
         return tuple((max(group, key=lambda c: abs(c.change)), len(group)) for group in kept.values())
+
+    @property
+    def counts(self) -> str:
+        """The outcome and how many margins are worse, better and unchanged."""
+        worse, better = (len(self.of(word)) for word in ("worse", "better"))
+        same = len(self.margins) - worse - better
+        return f"{self.outcome} ({worse} margins worse, {better} better, {same} unchanged)"
+
+    @property
+    def remarks(self) -> list[str]:
+        """What came or went, and what differs underneath."""
+        return [*(f"gone: {name}" for name in self.gone), *(f"new: {name}" for name in self.new), *self.notes]
+
+    def text(self, title: str) -> str:
+        """In lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
+        lines = []
+        for x in self.lines:
+            was, wished, now, wishes = line_change_words(x)
+            lines.append(f"{x.quantity} of loop {x.loop}: {was} ({wished}) to {now} ({wishes})")
+        lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in self.stabilities]
+        lines += [change_text(change, points) for change, points in self.largest()]
+        return "\n".join([f"{title}: {self.counts}", *(f"  {line}" for line in (*lines, *self.remarks))])

@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.units import Array
+from loopshape.core.units import Array, db
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 
@@ -116,6 +116,11 @@ class Prediction(Plain):
     def complementary(self) -> FRF:
         """T = 1 - S, of the same covariance."""
         return replace(self.sensitivity, response=1.0 - self.sensitivity.response)
+
+    @property
+    def peaks_db(self) -> tuple[float, float]:
+        """Largest |S| and |T| over the valid lines, in dB."""
+        return float(db(self.sensitivity.response).max()), float(db(self.complementary.response).max())
 
     @property
     def loop(self) -> str:

@@ -11,7 +11,7 @@ from loopshape.data.result.detuning import STABILITY, Lost, Reach
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.requirement.requirements import Margins
-    from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
+    from loopshape.data.result.baseline import LineChange, MarginChange
     from loopshape.data.result.verdict import Line, Order, Verdict
 
 #: how an outcome is printed
@@ -254,26 +254,6 @@ def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
     )
     now = ("not required", "-") if change.now is None else (WORDS[change.now.outcome], wished_text(change.now))
     return (*before, *now)
-
-
-def comparison_counts(comparison: Comparison) -> str:
-    """The outcome of a comparison and its counts."""
-    worse, better = (len(comparison.of(word)) for word in ("worse", "better"))
-    same = len(comparison.margins) - worse - better
-    return f"{comparison.outcome} ({worse} margins worse, {better} better, {same} unchanged)"
-
-
-def comparison_text(title: str, comparison: Comparison) -> str:
-    """A comparison in lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
-    lines = []
-    for x in comparison.lines:
-        was, wished, now, wishes = line_change_words(x)
-        lines.append(f"{x.quantity} of loop {x.loop}: {was} ({wished}) to {now} ({wishes})")
-    lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in comparison.stabilities]
-    lines += [change_text(change, points) for change, points in comparison.largest()]
-    lines += [f"gone: {name}" for name in comparison.gone] + [f"new: {name}" for name in comparison.new]
-    lines += list(comparison.notes)
-    return "\n".join([f"{title}: {comparison_counts(comparison)}", *(f"  {line}" for line in lines)])
 
 
 def _unit(unit: str) -> str:

@@ -11,7 +11,6 @@ from loopshape.data.result.baseline import Comparison, MarginChange
 from loopshape.data.result.verdict import Line, Verdict
 from loopshape.data.result.verdict_words import (
     WORDS,
-    comparison_counts,
     interval_or_bound_text,
     interval_text,
     line_change_words,
@@ -81,7 +80,7 @@ def _row(line: Line) -> list[str]:
 
 
 def _comparison(title: str, comparison: Comparison) -> list[str]:
-    parts = [f"### {_escaped(title)}: {comparison_counts(comparison)}"]
+    parts = [f"### {_escaped(title)}: {comparison.counts}"]
     lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
     lines += [[f"stability in {s.recording}", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
     if lines:

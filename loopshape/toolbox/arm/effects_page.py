@@ -36,7 +36,7 @@ STEP_S = 1.0  # when the setpoint jumps
 
 def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
     """Pages of what effects do, at most eleven a page; gives the files. Refuses another ending than .png."""
-    from loopshape.cli.pictures import save
+    from loopshape.verbs.pictures import save
     from loopshape.toolbox.arm.arm1 import Arm1
     from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
     from loopshape.toolbox.rig.effect_sheets import sheets

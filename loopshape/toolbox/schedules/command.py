@@ -9,7 +9,7 @@ import typer
 
 from loopshape.cli.design.tune import RequireFile
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.cli.pictures import figures_of
+from loopshape.verbs.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.toolbox.schedules.schedule import Schedule
@@ -33,8 +33,7 @@ def schedule_run(
     run: Path, require: Path, controller: Path, output: Output, *, seed: int = 0, starts: int = 16, figures: bool = True
 ) -> list[Schedule]:
     """Compare each loop of a requirements file that names a structure, draw and report."""
-    from loopshape.cli.verify.verdicts import fits_of
-    from loopshape.io.write.check_files import controller_of
+    from loopshape.io.write.check_files import controller_of, fits_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
     from loopshape.io.write.requirements import read_requirements
@@ -55,8 +54,8 @@ def schedule_run(
 
 
 def _draw(folder: Path, one: Schedule) -> list[str]:
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.schedules.picture import schedule_page
+    from loopshape.verbs.pictures import save
 
     return [str(save(schedule_page(one), folder / f"schedule_{one.loop}.png"))]
 

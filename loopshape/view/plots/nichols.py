@@ -1,4 +1,7 @@
-"""Nichols charts: open loops at all operating points against |S|, |T|, what is forbidden, and what noise leaves."""
+"""Nichols charts: open loops at all operating points against |S|, |T|, what is forbidden, and what noise leaves.
+
+And the same in the complex plane, near the point that they must not encircle.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
+from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MultipleLocator
 
 from loopshape.core.units import Array, db, deg
@@ -28,9 +31,11 @@ from loopshape.view.plots.nichols_guides import (
     forbidden,
     forbidden_entries,
 )
-from loopshape.view.style import COLOURS, FULL_WIDTH_IN, axes_or_new, figure_of, head, styled
-from loopshape.view.verdict.loop_parts import named, needs_loops, shown, standing_out, title_of, worst_text
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, figure_of, head, styled
+from loopshape.view.verdict.loop_parts import looks_of, named, needs_loops, shown, standing_out, title_of, worst_text
 
+#: what is shown of the complex plane: -1 and the unit circle with room about them
+REAL, IMAGINARY = (-3.0, 1.5), (-2.25, 2.25)
 #: error regions stand on lines with |L| within so many dB of 1: so many on the worst loop, one on some next worst
 REGION_DB, REGIONS, NEXT_WORST = 15.0, 8, 2
 #: measured lines drawn as dots, at most
@@ -223,3 +228,33 @@ def _frequencies(ax: Axes, crowd: Crowd, one: _Curve) -> None:
 def _word(size: float) -> dict[str, Any]:
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
     return {"in_layout": False, "fontsize": size, "ha": "center", "va": "center", "bbox": box}
+
+
+@styled()
+def nyquist(
+    loops: Sequence[Loop], requirements: Requirements | None, *, verdict: Verdict | None = None, ax: Axes
+) -> Axes:
+    """L at all operating points for positive frequencies, the worst thick, with the unit circle about 0.
+
+    Red is the circle about -1 that a required modulus margin (the least |1 + L|) keeps clear; a limit on |S| is one of
+    its inverse. What lies outside of the frame is left out.
+    """
+    needs_loops(loops)
+    key = key_of([loop.plant for loop in loops])
+    for loop, look in zip(loops, looks_of(key, worst_of(loops, verdict).index), strict=True):
+        ax.plot(loop.L.real, loop.L.imag, **look)
+    ax.add_patch(Circle((0.0, 0.0), 1.0, fill=False, color=QUIET, linewidth=0.7))
+    if radius := _radius(requirements):
+        ax.add_patch(Circle((-1.0, 0.0), radius, facecolor=LIMIT, alpha=0.2, edgecolor="none", gid="forbidden"))
+    ax.plot([-1.0], [0.0], "+", color="black", markersize=7.0)
+    ax.set(xlim=REAL, ylim=IMAGINARY, xlabel="real part of L", ylabel="imaginary part of L", aspect="equal")
+    ax.set_title(title_of("Nyquist plot", loops), loc="left", fontsize=9.0)
+    return ax
+
+
+def _radius(required: Requirements | None) -> float:
+    """Least |1 + L| that requirements allow, 0 without one."""
+    if required is None:
+        return 0.0
+    peak_db = required.sensitivity_peak_db
+    return max(required.modulus_margin or 0.0, 0.0 if peak_db is None else 10.0 ** (-peak_db / 20.0))

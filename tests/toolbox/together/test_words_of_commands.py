@@ -9,7 +9,6 @@ import typer
 from typer.testing import CliRunner
 
 from loopshape import __version__
-from loopshape.cli.estimate.fit import root_cells
 from loopshape.cli.main import COMMANDS, app
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.toolboxes import function_at
@@ -20,6 +19,7 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.io.run.run_folder import write_run
+from loopshape.view.labels import root_cells
 
 pytestmark = pytest.mark.short
 

@@ -9,8 +9,9 @@ import pytest
 
 import loopshape as ls
 from loopshape.core.errors import LoopshapeError
-from loopshape.data.requirement.profile import zone_sentence, zone_shares
+from loopshape.data.requirement.profile import zone_shares
 from loopshape.io.profiles import OWN, profile_of, read_profiles
+from loopshape.view.verdict.tables import zone_sentence
 
 DOCS = Path(__file__).parents[3] / "docs" / "profiles.md"
 F = np.geomspace(0.5, 200.0, 120)

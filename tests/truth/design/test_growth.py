@@ -109,11 +109,10 @@ def test_a_complex_lead_of_damping_one_is_two_leads():
 
 
 def test_growth_of_several_loops_at_once_is_refused(tmp_path):
-    from loopshape.cli.design.tune import refuse_growth
+    from loopshape.verbs import runs
 
-    refuse_growth(0)
     with pytest.raises(WrongUseError, match="one loop at a time"):
-        refuse_growth(2)
+        runs.tune(tmp_path, tmp_path / "requirements.toml", matrix=True, grow=2)
 
 
 def test_what_check_passes_needs_no_word_of_its_shifted_plants() -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet
-from loopshape.cli.pictures import figures_of
+from loopshape.verbs.pictures import figures_of
 
 
 def demo(
@@ -25,7 +25,7 @@ def demo(
     Identify, fit, tune and check the arm at 24 equilibria and the motor bench; diagnose a gap.
     """
     from loopshape.core.errors import UnreadableInputError
-    from loopshape.io.examples import examples_folder
+    from loopshape.io.files import examples_folder
 
     examples = examples or examples_folder()
     if not (examples / "arm").is_dir():
@@ -110,8 +110,8 @@ def _tune_and_check(run: Path, require: Path, output: Output) -> tuple[bool, lis
 
 def _pages(run: Path, recordings: set[str]) -> list[str]:
     """Overview and maps of each loop, and the pages of a few recordings."""
-    from loopshape.cli.estimate.figures import draw_estimates
-    from loopshape.cli.verify.verdicts import fits_of
+    from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.frfs import read_frfs
+    from loopshape.verbs.pictures import draw_frfs
 
-    return draw_estimates(figures_of(run), read_frfs(run), fits_of(run), Output(quiet=True), pages=recordings)
+    return draw_frfs(figures_of(run), read_frfs(run), fits_of(run), pages=recordings)

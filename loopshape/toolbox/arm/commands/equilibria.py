@@ -40,11 +40,11 @@ def draw_equilibria(folder: Path) -> list[str]:
     """The source's figures 4.7 and 4.8 for the nominal arm; gives the files."""
     import numpy as np
 
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.arm.dynamics.equilibrium import angle_map, pressure_map
     from loopshape.toolbox.arm.equilibria_pictures import contours_by_angle, contours_by_pressures
     from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
     from loopshape.toolbox.arm.source import EQUILIBRIA
+    from loopshape.verbs.pictures import save
     from loopshape.view.style import figure_of
 
     c = constants(ARM1_PARAMETERS.vector())

@@ -55,9 +55,9 @@ def import_file(
 
 def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, accept: bool) -> None:
     """Write the draft of a file's map and its picture, and say each guess."""
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
     from loopshape.toolbox.formats.drafts.picture import draft as drawn
+    from loopshape.verbs.pictures import save
 
     made = draft_map(file, rate_hz)
     units = {c.name: c.unit for c in made.columns}

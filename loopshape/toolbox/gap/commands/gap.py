@@ -121,8 +121,8 @@ def diagnose_run(
     if save_answer is not None:
         output.say(f"answer written to {save_answer}")
     if report is not None:
-        from loopshape.cli.pictures import save
         from loopshape.toolbox.gap.pictures.report import gap_figure
+        from loopshape.verbs.pictures import save
 
         output.say(f"figure written to {save(gap_figure(found), report)}")
     if next_study is not None:

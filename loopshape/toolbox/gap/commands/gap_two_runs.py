@@ -93,8 +93,8 @@ def _draw(table: GapTable, report: Path | None) -> Path | None:
     """The picture in the report's file; None where there is nothing to draw or nowhere to."""
     if report is None or not table.rows:
         return None
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.gap.pictures.table import gap_map
+    from loopshape.verbs.pictures import save
     from loopshape.view.style import figure_of
 
     return save(figure_of(gap_map(table)), report)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
+from loopshape.verbs.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
@@ -93,7 +93,7 @@ def _errors(
 
 
 def _draw(run: Path, made: Feedforward, errors: dict[str, Any]) -> str:
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.learning.picture import feedforward_page
+    from loopshape.verbs.pictures import save
 
     return str(save(feedforward_page(made, errors), figures_of(run) / f"feedforward_{made.loop or 'loop'}.png"))

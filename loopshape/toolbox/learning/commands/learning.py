@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
 from loopshape.toolbox.learning.commands.feedforward import plant_of
+from loopshape.verbs.pictures import figures_of
 
 
 def learning(
@@ -31,13 +31,13 @@ def learning(
 
     Exit code 1 where trials do not converge, or the FRF's error leaves it undecided.
     """
-    from loopshape.cli.pictures import save
     from loopshape.data.result.verdict import Outcome
     from loopshape.io.write.check_files import controller_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.toolbox.learning.files import write_learning
     from loopshape.toolbox.learning.learning import learning as learn
     from loopshape.toolbox.learning.picture import learning_factor
+    from loopshape.verbs.pictures import save
     from loopshape.view.style import figure_of
 
     output = Output(as_json, quiet)

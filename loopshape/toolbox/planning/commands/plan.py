@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
+from loopshape.verbs.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.toolbox.planning.plan_nouns import Plan
@@ -54,12 +54,12 @@ def plan(
     Where the first recording has that accuracy already nothing is proposed. With --resolution-hz and --seconds, as
     `check` prints them for an undecided verdict, the experiment is that, in the band from --from-hz to --to-hz.
     """
-    from loopshape.cli.pictures import save
     from loopshape.io.run.run_folder import read_run
     from loopshape.io.write.controllers import read_controllers
     from loopshape.toolbox.planning.plan_pictures import plan_page
     from loopshape.toolbox.planning.verbs import plan as planned
     from loopshape.toolbox.planning.verbs import write_plan
+    from loopshape.verbs.pictures import save
 
     output = Output(as_json, quiet)
     held = read_run(run)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
-from loopshape.cli.pictures import figures_of
+from loopshape.verbs.pictures import figures_of
 
 if TYPE_CHECKING:
     from loopshape.data.signal.run import Run
@@ -75,9 +75,9 @@ def _with(value: float, interval: tuple[float, float], figures: int = 4) -> str:
 
 def draw(folder: Path, run: Run, found: Sequence[Tones]) -> list[str]:
     """A page for each channel that holds a tone."""
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.planning.tone.pictures import tones_page
     from loopshape.toolbox.planning.tone.verbs import signal_of
+    from loopshape.verbs.pictures import save
 
     drawn = []
     for one in found:

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, point
-from loopshape.cli.pictures import figures_of
 from loopshape.toolbox.rig.commands.measure import ControllersFile, StudyFile, record
+from loopshape.verbs.pictures import figures_of
 
 
 def simulate(
@@ -31,9 +31,9 @@ def simulate(
 
     They are those of a study; a run and a figure of each are written.
     """
-    from loopshape.cli.pictures import save
     from loopshape.toolbox.rig.pictures import responses
     from loopshape.toolbox.rig.verbs.machine import ended_early
+    from loopshape.verbs.pictures import save
 
     output = Output(as_json, quiet)
     folder = out or Path(f"{study.stem}-run")

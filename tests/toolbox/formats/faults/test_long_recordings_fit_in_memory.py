@@ -56,7 +56,7 @@ np.linalg.inv(scipy.linalg.inv(square @ square))  # what the libraries reserve o
 cross_spectra([np.ones(64)] * 3, 16, 8)
 """
 IMPORT = "import_run(file, given, out, Output(False, True))"
-FRF = "estimate_and_report(out, Output(False, True), figures=False, settings={'resolution_hz': RESOLUTION})"
+FRF = "estimate_and_report(out, Output(False, True), figures=False, resolution_hz=RESOLUTION)"
 
 SWEEPS = """
 from loopshape.core import stretches

@@ -208,7 +208,7 @@ def test_what_was_not_found_is_null_in_json() -> None:
 def test_an_undecided_line_says_how_much_more_measuring_would_decide(capsys: pytest.CaptureFixture[str]) -> None:
     from verdict_cases import checked, line, margins
 
-    from loopshape.cli.verify.verdicts import report_verdicts
+    from loopshape.cli.verify.check import report_verdicts
 
     points = {"r1": margins(stable="undecided", reason="why", band_hz=(0.0, 2.5))}
     lines = [line("gain_margin_db", "undecided", longer=3.1), line("modulus_margin", "undecided", longer=float("inf"))]

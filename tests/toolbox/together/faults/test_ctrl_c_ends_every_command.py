@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.io.examples import examples_folder
+from loopshape.io.files import examples_folder
 
 EXAMPLES = examples_folder()
 ARM, BENCH = EXAMPLES / "arm", EXAMPLES / "motor_bench"

@@ -1,0 +1,312 @@
+"""Verbs on a run's folder: each reads the files that it needs, and gives a noun; what a command does, a script can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from loopshape.core.errors import WrongUseError
+from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.profile import Profile, zone_shares
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
+from loopshape.data.result.prediction import Comparison, Prediction
+from loopshape.data.result.verdict_words import outcome_of, page_text
+from loopshape.design.tune import Tuning
+from loopshape.io.held import held
+from loopshape.io.profiles import joined, profile_of
+from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
+from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.fits import write_fits
+from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, read_several_loops
+from loopshape.io.write.junit import write_junit
+from loopshape.io.write.markdown import write_markdown
+from loopshape.io.write.predictions import read_predictions
+from loopshape.io.write.requirements import read_required, read_requirements
+from loopshape.io.write.verdicts import write_verdicts
+from loopshape.loop.predict.remeasured import Remeasured
+from loopshape.verbs import chain
+from loopshape.verbs.files import read
+from loopshape.verbs.several import interaction
+from loopshape.verbs.watch import Unwatched, Watch
+
+if TYPE_CHECKING:
+    from loopshape.data.response.interaction import Interaction
+    from loopshape.design.several import SeveralTuning
+
+
+def fit(
+    run: Path,
+    structure: str = "auto",
+    *,
+    loop: str | None = None,
+    require: Path | None = None,
+    watch: Watch | None = None,
+    **options: Any,
+) -> list[Fit]:
+    """Fit the FRFs of a run, of one loop if named; `options` as in `ls.fit`. Refuses a run without such an FRF."""
+    required = {} if require is None else {one.loop: one for one in read_requirements(require)}
+    frfs = [one for one in read_frfs(run) if loop in (None, one.loop)]
+    if not frfs:
+        raise WrongUseError("the run has no FRF of such a loop", repr(loop))
+    made = []
+    with (watch or Unwatched()).progress("fit", len(frfs)) as step:
+        for one in frfs:
+            made.append(chain.fit(one, structure, R=required.get(one.loop), **options))
+            step(one.recording)
+    return made
+
+
+def store_fits(run: Path, made: Sequence[Fit]) -> None:
+    """Write fits into the run's folder, beside those of other FRFs."""
+    known = {(f.recording, f.loop) for f in made}
+    with held(run):
+        write_fits(run, [*(f for f in fits_of(run) if (f.recording, f.loop) not in known), *made])
+
+
+def interactions(
+    run: Path, loops: Sequence[str] | None = None, *, controllers: Path | None = None, **options: Any
+) -> list[Interaction]:
+    """How much the loops of each matrix of a run interact; `options` as in `ls.interaction`.
+
+    The others are closed by the controllers of a file, else by those that the run was recorded under.
+    """
+    closing = recorded_under(run) if controllers is None else read_controllers(controllers)
+    found = []
+    for one in read_several_loops(run):
+        mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
+        found.append(interaction(one, loops, mine, **options))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class TunedRun:
+    """Tunings by loop, and why they are not enough, "" where they are.
+
+    `turns` is what several loops gave that were tuned in turn, `profile` the one whose limits were kept too.
+    """
+
+    tunings: tuple[Tuning, ...]
+    missed: str
+    profile: Profile | None = None
+    turns: SeveralTuning | None = None
+
+
+def tune(
+    run: Path,
+    require: Path,
+    *,
+    start: Path | None = None,
+    profile: str | None = None,
+    matrix: bool = False,
+    diagram: Path | None = None,
+    disturbance: Path | None = None,
+    grow: int = 0,
+    watch: Watch | None = None,
+    each: Callable[[Tuning], None] = lambda tuning: None,
+    **search: Any,
+) -> TunedRun:
+    """Tune the loops of a requirements file; `search` as in `ls.tune`.
+
+    Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
+    profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
+    `matrix` what is of single loops alone.
+    """
+    if matrix and grow:
+        raise WrongUseError(
+            "structures grow for one loop at a time", f"--grow {grow} with --matrix", "grow each loop without --matrix"
+        )
+    given, together = read_required(require) if matrix else (read_requirements(require), None)
+    requirements, chosen = joined(profile, given)
+    began = _to_start(start, [one.loop for one in requirements])
+    if not matrix:
+        tunings = []
+        for tuning in _alone(run, requirements, began, diagram, disturbance, grow=grow, **search):
+            tunings.append(tuning)
+            each(tuning)
+        return TunedRun(tuple(tunings), _missed(tunings), chosen)
+    if diagram is not None:
+        raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is kept by one loop", "several loops at once", "leave --matrix out")
+    search.pop("least_gain", None)  # of growth
+    frfs, under = read_several_loops(run), recorded_under(run)
+    turns = chain.tune(
+        frfs, requirements, start=[*began.values()], together=together, recorded_under=under, watch=watch, **search
+    )
+    missed = "" if turns.feasible else "the loops do not meet all requirements together"
+    return TunedRun(tuple(turns.tunings.values()), missed, chosen, turns)
+
+
+def _alone(
+    run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], diagram: Path | None,
+    disturbance: Path | None, **search: Any,
+) -> Iterator[Tuning]:  # fmt: skip
+    """Each loop by itself, or the tuned block of a diagram."""
+    frfs, fits = read_frfs(run), fits_of(run)
+    if diagram is not None:
+        met = read_diagram(diagram, run).equivalent()
+        frfs, fits, requirements = met.plants, (), tuple(map(met.asked, requirements))
+    for required in requirements:
+        mine = [one for one in frfs if one.loop == required.loop]
+        known = chain.disturbances_of(disturbance, required.loop) or None
+        start = began.get(required.loop)
+        yield chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search)
+
+
+def _to_start(file: Path | None, loops: list[str]) -> dict[str, Controller]:
+    """Controllers of a file by loop; refuses a file that has none of the loops to be tuned."""
+    if file is None:
+        return {}
+    found = {one.loop: one for one in read_controllers(file)}
+    if not set(found) & set(loops):
+        what = f"{file.name} has no controller to start from"
+        raise WrongUseError(what, f"loops {', '.join(found)}", f"give one of {', '.join(loops)}")
+    return found
+
+
+def _missed(found: Sequence[Tuning]) -> str:
+    """Why tunings are not enough; "" where all meet their requirements."""
+    if all(t.feasible for t in found):
+        return ""
+    unstable = [t.controller.loop for t in found if "unstable" in {m.stable for m in t.verdict.margins.values()}]
+    reason = "the nearest is shown above"
+    if unstable:
+        reason = f"no start was found stable in loop {', '.join(unstable)}"
+    elif all(t.outcome != "failed" for t in found):
+        reason = "the nearest, shown above, holds by the estimates and not by their 95 % intervals"
+    return f"no controller was found that meets all requirements: {reason}"
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Files that a check writes or is compared with; None where they are not wanted."""
+
+    junit: Path | None = None
+    markdown: Path | None = None
+    save_verdict: Path | None = None
+    baseline: Path | None = None
+    allow_worse: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedRun:
+    """What a check found, under which profile, and against a baseline; without requirements `passed` is None."""
+
+    checks: Checks
+    profile: Profile | None = None
+    compared: Baseline | None = None
+    required: bool = True
+    allow_worse: bool = False
+
+    @property
+    def outcome(self) -> str | None:
+        """The outcome of all loops, None where nothing was required."""
+        return outcome_of(self.checks.verdicts) if self.required else None
+
+    def text(self, run: str = "RUN") -> str:
+        """The verdict in one sentence, and of each loop its requirements in 80 columns."""
+        return page_text(self.checks.verdicts, ", and worse than the baseline" if self.worse else "", run)
+
+    @property
+    def worse(self) -> bool:
+        """Whether something is worse than the baseline, and may not be."""
+        return self.compared is not None and self.compared.worse and not self.allow_worse
+
+    @property
+    def profile_words(self) -> dict[str, Any] | None:
+        """The profile and the probability of each zone by loop, for JSON."""
+        if self.profile is None:
+            return None
+        names = ("name", "standard", "edition", "clause", "source", "confirm", "unread", "remarks", "limits")
+        zones = {one.loop: zone_shares(one, self.profile) for one in self.checks.verdicts if not one.together}
+        return {name: getattr(self.profile, name) for name in names} | {"zones": zones}
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether all requirements hold and nothing is worse than the baseline."""
+        return self.outcome == "passed" and not self.worse if self.required else None
+
+
+def check(
+    run: Path,
+    controller: Path,
+    require: Path | None,
+    *,
+    profile: str | None = None,
+    reports: Reports | None = None,
+    **options: Any,
+) -> CheckedRun:
+    """Check each loop of a requirements file, and compare it with the baseline of the `reports`.
+
+    `options` as in `check_all`. Refuses reports on nothing required.
+    """
+    reports = reports or Reports()
+    chosen = None if profile is None else profile_of(profile)
+    required = require is not None or chosen is not None
+    if not required and reports != Reports():
+        raise WrongUseError("a verdict needs requirements", "a file for it, and no requirements", "add --require FILE")
+    if reports.allow_worse and reports.baseline is None:
+        raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
+    found = check_all(run, controller, require, chosen, **options)
+    compared = None if reports.baseline is None else against(reports.baseline, found.single)
+    return CheckedRun(found, chosen, compared, required, reports.allow_worse)
+
+
+def write_reports(found: CheckedRun, reports: Reports) -> None:
+    """Write the files that report on a check."""
+    checks, compared = found.checks, found.compared
+    if reports.save_verdict is not None:
+        write_verdicts(reports.save_verdict, [loop.checked for loop in checks.single])
+    if reports.junit is not None:
+        whole = None if compared is None else compared.whole
+        write_junit(reports.junit, checks.verdicts, whole, allow_worse=reports.allow_worse)
+    if reports.markdown is not None:
+        write_markdown(reports.markdown, checks.verdicts, None if compared is None else compared.parts)
+
+
+def predict(run: Path, controllers: Path, *, seed: int = 0, watch: Watch | None = None) -> tuple[Prediction, ...]:
+    """What the controllers of a file will make of a run's loops; refuses a file without a loop that has an FRF."""
+    frfs, fits, read_in = read_frfs(run), fits_of(run), read_controllers(controllers)
+    pairs = [(one, mine) for one in read_in if (mine := [frf for frf in frfs if frf.loop == one.loop])]
+    if not pairs:
+        raise WrongUseError(
+            "the run has no FRF of a loop of these controllers",
+            f"loops {', '.join(one.loop for one in read_in)} and FRFs of {', '.join({f.loop for f in frfs})}",
+        )
+    made: list[Prediction] = []
+    with (watch or Unwatched()).progress("predict", len(pairs)) as step:
+        for own, mine in pairs:
+            made += chain.predict(mine, own, fits=fits, seed=seed)
+            step(own.loop)
+    return tuple(made)
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedRun:
+    """A run against predictions, each with all that was measured of it, or its FRFs against those of another run."""
+
+    comparisons: tuple[Comparison, ...]
+    predictions: tuple[Remeasured, ...] | None = None
+
+    @property
+    def outcome(self) -> str:
+        """The worst of all comparisons."""
+        outcomes = {c.outcome for c in self.comparisons}
+        return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
+
+
+def compare(
+    run: Path, prediction: Path, *, tolerance_db: float = 0.0, resolution_hz: float | None = None
+) -> ComparedRun:
+    """A run against a file of predictions, or its FRFs against those of another run; settings as in `ls.compare`."""
+    if has_any(prediction, FOLDER):
+        return ComparedRun(tuple(chain.compare(read_frfs(run), read_frfs(prediction), tolerance_db=tolerance_db)))
+    frfs: tuple[FRF, ...] = read_frfs(run) if has_any(run, FOLDER) else ()
+    found = chain.compare(
+        read(run), read_predictions(prediction), frfs=frfs, resolution_hz=resolution_hz, tolerance_db=tolerance_db
+    )
+    return ComparedRun(tuple(c for one in found for c in one.comparisons), tuple(found))

@@ -1,0 +1,160 @@
+"""Verdicts and their comparisons as tables of text: each a title, its columns and rows of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any
+
+from loopshape.data.result.verdict_words import (
+    WORDS,
+    interval_or_bound_text,
+    interval_text,
+    line_change_words,
+    longer_text,
+    number_of,
+    reach_text,
+    stability_of,
+    unstable_text,
+)
+
+if TYPE_CHECKING:
+    from loopshape.data.control.controller import Controller
+    from loopshape.data.requirement.profile import Profile
+    from loopshape.data.result.baseline import Comparison
+    from loopshape.data.result.verdict import Line, Verdict
+
+Table = tuple[str, Sequence[str], list[list[Any]]]
+
+
+def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]:
+    """Requirement lines, and the margins of each operating point."""
+    stable, at, word = stability_of(verdict)
+    rows: list[list[Any]] = [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
+    for line in verdict.lines:
+        numbers = [_cell(line, line.wished), _worst(line), interval_or_bound_text(line), _cell(line, line.spare)]
+        word = WORDS[line.outcome] + longer_text(line)
+        rows.append([line.quantity, line.unit, *numbers, line.recording, line.at_hz, word])
+    columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]", "verdict"]
+    yield f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows
+    if margins:
+        yield margins_table(verdict)
+        yield from _detunings(verdict)
+
+
+def notices(verdict: Verdict) -> list[str]:
+    """The warnings, and a sentence for each operating point whose loop is not known to be stable."""
+    return [*verdict.warnings, *(unstable_text(verdict, name) for name in verdict.unstable)]
+
+
+def zone_sentence(verdict: Verdict, profile: Profile) -> str:
+    """The likeliest zone of a loop with its probability, and what it means; "" where there is none."""
+    from loopshape.data.requirement.profile import zone_shares  # numpy with it: `--help` does without
+
+    shares = zone_shares(verdict, profile)
+    if not shares:
+        return ""
+    best = max(profile.zones, key=lambda zone: shares[zone.name])
+    worst = max(m.sensitivity_peak_db for m in verdict.margins.values())
+    rest = ", ".join(f"{name} {100.0 * p:.1f} %" for name, p in shares.items() if p >= 5e-4)
+    return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."
+
+
+def _worst(line: Line) -> object:
+    return f"> {line.found:g}" if line.beyond else _cell(line, line.found)
+
+
+def _cell(line: Line, value: float) -> object:
+    """A number as a table rounds it, an error's as it is: its unit is as large as it likes."""
+    return number_of(line, value) if line.quantity == "error_rms" else value
+
+
+def margins_table(verdict: Verdict, *, details: bool = True) -> Table:
+    """The margins of each operating point; without `details` those of a single loop in 80 columns."""
+    if verdict.together:
+        return _several(verdict)
+    return _all_margins(verdict) if details else _first_margins(verdict)
+
+
+def _first_margins(verdict: Verdict) -> Table:
+    rows = [
+        [name, m.stable, m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.sensitivity_peak_db]
+        for name, m in verdict.margins.items()
+    ]
+    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "|S| [dB]"]
+    return f"Margins of loop {verdict.loop}", columns, rows
+
+
+def _several(verdict: Verdict) -> Table:
+    """Margins of all loops at once at each operating point, and the changes that bring them to their limit."""
+    rows: list[list[Any]] = []
+    for recording, m in verdict.together.items():
+        numbers = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
+        peaks = [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
+        lost = (f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items())
+        interval = interval_text(m.intervals.get("disk_margin"))
+        disk = [m.disk_margin, interval, *numbers, *peaks, m.at_hz["disk_margin"]]
+        rows.append([recording, m.stable, *disk, ", ".join(lost)])
+    columns = ["recordings", "closed loops", "disk margin", "95 % interval", "GM [dB]", "PM [deg]", "in and out"]
+    return "All loops at once", [*columns, "modulus", "S [dB]", "T [dB]", "at [Hz]", "lost by"], rows
+
+
+def _all_margins(verdict: Verdict) -> Table:
+    rows: list[list[Any]] = []
+    for name, m in verdict.margins.items():
+        detuning = "-" if m.detuning is None else f"{'> ' * m.detuning.worst.beyond}{m.detuning_percent:.3g}"
+        margins = [m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.modulus_margin, 1e3 * m.delay_margin_s]
+        peaks = [m.sensitivity_peak_db, m.complementary_peak_db, m.control_peak_db]
+        crossings = ", ".join(f"{f:.3g}" for f in m.crossings_hz) or "none"
+        rows.append([name, m.stable, *margins, detuning, *peaks, crossings])
+    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]"]
+    columns += ["detuning [%]", "|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
+    return f"Margins of loop {verdict.loop}", columns, rows
+
+
+def phase_budget_tables(verdict: Verdict, controller: Controller) -> Iterator[Table]:
+    """What each block costs in degrees where the phase margin is least; nothing where no |L| crosses 0 dB."""
+    seen = {name: m for name, m in verdict.margins.items() if isfinite(m.at_hz.get("phase_margin_deg", inf))}
+    if not seen or controller.loop != verdict.loop:
+        return
+    worst = min(seen, key=lambda name: seen[name].phase_margin_deg)
+    at_hz = seen[worst].at_hz["phase_margin_deg"]
+    rows: list[list[Any]] = [[k, *part] for k, part in enumerate(controller.phase_budget(at_hz), start=1)]
+    title = f"Phase budget of loop {verdict.loop} at {at_hz:.4g} Hz, where the phase margin of {worst} is read"
+    yield title, ["", "block", "phase [deg]", "magnitude [dB]"], rows
+
+
+def _detunings(verdict: Verdict) -> Iterator[Table]:
+    """How far the plant's frequencies may move at each operating point, as a whole and one resonance alone."""
+    if not any(line.quantity == "detuning_percent" for line in verdict.lines):
+        return
+    rows: list[list[Any]] = []
+    for name, m in verdict.margins.items():
+        if m.detuning is None:
+            continue
+        whole = ("all frequencies", m.detuning.up, m.detuning.down)
+        single = [(f"{x.frequency_hz:.4g} Hz, damping {x.damping:.2g}", x.up, x.down) for x in m.detuning.resonances]
+        for what, up, down in (whole, *single):
+            ends = [interval_text(reach.interval_percent) for reach in (up, down)]
+            rows.append([name, what, reach_text(up), ends[0], reach_text(down), ends[1]])
+    columns = ["recording", "what moves", "up (what breaks)", "95 % interval", "down (what breaks)", "95 % interval"]
+    yield f"Detuning margins of loop {verdict.loop}", columns, rows
+
+
+def comparison_tables(title: str, comparison: Comparison) -> Iterator[Table]:
+    """What became of a baseline: outcomes that changed, then margins that did."""
+    lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
+    lines += [["stability", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
+    if lines:
+        yield f"{title}: outcomes", ["requirement", "loop", "before", "required", "now", "required now"], lines
+    if moved := comparison.largest():
+        columns = ["margin", "loop", "unit", "before", "now", "change", "its 95 % interval", "at", "points", "outcome"]
+        yield f"{title}: margins", columns, [_moved(*one) for one in moved]
+
+
+def _moved(change: Any, points: int) -> list[Any]:
+    interval = "exact" if change.interval is None else interval_text(change.interval)
+    numbers = [change.before, change.now, change.change]
+    return [
+        change.quantity, change.loop, change.unit, *numbers, interval, change.recording, points, change.outcome,
+    ]  # fmt: skip
