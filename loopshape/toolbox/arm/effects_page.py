@@ -36,11 +36,11 @@ STEP_S = 1.0  # when the setpoint jumps
 
 def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
     """Pages of what effects do, at most eleven a page; gives the files. Refuses another ending than .png."""
-    from loopshape.verbs.pictures import save
     from loopshape.toolbox.arm.arm1 import Arm1
     from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
     from loopshape.toolbox.rig.effect_sheets import sheets
     from loopshape.toolbox.rig.effects import asked
+    from loopshape.verbs.pictures import save
 
     arm = Arm1()
     if path.suffix != ".png":
