@@ -108,7 +108,7 @@ except SystemExit:
 
 BOXES = [name for name in found().toolboxes if hasattr(ls, name)]
 EVERY = [name for name in dir(ls) if name != "__version__"]
-EVERY += [f"{box}.{name}" for box in BOXES for name in dir(getattr(ls, box))]
+EVERY += [f"{box}.{name}" for box in ("errors", *BOXES) for name in dir(getattr(ls, box))]
 
 
 @pytest.mark.parametrize("name", EVERY)
