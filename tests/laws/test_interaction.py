@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.core.units import db
+import loopshape as ls
 from loopshape.data.algebra import controller_frf, inverse, lower_closure
-from loopshape.data.control.controller import Block, Controller
 from loopshape.identify.matrix.interaction import interaction, interaction_coefficient, relative_gain, square_part
 
 NAMES = ("theta1", "theta2")
@@ -14,7 +15,7 @@ NAMES = ("theta1", "theta2")
 
 def controllers(gain=5.0, names=NAMES):
     blocks = (Block("gain", {"gain": gain}), Block("lead_lag", {"f1_hz": 0.5, "f2_hz": 9.0}))
-    return {name: Controller(name, blocks, 1000.0) for name in names}
+    return {name: ls.Controller(name, blocks, 1000.0) for name in names}
 
 
 def random_matrix(n, seed=1):

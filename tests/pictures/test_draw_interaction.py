@@ -4,17 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.core.units import db
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.identify.matrix.interaction import interaction
 from loopshape.view.plots.interaction import coefficients, interaction_page, relative_gains
 from loopshape.view.plots.matrix import matrix_overview, matrix_page, settled
 from loopshape.view.style import png
 
 NAMES = ("theta1", "theta2")
-K = {name: Controller(name, (Block("gain", {"gain": 4.0}),), 1000.0) for name in NAMES}
+K = {name: ls.Controller(name, (Block("gain", {"gain": 4.0}),), 1000.0) for name in NAMES}
 COHERENT = {
     "multiple_coherence": np.full((F.size, 2), 0.9),
     "partial_coherence": np.full((F.size, 2, 2), 0.8),

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.data.algebra.propagation import pick
-from loopshape.data.control.controller import Block, Controller
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import interaction, relative_gain
 
 FRF22 = matrix_frf(coupled_by(-30.0), error=0.01)
 TALL = matrix_frf(np.ones((F.size, 3, 2)), outputs=("a_m", "b_m", "c_m"))
-K = Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
+K = ls.Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
 
 
 @pytest.mark.parametrize(
@@ -39,6 +39,6 @@ K = Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
     ],
 )
 def test_refusals_say_what_and_the_way_out(ask, words):
-    with pytest.raises(WrongUseError) as caught:
+    with pytest.raises(ls.errors.WrongUseError) as caught:
         ask()
     assert words in str(caught.value)

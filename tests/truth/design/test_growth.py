@@ -8,7 +8,6 @@ import pytest
 from tune_plants import GAIN, LEAD, frf, problem_of, servo, wished
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import series_response
 from loopshape.design.growth import Stage
 from loopshape.design.problem.measures import measure
@@ -112,7 +111,7 @@ def test_growth_of_several_loops_at_once_is_refused(tmp_path):
     from loopshape.cli.design.tune import refuse_growth
 
     refuse_growth(0)
-    with pytest.raises(WrongUseError, match="one loop at a time"):
+    with pytest.raises(ls.errors.WrongUseError, match="one loop at a time"):
         refuse_growth(2)
 
 

@@ -3,13 +3,10 @@
 from dataclasses import replace
 
 import pytest
+from bench_nouns import Block
 from two_axes import RATE, F, matrix
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.data.response.frf import FRF
 from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
 from loopshape.loop.matrix.several import check_several
@@ -28,11 +25,11 @@ def wished(name, **limits):
             {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 100.0}, "f2_hz": {"min": 5.0, "max": 400.0}},
         ],
     }
-    return Requirements.from_table(table | limits)
+    return ls.Requirements.from_table(table | limits)
 
 
 WISHES = (wished("a"), wished("b"))
-WHOLE = SeveralRequirements(unstable_poles=0)
+WHOLE = ls.SeveralRequirements(unstable_poles=0)
 FEW = {"starts": 4, "draws": 20, "several": WHOLE}
 
 
@@ -43,7 +40,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
     assert [turn.round for turn in found.turns] == [1, 1, 2, 2]
     for k, wish in enumerate(WISHES):
         own = matrix(0.0)
-        part = FRF(
+        part = ls.FRF(
             F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.trusted, ("z",), ("y",), "known",
             "one", wish.loop, RATE,
         )  # fmt: skip
@@ -88,7 +85,7 @@ def test_same_seed_same_controllers(coupled):
 
 
 def test_a_loop_without_wishes_stays_closed_as_it_is():
-    still = Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
+    still = ls.Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
     found = tune_several([matrix(0.6)], WISHES[:1], [still], **FEW)
     assert {turn.others for turn in found.turns} == {("b",)}
     assert [c.loop for c in found.controllers] == ["a", "b"]
@@ -96,7 +93,7 @@ def test_a_loop_without_wishes_stays_closed_as_it_is():
 
 
 def test_one_loop_is_refused():
-    with pytest.raises(WrongUseError, match="several loops are two at least"):
+    with pytest.raises(ls.errors.WrongUseError, match="several loops are two at least"):
         tune_several([matrix(0.0)], WISHES[:1])
 
 
@@ -108,5 +105,5 @@ def test_one_loop_is_refused():
     ],
 )
 def test_what_is_of_one_loop_alone_is_not_asked_of_several(asked, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.tune(matrix(0.0), **asked)

@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, numbers, point
+from simulated_machines import experiment, header, plan, read_study
 
 from loopshape.identify.matrix.interaction import interaction
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import DECOUPLING, OUTPUTS, linearise2
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[4] / "experiments" / "arm2_interaction"
 sys.path.insert(0, str(STUDY))

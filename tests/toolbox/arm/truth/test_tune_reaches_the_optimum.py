@@ -7,13 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
 from source_controllers import angle_controller
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, begin, search
@@ -25,11 +21,13 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs as arm_frfs
 from tune_workload import requirements as arm_requirements
 
+import loopshape as ls
 
-def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz: float = 100.0) -> FRF:
+
+def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz: float = 100.0) -> ls.FRF:
     f = np.geomspace(0.05, high_hz, lines)
     G = model.response(f)
-    return FRF(
+    return ls.FRF(
         frequency_hz=f,
         response=G[:, None, None],
         covariance=np.full((lines, 1, 1), 1e-20 + 0j),
@@ -43,14 +41,14 @@ def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz:
     )
 
 
-def wished(**limits: object) -> Requirements:
+def wished(**limits: object) -> ls.Requirements:
     table = {
         "name": "one",
         "integrators": 1,
         "unstable_poles": 0,
         "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}],
     }
-    return Requirements.from_table(table | limits)
+    return ls.Requirements.from_table(table | limits)
 
 
 def test_a_gain_for_an_integrator_with_delay_has_its_textbook_value() -> None:
@@ -86,7 +84,7 @@ def test_the_worst_of_several_plants_decides() -> None:
 
 def test_slopes_of_bandwidths_and_rooms_are_exact() -> None:
     plants, limits = arm_frfs(200), arm_requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     loops, _ = loops_of(plants, unit, limits)
     p = problem(loops, limits, 1000.0)
     x = np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55])
@@ -145,7 +143,7 @@ def test_another_seed_comes_within_two_percent(tuned) -> None:
 def test_no_small_change_of_the_result_is_better(tuned) -> None:
     """A local optimum by definition: random nearby controllers either break a limit or are slower."""
     plants, limits, found = tuned
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     p = problem(loops_of(plants, unit, limits)[0], limits, 1000.0)
     x = np.log([found.controller.blocks[v.block].parameters[v.name] for v in p.variables])
     best = measure(p, x, {}).ln_bandwidth.min()
@@ -161,11 +159,11 @@ def test_no_small_change_of_the_result_is_better(tuned) -> None:
 def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     """At least 1.3 times the lowest bandwidth of the source's controller, with at most twice its peak |CS|."""
     plants, _, _ = tuned
-    bare = Requirements(
+    bare = ls.Requirements(
         "theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, integrators=1, unstable_poles=0
     )
 
-    def source(gain: float) -> Controller:
+    def source(gain: float) -> ls.Controller:
         return angle_controller(gain, notch_hz=4.5)
 
     low, high = 0.5, 55.0
@@ -207,7 +205,7 @@ def test_tied_and_fixed_parameters_stay_so(tuned) -> None:
 
 def test_an_integral_controller_is_tuned_stably() -> None:
     model = TransferFunction([3.0], [0.1, 1.0], 0.01)
-    limits = Requirements.from_table(
+    limits = ls.Requirements.from_table(
         {
             "name": "one",
             "integrators": 0,
@@ -231,18 +229,20 @@ def test_l_that_only_touches_one_at_the_first_frequency_does_not_do(size: float,
     # a little less, as a search may leave it, and `check` has no crossover to count from
     limits = wished(integrators=0, phase_margin_deg=45.0)
     frf = plant(TransferFunction([1.0], np.polymul([0.1, 1.0], [0.2, 1.0])))
-    p = problem(loops_of([frf], Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4)
+    p = problem(
+        loops_of([frf], ls.Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4
+    )
     assert (measure(p, np.log([size / abs(frf.siso[0])]), {}).worst >= 0.0) is holds
 
 
 def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
     plants, limits = arm_frfs(100), arm_requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     loops, _ = loops_of(plants, unit, limits)
     p = problem(loops, limits, 1000.0)
     read = np.zeros(24, dtype=int)
 
-    def judge(controller: Controller, points: Sequence[int] | None = None) -> Verdict:
+    def judge(controller: ls.Controller, points: Sequence[int] | None = None) -> ls.Verdict:
         chosen = list(range(24) if points is None else points)
         read[chosen] += 1
         named = {plants[k].recording: replace(loops[k], controller=controller) for k in chosen}

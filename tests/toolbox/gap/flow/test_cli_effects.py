@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.main import app
-from loopshape.io.run.run_folder import read_run
 from loopshape.toolbox.gap import registry
 from loopshape.toolbox.gap.commands.effects import catalogue_rows, markdown_table
 
@@ -42,7 +42,7 @@ def simulate(tmp_path: Path):
     def run(*options: str, words: str = "", name: str = "run"):
         (tmp_path / "study.toml").write_text(STUDY + words)
         loopshape("simulate", tmp_path / "study.toml", "--out", tmp_path / name, "--quiet", *options)
-        return read_run(tmp_path / name)
+        return ls.read(tmp_path / name)
 
     return run
 
@@ -102,7 +102,7 @@ stiffness_error = 0.25
 """
     (tmp_path / "study.toml").write_text(STUDY.split("[[experiment]]")[0] + excited)
     loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run", "--quiet")
-    assert read_run(tmp_path / "run").extra["effects"] == {"stiffness_error": 0.25}
+    assert ls.read(tmp_path / "run").extra["effects"] == {"stiffness_error": 0.25}
     assert list((tmp_path / "run" / "frf").glob("*.npz"))
 
 

@@ -11,8 +11,8 @@ from emulated_cases import emulator, settings
 from python_target_line import Running
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.main import app
-from loopshape.core.errors import RigError
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Reason, Say, State
 from loopshape.toolbox.rig.target.session import Session
@@ -88,7 +88,7 @@ def test_another_host_is_told_why_it_has_to_wait(a_target):
         with (
             session.kept_alive(0.1),
             open_link(port, 0) as second,
-            pytest.raises(RigError, match="refuses ALIVE; received another host is connected"),
+            pytest.raises(ls.errors.RigError, match="refuses ALIVE; received another host is connected"),
         ):
             Session(second).status()
         assert session.status().state is State.IDLE

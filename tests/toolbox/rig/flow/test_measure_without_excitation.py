@@ -5,8 +5,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.main import app
-from loopshape.io.run.run_folder import read_run
 
 STUDY = """
 format = "loopshape-study/1"
@@ -32,6 +32,6 @@ def test_it_is_recorded_and_said(tmp_path, signals):
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert "no recording excites a loop" in result.stdout
-    assert len(read_run(tmp_path / "run").recordings) == 1
+    assert len(ls.read(tmp_path / "run").recordings) == 1
     again = CliRunner().invoke(app, [*words, "--json"])
     assert json.loads(again.stdout) == {"run": str(tmp_path / "run"), "ended_early": []}

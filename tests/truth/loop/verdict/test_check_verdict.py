@@ -5,18 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, LoopSetup, Rational, RecordingInfo, ThirdOrder, TransferFunction
+from conversions import TWO_PI, db
 
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.structures import Rational, ThirdOrder
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check, loops_of
 
@@ -27,14 +21,14 @@ F = np.geomspace(0.1, 100.0, 1500)
 def arm(recording, f_hz=6.3, kappa=780.0, zeta=0.05, f=F, std=1e-6):
     w = TWO_PI * f_hz
     G = TransferFunction([kappa], [1.0, 2.0 * zeta * w, w * w, 0.0]).response(f)[:, None, None]
-    return FRF(
+    return ls.FRF(
         f, G, (std * np.abs(G)) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "made up",
         recording=recording, loop="theta2", rate_hz=RATE,
     )  # fmt: skip
 
 
 def controller(gain=55.0, notch_hz=6.1, rate_hz=RATE):
-    return Controller(
+    return ls.Controller(
         "theta2",
         (
             Block("gain", {"gain": gain}),
@@ -47,7 +41,7 @@ def controller(gain=55.0, notch_hz=6.1, rate_hz=RATE):
 
 
 def wish(**words):
-    return Requirements("theta2", **{"integrators": 1, "unstable_poles": 0} | words)
+    return ls.Requirements("theta2", **{"integrators": 1, "unstable_poles": 0} | words)
 
 
 POINTS = [arm("calm"), arm("stiff", f_hz=6.6), arm("strong", kappa=1500.0)]
@@ -292,7 +286,7 @@ STABLE = TransferFunction([4.0], [1.0, 0.0])
 
 def test_declared_unstable_poles_count():
     frf = seen(UNSTABLE)
-    gain = Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
+    gain = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
     said, unsaid = (check([frf], gain, wish(integrators=0, unstable_poles=k, phase_margin_deg=1.0)) for k in (1, None))
     assert said.passed
     assert (unsaid.outcome, unsaid.margins["seen"].stable) == ("undecided", "undecided")
@@ -336,8 +330,10 @@ def test_a_frf_of_white_noise_can_be_checked_to_its_last_line():
     y = np.convolve(z, [0.0, 0.5, 0.2])[: z.size]
     info = RecordingInfo("white.parquet", "noise", "control", excites="theta2", closed_loop=False)
     setup = LoopSetup("theta2", None, None, "z_v", "y_rad", controller())
-    frf = estimate_frf(Recording(info, RATE, {"z_v": z, "y_rad": y}), setup)
-    check([frf], Controller("theta2", (Block("gain", {"gain": 0.1}),), RATE), wish(integrators=0, phase_margin_deg=1.0))
+    frf = estimate_frf(ls.Recording(info, RATE, {"z_v": z, "y_rad": y}), setup)
+    check(
+        [frf], ls.Controller("theta2", (Block("gain", {"gain": 0.1}),), RATE), wish(integrators=0, phase_margin_deg=1.0)
+    )
 
 
 @pytest.mark.long
@@ -353,20 +349,20 @@ def test_lines_that_start_above_the_corners_are_never_judged_wrongly():
         gain = float(np.abs(np.polyval(den, 2j * TWO_PI)) * 10.0 ** rng.uniform(-1.5, 1.5))
         seen_from = float(rng.choice([1.0, 2.0, 4.0])) * float(corners.min())
         frf = seen(TransferFunction([gain], den), np.geomspace(seen_from, 0.45 * RATE, 800))
-        unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
+        unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
         answer = next(iter(check([frf], unit, wish(integrators=k)).margins.values())).stable
         truth = "unstable" if np.any(np.roots(np.polyadd(den, [gain])).real > 1e-9) else "stable"
         assert answer in (truth, "undecided")
 
 
 def plant_of(G, f=F):
-    return FRF.from_arrays(f, G, relative_std=1e-4, rate_hz=RATE)
+    return ls.FRF.from_arrays(f, G, relative_std=1e-4, rate_hz=RATE)
 
 
 def test_a_crossing_with_L_near_1_below_it_is_warned_of_and_that_of_an_integrator_is_not():
     """L = 1.1 / (1 + s/(2 pi 30)) crosses 0 dB at 30 sqrt(1.21 - 1) = 13.7 Hz and reduces the error by 20 log10 2.1."""
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
     flat = check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked)
     (said,) = [w for w in flat.warnings if "crosses 0 dB" in w]
     crosses_hz, reduced_db = (float(x) for x in re.findall(r"at ([0-9.]+) Hz.* by ([0-9.]+) dB", said)[0])
@@ -377,14 +373,14 @@ def test_a_crossing_with_L_near_1_below_it_is_warned_of_and_that_of_an_integrato
 
 
 def test_a_crossing_is_not_warned_of_where_no_bandwidth_is_required():
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
     assert not [w for w in check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked).warnings if "crosses 0 dB" in w]
 
 
 def test_a_peak_near_the_crossing_does_not_hide_that_the_error_is_hardly_reduced_below():
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
     peak = 1.0 + 8.0 / (1.0 + 20.0j * (F / 9.0 - 9.0 / F))  # |L| up to 20 dB at 9 Hz, near 1 below 4
     found = check([plant_of(1.1 * peak / (1.0 + 1j * F / 30.0))], C, asked)
     assert db(1.0 + np.abs(1.1 * peak / (1.0 + 1j * F / 30.0)).max()) > 18.0
