@@ -67,42 +67,44 @@ def test_no_frf_at_all():
 
 
 def test_a_controller_at_another_rate():
-    text = refusal(lambda: check([frf_of()], under_gain(500.0), WISHED))
+    text = refusal(lambda: ls.check([frf_of()], under_gain(500.0), WISHED))
     assert "the controller of loop axis runs at another rate than the recording r1" in text
     assert "500 and 1000 Hz" in text
 
 
 def test_a_frf_of_unknown_rate_is_taken():
-    assert check([frf_of(rate_hz=0.0)], under_gain(500.0), WISHED).passed
+    assert ls.check([frf_of(rate_hz=0.0)], under_gain(500.0), WISHED).passed
 
 
 def test_the_same_recording_twice():
-    text = refusal(lambda: check([frf_of(), frf_of()], under_gain(), WISHED))
+    text = refusal(lambda: ls.check([frf_of(), frf_of()], under_gain(), WISHED))
     assert "two FRFs of one loop come from the same recording" in text
     assert "r1, r1" in text
 
 
 def test_frfs_without_a_recording_get_names_of_their_own():
-    verdict = check([frf_of(""), frf_of("")], under_gain(), WISHED)
+    verdict = ls.check([frf_of(""), frf_of("")], under_gain(), WISHED)
     assert list(verdict.margins) == ["frf 1", "frf 2"]
 
 
 def test_a_frf_without_a_trusted_line():
-    text = refusal(lambda: check([frf_of(trusted=False)], under_gain(), WISHED))
+    text = refusal(lambda: ls.check([frf_of(trusted=False)], under_gain(), WISHED))
     assert "no frequency of the FRF axis r1 is valid" in text
     assert "excite more" in text
 
 
 def test_a_band_without_lines():
     text = refusal(
-        lambda: check([frf_of()], under_gain(), ls.Requirements("axis", phase_margin_deg=1.0, band_hz=(200.0, 300.0)))
+        lambda: ls.check(
+            [frf_of()], under_gain(), ls.Requirements("axis", phase_margin_deg=1.0, band_hz=(200.0, 300.0))
+        )
     )
     assert "no frequency of the FRF lies in the band" in text
     assert "200 to 300 Hz" in text
 
 
 def test_a_matrix_instead_of_one_loop():
-    assert "with several" in refusal(lambda: check([frf_of(outputs=2)], under_gain(), WISHED))
+    assert "with several" in refusal(lambda: ls.check([frf_of(outputs=2)], under_gain(), WISHED))
 
 
 def test_lines_above_half_the_controllers_rate():

@@ -13,7 +13,6 @@ from loopshape.cli.output import Output
 from loopshape.cli.verify.report import report
 from loopshape.io.write.check_files import LoopCheck, against
 from loopshape.loop.baseline import checked
-from loopshape.loop.verdict import check
 
 OWN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 WISHED = ls.Requirements("a", phase_margin_deg=10.0, integrators=1)
@@ -36,7 +35,7 @@ def frf(gain: float, rate_hz: float) -> ls.FRF:
 
 def judged(gain: float, controller: ls.Controller) -> LoopCheck:
     one = frf(gain, controller.rate_hz)
-    return LoopCheck((one,), WISHED, (), checked(check([one], controller, WISHED), controller, [one]), ())
+    return LoopCheck((one,), WISHED, (), checked(ls.check([one], controller, WISHED), controller, [one]), ())
 
 
 @pytest.mark.parametrize(("rate_hz", "told_apart"), [(500.0, False), (1000.0, True)])

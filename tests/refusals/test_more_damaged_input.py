@@ -10,7 +10,6 @@ from bench_nouns import Block, BlockTemplate
 from run_files import read_frfs, read_toml, write_frfs, write_text_whole
 
 import loopshape as ls
-from loopshape.loop.verdict import check
 
 
 def frf_of(**changes):
@@ -31,7 +30,7 @@ def with_zeros(rows, trusted=True):
 
 def checked(frf, **wished):
     controller = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), 1000.0)
-    return check([frf], controller, ls.Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | wished))
+    return ls.check([frf], controller, ls.Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | wished))
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])

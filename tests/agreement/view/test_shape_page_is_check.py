@@ -15,7 +15,6 @@ from bench_nouns import LIMITS, Block
 
 import loopshape as ls
 from loopshape.loop.predict.step_response import predict_step
-from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words
 
@@ -100,7 +99,7 @@ def compared(
     page, rng = page_on(context, folder, frfs, C, R), np.random.default_rng(3)
     out = list(page.errors)
     for controller in [C, *(shaped_cases.moved(C, rng) for _ in range(count))]:
-        out += differences(check(frfs, controller, R), asked(page, controller))
+        out += differences(ls.check(frfs, controller, R), asked(page, controller))
     page.close()
     return out
 
@@ -122,7 +121,7 @@ def test_resonances_close_together_are_followed_as_check_follows_them(name: str,
     P, R = shaped_cases.crowded(name), ls.Requirements("x", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
     made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (1.0, 0.5, 0.1, 0.03)]
     made += [ls.controller(ls.gain(2.0), ls.notch(14.1, 0.05, 0.5), rate_hz=shaped_cases.RATE_HZ, loop="x")]
-    page, verdicts = page_on(context, tmp_path, [P], made[0], R), [check([P], C, R) for C in made]
+    page, verdicts = page_on(context, tmp_path, [P], made[0], R), [ls.check([P], C, R) for C in made]
     assert page.evaluate("loopshape.loop.points[0].crowds.length") == 1
     assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * len(made)
     page.close()
@@ -161,7 +160,7 @@ def test_the_detuning_margin_of_a_mask(context: Any, tmp_path: Path) -> None:
         replace(R, masks=(ls.Mask("S", ((50.0, 3.5), (120.0, 3.5))),), detuning_percent=1.0),
         on_the_bench(10.0, 77.5),
     )
-    page, verdict = page_on(context, tmp_path, [P], C, R), check([P], C, R)
+    page, verdict = page_on(context, tmp_path, [P], C, R), ls.check([P], C, R)
     (m,) = verdict.margins.values()
     assert m.detuning is not None
     assert m.detuning.worst.breaks == "sensitivity_mask_db"
@@ -186,7 +185,7 @@ def test_blocks_of_other_programs_and_pid(precision: str, context: Any, tmp_path
     blocks += [(Block("gain", {"gain": 2.0}), Block("section", coefficients)) for coefficients in SECTIONS.values()]
     controllers = [ls.Controller("x", own, rate, precision=precision) for own in blocks]
     page = page_on(context, tmp_path, frfs, controllers[0], WANTED)
-    found = [differences(check(frfs, C, WANTED), asked(page, C)) for C in controllers]
+    found = [differences(ls.check(frfs, C, WANTED), asked(page, C)) for C in controllers]
     page.close()
     assert found == [[]] * 5
 
@@ -206,7 +205,7 @@ def test_the_detuning_margin_moves_with_the_controller(percent: float | None, co
     file = tmp_path / "shape.html"
     file.write_bytes(page_of([shaped([P], made[0], R, fits)], "test"))
     page = page_in_browser.opened(context, file)
-    verdicts = [check([P], C, R, fits) for C in made]
+    verdicts = [ls.check([P], C, R, fits=fits) for C in made]
     assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * 4
     page.close()
     found = [m.detuning_percent for v in verdicts for m in v.margins.values()]
@@ -227,7 +226,7 @@ def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_pat
                       ls.lead_lag(8.0, 60.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
         for g, n in ((0.2, 60.0), (0.2, 59.3), (0.205, 60.4))
     ]  # fmt: skip
-    verdicts = [check([P], C, R, (fit,)) for C in made]
+    verdicts = [ls.check([P], C, R, fits=(fit,)) for C in made]
     file = tmp_path / "shape.html"
     file.write_bytes(page_of([shaped([P], made[0], R, (fit,))], "test"))
     page = page_in_browser.opened(context, file)

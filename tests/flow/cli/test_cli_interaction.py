@@ -5,19 +5,18 @@ import json
 import numpy as np
 import pytest
 from bench_nouns import Block
+from commands import invoked
 from interaction_nouns import F, coupled_by, matrix_frf
 from run_files import write_controllers, write_frfs, write_matrices
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 
 K_DB = np.where((F > 2.95) & (F < 3.25), -8.0, -40.0)
 
 
 def loopshape(*words, code=0):
     """Run a command; a refusal must be a sentence of the project's own."""
-    done = CliRunner().invoke(app, ["interaction", *map(str, words)])
+    done = invoked(["interaction", *map(str, words)])
     if code == 2:
         assert isinstance(done.exception, ls.LoopshapeError)
         return str(done.exception)

@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pytest
 from bench_nouns import Block, TransferFunction
+from commands import invoked
 from run_files import write_frfs, write_matrices
 from two_axes import matrix
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 
 RATE = 500.0
 REQUIRE = """
@@ -32,7 +31,7 @@ BLOCKS = (Block("gain", {"gain": 0.004}), Block("lead_lag", {"f1_hz": 2.0, "f2_h
 
 def loopshape(*words, code=0):
     """Run a command; a refusal must be a sentence of the project's own."""
-    done = CliRunner().invoke(app, [str(word) for word in words])
+    done = invoked(words)
     if code == 2:
         assert isinstance(done.exception, ls.LoopshapeError) or done.exit_code == 2
         return str(done.exception)

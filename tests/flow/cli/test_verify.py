@@ -6,12 +6,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from bench_nouns import RecordingInfo
+from commands import invoked
 from run_files import add_recording, read_journal, read_toml, start_run, verify, write_toml
-from typer.testing import CliRunner
 
 import loopshape as ls
 from loopshape import __version__
-from loopshape.cli.main import app
 from loopshape.io.provenance import file_sha256, versions
 from loopshape.io.run.journal import FILE, note
 
@@ -42,7 +41,7 @@ def outcomes(folder, study=None):
 
 def test_a_run_as_it_was_written_is_sound(run):
     assert set(outcomes(run, run.parent / "study.toml").values()) == {True}
-    result = CliRunner().invoke(app, ["verify", str(run), "--json"])
+    result = invoked(["verify", str(run), "--json"])
     assert result.exit_code == 0
     assert json.loads(result.stdout)["sound"] is True
 
@@ -55,7 +54,7 @@ def test_a_single_changed_bit_is_found_and_the_table_is_not_read(run, place):
     path.write_bytes(data)
     assert outcomes(run)["table b.parquet"] is False
     assert outcomes(run)["table a.parquet"] is True
-    assert CliRunner().invoke(app, ["verify", str(run)]).exit_code == 1
+    assert invoked(["verify", str(run)]).exit_code == 1
     with pytest.raises(ls.errors.UnreadableInputError):
         ls.read(run).recording("b").column("y_rad")
 

@@ -22,7 +22,6 @@ import shaped_cases
 from bench_nouns import Block
 
 import loopshape as ls
-from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import SeveralLoops, shaped
 from loopshape.view.page import page as page_module
@@ -121,7 +120,7 @@ def test_the_bench_is_shaped_by_hand_from_gain_1_and_check_signs_it(page: Any, t
     assert state(page)["outcome"] == "passed"
     (C,) = ls.read_controllers(saved(page, "controller", tmp_path))
     (R,) = ls.read_requirements(saved(page, "requirements", tmp_path))
-    assert check([shaped_cases.bench()[0]], C, R).passed
+    assert ls.check([shaped_cases.bench()[0]], C, R).passed
 
 
 def test_files_are_byte_for_byte_those_of_python(page: Any, tmp_path: Path) -> None:

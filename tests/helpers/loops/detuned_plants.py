@@ -7,10 +7,9 @@ controllers run at 20 kHz, where Tustin's rule moves nothing below 100 Hz by mor
 from dataclasses import dataclass
 
 import numpy as np
+from bench_nouns import Block, BlockTemplate
 
 import loopshape as ls
-from loopshape.data.control.block import BlockTemplate
-from loopshape.data.control.controller import Block
 
 RATE_HZ = 20000.0
 TWO_PI = 2.0 * np.pi

@@ -1,12 +1,10 @@
 """Loops under a plain gain with noise on their lines and modes between them; for the tests of the certificate."""
 
 import numpy as np
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.smoothing import smoothed
 
 RATE = 1e5

@@ -5,13 +5,11 @@ noise on the sensor. Everything may be (records, n): the last axis is time.
 """
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from conversions import TWO_PI
 from scipy.signal import freqz, lfilter
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 
 RATE = 100.0

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo, TransferFunction
+from conversions import TWO_PI, Array, ComplexArray
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.algebra import feedback
-from loopshape.data.control.controller import Block
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
 
 RATE_HZ = 1000.0
 OLD = ls.Controller("a", (Block("gain", {"gain": 0.5}),), RATE_HZ)

@@ -1,12 +1,11 @@
 """What the tests of several loops share: matrix FRFs, plants in state space, and their closed loops' poles."""
 
 import numpy as np
+from bench_nouns import Block, LoopMatrix
+from conversions import TWO_PI
 from scipy.linalg import block_diag
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block
-from loopshape.data.control.loop import LoopMatrix
 
 RATE_HZ = 1e6  # far above all lines: Tustin's warping does not matter
 

@@ -4,9 +4,9 @@ from functools import cache
 
 import motor_bench
 import numpy as np
+from bench_nouns import Block
 
 import loopshape as ls
-from loopshape.data.control.block import Block
 
 RATE_HZ = 1000.0
 

@@ -6,13 +6,12 @@ The truth needs nothing of loopshape: the loop is run by its difference equation
 from collections.abc import Callable
 
 import numpy as np
+from bench_nouns import LoopSetup, RecordingInfo
+from conversions import TWO_PI, Array, ComplexArray
 from scipy.signal import cont2discrete, csd, freqz, lfilter
 from scipy.stats import f as f_distribution
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
 
 LOW, HIGH = 0.5, 80.0
 Truth = Callable[[Array, float], ComplexArray]

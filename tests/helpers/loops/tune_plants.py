@@ -1,11 +1,10 @@
 """Plants and structures for the tuner's tests: integrators with delay, and a flexible servo at three loads."""
 
 import numpy as np
+from bench_nouns import Block, TransferFunction
+from conversions import angular
 
 import loopshape as ls
-from loopshape.core.units import angular
-from loopshape.data.control.controller import Block
-from loopshape.data.response.model import TransferFunction
 from loopshape.design.problem.problem import problem
 from loopshape.loop.verdict import loops_of
 

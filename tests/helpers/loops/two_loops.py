@@ -1,12 +1,10 @@
 """Two coupled loops with a known plant, one excited at a time: their responses, and runs of them."""
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
 
 RATE, PLACES = 100.0, ("controller_input", "plant_input")
 # x+ = A x + B u, y = C x: four states, each output feels both inputs; rings for 0.1 s

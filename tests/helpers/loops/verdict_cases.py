@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
+from bench_nouns import LIMITS, Block, Checked, Line
+
 import loopshape as ls
-from loopshape.data.control.controller import Block
-from loopshape.data.requirement.requirements import LIMITS
-from loopshape.data.result.baseline import Checked
-from loopshape.data.result.verdict import Line
 
 CONTROLLER = ls.Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))

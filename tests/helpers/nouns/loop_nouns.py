@@ -9,7 +9,7 @@ from bench_nouns import Block, Loop, TransferFunction
 from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import loops_of
 
 RATE = 1000.0
 #: the operating point whose gain is so large that the check fails there
@@ -54,7 +54,7 @@ def wished(**changes: object) -> ls.Requirements:
 
 def checked(frf: ls.FRF, controller: ls.Controller, requirements: ls.Requirements) -> tuple[Loop, ls.Verdict]:
     (loop,), _ = loops_of([frf], controller, requirements)
-    return loop, check([frf], controller, requirements)
+    return loop, ls.check([frf], controller, requirements)
 
 
 @cache
@@ -64,4 +64,4 @@ def arm() -> tuple[list[Loop], ls.Requirements, ls.Verdict]:
     frfs[STRONG] = replace(frfs[STRONG], response=3.0 * frfs[STRONG].response, covariance=9.0 * frfs[STRONG].covariance)
     requirements = replace(nouns.requirements(), integrators=1, unstable_poles=0)
     loops, _ = loops_of(frfs, nouns.controller(), requirements)
-    return loops, requirements, check(frfs, nouns.controller(), requirements)
+    return loops, requirements, ls.check(frfs, nouns.controller(), requirements)

@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_nouns import Experiment, Profile
+from commands import invoked
 from run_files import write_frfs
 from scipy.signal import lfilter
 from scipy.stats import binom
 from simulated_machines import Arm1
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.toolbox.learning.verbs import setpoint_of
 
 RATE = 500.0
@@ -118,7 +117,7 @@ def test_the_command_writes_taps_and_predicts_a_move(tmp_path):
     ls.write(C, tmp_path / "c.toml")
     words = ["feedforward", tmp_path / "run", "--out", tmp_path / "f.json", "--band-hz", 0.1, 20, "--json"]
     words += ["--controller", tmp_path / "c.toml", "--move", 1, 1, 4, 40]
-    done = CliRunner().invoke(app, [str(w) for w in words])
+    done = invoked(words)
     told = json.loads(done.stdout)
     assert told["errors"]["with feedforward"]["rms"] < 0.1 * told["errors"]["without"]["rms"]
     assert json.loads((tmp_path / "f.json").read_text())["taps"] == told["taps"]

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import invoked
 from simulated_machines import header, measure, read_study
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.identify.frequency_response import estimate_realisations
 from loopshape.toolbox.gap import registry
 
@@ -33,7 +32,7 @@ excitation = {{ kind = "multisine", f_low_hz = 0.1, f_high_hz = 16.0, period_s =
 
 def loopshape(*words):
     """A command in this process: exit code, what it printed, what it warned of (2 and a sentence for an error)."""
-    done = CliRunner().invoke(app, [str(word) for word in words])
+    done = invoked(words)
     code = 2 if isinstance(done.exception, ls.LoopshapeError) else done.exit_code  # as `cli.main.run` says it
     return code, done.stdout, f"{done.stderr}{done.exception or ''}"
 

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_nouns import LoopSetup, RecordingInfo
+from commands import invoked
 from run_files import write_frfs
 from scipy.signal import lfilter
 from scipy.stats import binom
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.data.result.verdict_words import found_text, wished_text
 from loopshape.identify.disturbance import powers
 
@@ -135,11 +134,11 @@ def test_the_command_predicts_from_another_run(tmp_path):
     )
     words = ["check", "plant", "c.toml", "--require", "r.toml", "--disturbance", "still", "--no-figures"]
     words = [str(tmp_path / w) if w in ("plant", "still", "c.toml", "r.toml") else w for w in words]
-    done = CliRunner().invoke(app, [*words, "--json"])
+    done = invoked([*words, "--json"])
     (line,) = json.loads(done.stdout)["loops"][0]["lines"]
     assert line["found"] == pytest.approx(true_rms(NEW), rel=0.1)
     assert line["interval"][0] < line["found"] < line["interval"][1]
-    assert "error_rms" in CliRunner().invoke(app, words).stdout
+    assert "error_rms" in invoked(words).stdout
 
 
 def test_the_command_tunes_to_it_from_another_run(tmp_path):
@@ -153,9 +152,9 @@ def test_the_command_tunes_to_it_from_another_run(tmp_path):
     )
     words = ["tune", "plant", "--require", "r.toml", "--out", "c.toml", "--starts", "2"]
     words = [str(tmp_path / w) if w in ("plant", "c.toml", "r.toml") else w for w in words]
-    refused = CliRunner().invoke(app, words)
+    refused = invoked(words)
     assert "--disturbance" in str(refused.exception)
-    done = CliRunner().invoke(app, [*words, "--json", "--disturbance", str(tmp_path / "still")])
+    done = invoked([*words, "--json", "--disturbance", str(tmp_path / "still")])
     (line,) = (x for x in json.loads(done.stdout)["loops"][0]["verdict"]["lines"] if x["quantity"] == "error_rms")
     (C,) = ls.read_controllers(tmp_path / "c.toml")
     found = C.blocks[0].parameters["gain"]

@@ -5,12 +5,11 @@ import json
 import numpy as np
 import pytest
 from bench_nouns import LoopSetup, RecordingInfo
+from commands import invoked
 from scipy.signal import chirp, lfilter
 from scipy.stats import binom
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.toolbox.planning.tone.nouns import Growth
 from loopshape.toolbox.planning.tone.tones import Period, tones_of
 
@@ -127,7 +126,7 @@ def folder(tmp_path_factory):
 
 
 def test_the_command_gives_table_json_and_a_picture(folder):
-    done = CliRunner().invoke(app, ["tones", str(folder), "--json"])
+    done = invoked(["tones", str(folder), "--json"])
     told = json.loads(done.stdout)
     output, control = told["channels"]
     assert control["tones"] == []  # the excitation alone, to its last digit
@@ -136,13 +135,13 @@ def test_the_command_gives_table_json_and_a_picture(folder):
     assert tone["frequency_hz"] == pytest.approx(58.8, abs=0.01)
     assert tone["growth"] == "grows"
     assert [path.endswith("tones_r1_y.png") for path in told["figures"]] == [True]
-    said = CliRunner().invoke(app, ["tones", str(folder), "--no-figures"])
+    said = invoked(["tones", str(folder), "--no-figures"])
     assert "58.8" in said.stdout
     assert "grows by" in said.stderr
 
 
 def test_frf_warns_of_a_tone_that_grows(folder):
-    done = CliRunner().invoke(app, ["frf", str(folder), "--no-figures"])
+    done = invoked(["frf", str(folder), "--no-figures"])
     assert done.exit_code == 0
     assert "holds a tone at 58.8 Hz that is not the excitation's and grows" in done.stderr
 

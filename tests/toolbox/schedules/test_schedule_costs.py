@@ -6,7 +6,6 @@ from bench_nouns import TransferFunction
 from bound_cases import frf_of, gain
 
 import loopshape as ls
-from loopshape.design.tune import tune
 from loopshape.toolbox.limits.bound import bound
 from loopshape.toolbox.schedules.schedule import schedule
 
@@ -25,7 +24,7 @@ def frfs():
 
 @pytest.fixture(scope="module")
 def found(frfs):
-    robust = tune(frfs, ASKED).controller
+    robust = ls.tune(frfs, ASKED).controller
     return schedule(frfs, ASKED, robust)
 
 

@@ -148,7 +148,6 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     from loopshape.cli.estimate.fit import fit_run
     from loopshape.cli.estimate.frf import estimate_and_report
     from loopshape.cli.output import Output
-    from loopshape.design.tune import tune
     from loopshape.identify.fit import modes
     from loopshape.toolbox.formats.commands.import_file import import_run
 
@@ -166,6 +165,6 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     found = {e.name: e.value for e in modes(fits[0])}
     assert found["zero1_f_hz"] == pytest.approx(53.9, abs=0.1)
     assert found["pole2_f_hz"] == pytest.approx(76.2, abs=0.1)
-    tuned = tune([frf], ls.read_requirements(bench / "requirements.toml")[0], fits)
+    tuned = ls.tune([frf], ls.read_requirements(bench / "requirements.toml")[0], fits=fits)
     assert tuned.feasible
     assert tuned.bandwidth_hz == pytest.approx(36.6, abs=0.3)

@@ -14,7 +14,6 @@ from loopshape.design.problem.measures import measure
 from loopshape.design.problem.rows import DIP
 from loopshape.design.starts import neutral
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LIMITS = {"sensitivity_peak_db": 6.0, "control_peak_db": 20.0}
 
@@ -39,7 +38,7 @@ def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown
 
 
 def test_what_is_grown_passes_a_check_of_its_own(plant, grown):
-    verdict = check([plant], grown.controller, wished(GAIN, **LIMITS))
+    verdict = ls.check([plant], grown.controller, wished(GAIN, **LIMITS))
     assert verdict.passed
     assert min(m.bandwidth_hz for m in verdict.margins.values()) == pytest.approx(grown.bandwidth_hz, rel=0.05)
 

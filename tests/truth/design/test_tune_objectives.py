@@ -8,7 +8,6 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, pro
 import loopshape as ls
 from loopshape.design.problem.measures import measure
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LOW = {"disturbance": 1.0, "disturbance_below_hz": 3.0}
 NEAR = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0}
@@ -88,6 +87,6 @@ def test_objectives_as_files_write_them(given, meant):
 def test_an_objective_does_not_change_a_check():
     controller = ls.Controller("one", (Block("gain", {"gain": 10.0}),), RATE)
     lines = [
-        check([frf(DELAYED)], controller, wished(GAIN, **NEAR, objective=kind)).lines for kind in ("bandwidth", LOW)
+        ls.check([frf(DELAYED)], controller, wished(GAIN, **NEAR, objective=kind)).lines for kind in ("bandwidth", LOW)
     ]
     assert lines[0] == lines[1]

@@ -11,7 +11,6 @@ import loopshape as ls
 from loopshape.design.search import begin
 from loopshape.design.settle import Settled
 from loopshape.design.tune import _no_worse, tune, warm_start
-from loopshape.loop.verdict import check
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, NOTCH, LOW_PASS)
@@ -31,7 +30,7 @@ SLOW = ls.Controller(
 
 
 def slowest(controller):
-    return min(m.bandwidth_hz for m in check(PLANTS, controller, ASKED).margins.values())
+    return min(m.bandwidth_hz for m in ls.check(PLANTS, controller, ASKED).margins.values())
 
 
 def test_blocks_find_their_places_by_kind():
@@ -50,7 +49,7 @@ def test_the_kth_of_a_kind_stands_for_the_kth():
 
 
 def test_alone_it_improves_locally_and_the_same_each_time():
-    assert check(PLANTS, SLOW, ASKED).passed
+    assert ls.check(PLANTS, SLOW, ASKED).passed
     found, again = (tune(PLANTS, ASKED, start=SLOW, starts=1, seed=seed) for seed in (0, 7))
     assert found.feasible
     assert found.starts == 1
@@ -71,7 +70,7 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
     p = problem_of(PLANTS, ASKED)
 
     def judge(controller):
-        return check(PLANTS, controller, ASKED)
+        return ls.check(PLANTS, controller, ASKED)
 
     def settled(x):
         return Settled(begin(p, x), judge(p.controller(x)), {})

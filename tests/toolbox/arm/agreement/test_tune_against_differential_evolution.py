@@ -10,7 +10,6 @@ from scipy.optimize import differential_evolution
 
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
-from loopshape.design.tune import tune
 from loopshape.loop.verdict import loops_of
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
@@ -32,6 +31,6 @@ def test_tune_reaches_97_percent_of_a_global_search(seed: int) -> None:
 
     bounds = list(zip(p.low, p.high, strict=True))
     found = differential_evolution(cost, bounds, seed=seed, maxiter=120, popsize=10, tol=1e-8, polish=False)
-    ours = tune(plants, limits, seed=seed)
+    ours = ls.tune(plants, limits, seed=seed)
     assert ours.feasible
     assert ours.bandwidth_hz >= 0.97 * np.exp(-found.fun)

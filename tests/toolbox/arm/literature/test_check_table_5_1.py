@@ -11,7 +11,6 @@ from source_controllers import angle_controller, third_order_plant
 
 import loopshape as ls
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import check
 from loopshape.toolbox.arm.source import value
 
 RATE = 1000.0
@@ -49,6 +48,6 @@ def test_it_meets_the_sources_requirements_with_and_without_the_delay():
         integrators=1,
         unstable_poles=0,
     )
-    verdict = check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
+    verdict = ls.check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
     assert verdict.passed
     assert {line.recording for line in verdict.lines} - {"delay 0.0"} == {"delay 0.0055"}  # the delayed one is worse

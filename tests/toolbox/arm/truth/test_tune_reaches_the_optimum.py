@@ -14,8 +14,7 @@ from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
-from loopshape.design.tune import tune
-from loopshape.loop.verdict import check, loops_of, verdict_on
+from loopshape.loop.verdict import loops_of, verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs as arm_frfs
@@ -54,7 +53,7 @@ def wished(**limits: object) -> ls.Requirements:
 def test_a_gain_for_an_integrator_with_delay_has_its_textbook_value() -> None:
     # k exp(-s d)/s: the phase at crossover w is -90 deg - w d, so 45 deg of margin allow w = (pi/4)/d
     delay = 0.02
-    found = tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], wished(phase_margin_deg=45.0))
+    found = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], wished(phase_margin_deg=45.0))
     crossover = 0.25 * np.pi / delay
     assert found.feasible
     assert found.bandwidth_hz == pytest.approx(crossover / (2.0 * np.pi), rel=1e-3)
@@ -66,7 +65,7 @@ def test_the_gain_margin_binds_where_it_should() -> None:
     # k/(s (s/w + 1)^2): gain margin 2 w/k, so 6.0206 dB ask for k = w
     w = 2.0 * np.pi * 5.0
     model = TransferFunction([1.0], np.polymul([1.0, 0.0], np.polymul([1 / w, 1.0], [1 / w, 1.0])))
-    found = tune([plant(model, 3000)], wished(gain_margin_db=6.020599913))
+    found = ls.tune([plant(model, 3000)], wished(gain_margin_db=6.020599913))
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(w, rel=1e-3)
 
 
@@ -75,7 +74,7 @@ def test_the_worst_of_several_plants_decides() -> None:
     plants = [
         plant(TransferFunction([k], [1.0, 0.0], d), 1000, f"d{d}") for k, d in zip((1.0, 2.0, 1.0), delays, strict=True)
     ]
-    found = tune(plants, wished(phase_margin_deg=60.0))
+    found = ls.tune(plants, wished(phase_margin_deg=60.0))
     # phase margin 60 deg at w d = pi/6; gains 1, 2, 1: the second one binds with the smallest gain
     gain = np.pi / 6.0 / 0.02 / 2.0
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(gain, rel=1e-3)
@@ -104,12 +103,12 @@ def test_slopes_of_bandwidths_and_rooms_are_exact() -> None:
 @pytest.fixture(scope="module")
 def tuned():
     plants, limits = arm_frfs(200), arm_requirements()
-    return plants, limits, tune(plants, limits, seed=0)
+    return plants, limits, ls.tune(plants, limits, seed=0)
 
 
 def test_every_limit_holds_at_all_24_equilibria(tuned) -> None:
     plants, limits, found = tuned
-    verdict = check(plants, found.controller, limits)
+    verdict = ls.check(plants, found.controller, limits)
     assert verdict.passed
     assert found.feasible
     assert len(verdict.margins) == 24
@@ -129,14 +128,14 @@ def test_what_binds_has_no_room_left(tuned) -> None:
 @pytest.mark.long
 def test_same_seed_same_controller_to_the_last_bit(tuned) -> None:
     plants, limits, found = tuned
-    again = tune(plants, limits, seed=0)
+    again = ls.tune(plants, limits, seed=0)
     assert [b.parameters for b in again.controller.blocks] == [b.parameters for b in found.controller.blocks]
 
 
 @pytest.mark.long
 def test_another_seed_comes_within_two_percent(tuned) -> None:
     plants, limits, found = tuned
-    other = tune(plants, limits, seed=5)
+    other = ls.tune(plants, limits, seed=5)
     assert other.bandwidth_hz == pytest.approx(found.bandwidth_hz, rel=0.02)
 
 
@@ -169,19 +168,21 @@ def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     low, high = 0.5, 55.0
     for _ in range(25):
         gain = float(np.sqrt(low * high))
-        low, high = (gain, high) if check(plants, source(gain), bare).passed else (low, gain)
-    verdict = check(plants, source(low), bare)
+        low, high = (gain, high) if ls.check(plants, source(gain), bare).passed else (low, gain)
+    verdict = ls.check(plants, source(low), bare)
     assert verdict.passed
     slowest = min(m.bandwidth_hz for m in verdict.margins.values())
     peak = max(m.control_peak_db for m in verdict.margins.values())
-    found = tune(plants, arm_requirements(peak + 6.02))
+    found = ls.tune(plants, arm_requirements(peak + 6.02))
     assert found.feasible
     assert max(m.control_peak_db for m in found.verdict.margins.values()) <= peak + 6.03
     assert found.bandwidth_hz >= 1.3 * slowest
 
 
 def test_limits_that_cannot_hold_say_what_they_miss() -> None:
-    found = tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], wished(phase_margin_deg=45.0, bandwidth_hz=20.0))
+    found = ls.tune(
+        [plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], wished(phase_margin_deg=45.0, bandwidth_hz=20.0)
+    )
     assert not found.feasible
     assert not found.verdict.passed
     assert {line.quantity for line in found.verdict.lines if not line.passed}
@@ -199,7 +200,7 @@ def test_tied_and_fixed_parameters_stay_so(tuned) -> None:
             {"kind": "low_pass", "order": 1, "f_hz": 30.0},
         ],
     )
-    block = tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], fixed).controller.blocks[1]
+    block = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], fixed).controller.blocks[1]
     assert block.parameters["f_hz"] == 30.0
 
 
@@ -218,7 +219,7 @@ def test_an_integral_controller_is_tuned_stably() -> None:
             ],
         }
     )
-    found = tune([plant(model, 800)], limits)
+    found = ls.tune([plant(model, 800)], limits)
     assert found.feasible
     assert all(m.stable == "stable" for m in found.verdict.margins.values())
     assert found.bandwidth_hz > 3.0
@@ -264,7 +265,7 @@ def test_a_limit_that_binds_beyond_the_last_frequency_alone_is_settled() -> None
         {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}},
         {"kind": "lead_lag", "f1_hz": 20.0, "f2_hz": {"min": 200.0, "max": 4000.0}},
     ]
-    found = tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
+    found = ls.tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
     assert found.verdict.passed
     assert {b.quantity for b in found.binding} == {"bandwidth_hz", "control_peak_db"}
     peak = next(iter(found.verdict.margins.values()))

@@ -11,11 +11,10 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from commands import invoked
 from run_files import read_verdicts
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.cli.output import Output
 
 ROOT = Path(__file__).parents[4]
@@ -67,7 +66,7 @@ def check(folder: Path, *words: object, run: str = "out/bench") -> Done:
     """`loopshape check` on the bench's run; the controller is the first word, a refusal ends as the program does."""
     controller, *rest = words
     rest += [] if "--require" in rest else ["--require", REQUIRE]
-    done = CliRunner().invoke(app, [*map(str, ("check", folder / run, controller, "--no-figures", *rest))])
+    done = invoked([*map(str, ("check", folder / run, controller, "--no-figures", *rest))])
     refused = isinstance(done.exception, ls.LoopshapeError)
     assert refused or isinstance(done.exception, SystemExit | None), done.output + repr(done.exception)
     return Done(2 if refused else done.exit_code, done.stdout, str(done.exception) if refused else done.stderr)

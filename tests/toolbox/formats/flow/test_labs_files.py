@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import invoked
 from run_files import CsvShape
 from scipy.io import loadmat
 from simulated_machines import Arm1, experiment, plan, read_study
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.toolbox.formats.tables.sources import Place, open_source
 
 RATE = 200.0
@@ -74,9 +73,7 @@ def test_a_channel_of_two_groups_is_left_out_and_named(tmp_path):
 @pytest.mark.short
 def test_an_mdf_file_becomes_a_run(mdf, tmp_path):
     (tmp_path / "map.toml").write_text(MAP)
-    result = CliRunner().invoke(
-        app, ["import", str(mdf), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "run")]
-    )
+    result = invoked(["import", str(mdf), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "run")])
     assert result.exit_code == 0, result.output
     assert (tmp_path / "run" / "bench.parquet").is_file()
 
@@ -132,7 +129,7 @@ def exported(tmp_path):
     def export(to):
         (tmp_path / "study.toml").write_text(STUDY)
         words = ["export-excitation", str(tmp_path / "study.toml"), "--to", to, "--out", str(tmp_path / "out")]
-        result = CliRunner().invoke(app, words)
+        result = invoked(words)
         if isinstance(result.exception, ls.LoopshapeError):
             raise result.exception
         (path,) = (tmp_path / "out").iterdir()

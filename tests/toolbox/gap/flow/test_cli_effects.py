@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import invoked
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.toolbox.gap import registry
 from loopshape.toolbox.gap.commands.effects import catalogue_rows, markdown_table
 
@@ -30,7 +29,7 @@ references = { theta2 = { kind = "staircase", times_s = [0.5], values_deg = [14.
 
 def loopshape(*words: object) -> str:
     """Run a command in this process; gives what it printed."""
-    done = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    done = invoked(words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.stdout
 

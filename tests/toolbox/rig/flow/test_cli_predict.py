@@ -16,7 +16,6 @@ from loopshape.cli.output import Output
 from loopshape.cli.verify.compare import compare
 from loopshape.cli.verify.predict import predict
 from loopshape.loop.predict.remeasured import remeasure
-from loopshape.loop.verdict import check
 from loopshape.toolbox.rig.commands.measure import measure
 
 app = typer.Typer()
@@ -162,7 +161,7 @@ def test_the_loop_that_ran_passes_a_check_of_its_recordings(folder: Path) -> Non
     found = remeasure(again, read_predictions(folder / "prediction.npz"), tolerance_db=1.5)
     plants = [plant_behind(frf, again.loop("theta2").control) for one in found for frf in one.measured]
     wished = ls.Requirements("theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0)
-    verdict = check(plants, found[0].prediction.controller, wished)
+    verdict = ls.check(plants, found[0].prediction.controller, wished)
     assert verdict.outcome == "passed", verdict
     tighter = ls.Requirements("theta2", sensitivity_peak_db=1.0, integrators=1, unstable_poles=0)
-    assert check(plants, found[0].prediction.controller, tighter).outcome == "failed"
+    assert ls.check(plants, found[0].prediction.controller, tighter).outcome == "failed"

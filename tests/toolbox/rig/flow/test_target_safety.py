@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from bench_nouns import Block
+from commands import invoked
 from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE, RUNNING, SETPOINT, VENT
 from python_target_line import Running
 from run_files import finished, read_journal, write_verdicts
-from typer.testing import CliRunner
 from verdict_cases import checked, line, margins
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.core.interrupts import interrupts
 from loopshape.toolbox.rig.files import measuring
 from loopshape.toolbox.rig.files.study import read_study
@@ -50,7 +49,7 @@ def told(running):
 
 def command(*words):
     """Exit code, standard output, and what was said on standard error, as the shell sees them."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
+    result = invoked(words)
     if isinstance(result.exception, ls.LoopshapeError):
         return 2, result.stdout, str(result.exception)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception

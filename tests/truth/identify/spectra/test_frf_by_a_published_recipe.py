@@ -7,13 +7,12 @@ import json
 
 import numpy as np
 import pytest
+from commands import invoked
 from known_loops import LOOP, RATE, A, B, record, run_loop
 from run_files import read_frfs
 from scipy import signal
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import WINDOWS, Settings
 
@@ -94,7 +93,7 @@ def test_the_command_takes_the_recipe(tmp_path):
     r = open_record()
     ls.write(ls.Run(RATE, (LOOP,), (r,)), tmp_path / "run")
     recipe = "--estimator hv --window blackman --symmetric --detrend linear --overlap 0.5 --segment-samples 256"
-    done = CliRunner().invoke(app, ["frf", str(tmp_path / "run"), *recipe.split(), "--no-figures", "--json"])
+    done = invoked(["frf", str(tmp_path / "run"), *recipe.split(), "--no-figures", "--json"])
     assert done.exit_code == 0, done.output
     method = json.loads(done.stdout)["frfs"][0]["method"]
     assert "hv estimator, Welch, symmetric blackman window, linear taken off" in method

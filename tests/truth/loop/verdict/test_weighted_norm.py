@@ -13,13 +13,12 @@ import control
 import numpy as np
 import pytest
 from bench_nouns import Block, TransferFunction
+from commands import invoked
 from conversions import TWO_PI
 from run_files import write_frfs
 from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos, wished
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
 from loopshape.design.problem.shifts import judged
 from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
@@ -218,14 +217,14 @@ structure = [{ kind = "gain", gain = { min = 0.01, max = 100.0 } }, { kind = "le
         "--starts",
         "2",
     ]
-    done = CliRunner().invoke(app, [*asked, "--json"])
+    done = invoked([*asked, "--json"])
     (loop,) = json.loads(done.stdout)["loops"]
     weights = (ls.Weight("S", ((0.5, 30.0), (20.0, -6.0))), ls.Weight("CS", 0.05))
     (C,) = ls.read_controllers(tmp_path / "c.toml")
     truth = max(norm_of(one, C, weights) for one in servos(0.0, 3000))
     low, high = loop["weighted_norm_interval"]
     assert 0.998 * low <= truth <= 1.002 * high
-    assert "weighted norm" in CliRunner().invoke(app, asked).stdout
+    assert "weighted norm" in invoked(asked).stdout
 
 
 def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_all_points():
