@@ -11,7 +11,6 @@ from conversions import TWO_PI, from_db
 from several_cases import frf_of, gain, loops
 
 import loopshape as ls
-from loopshape.loop.matrix.several import check_several
 from loopshape.loop.matrix.several_margins import several_margins
 
 A = 10.0
@@ -60,7 +59,7 @@ def test_gains_just_inside_and_outside(share, stable):
 def test_a_check_passes_each_loop_and_fails_the_pair():
     wished = [ls.Requirements(name, gain_margin_db=6.0, phase_margin_deg=45.0, modulus_margin=0.6) for name in "ab"]
     wanted = ls.SeveralRequirements(disk_margin=0.5, integrators=0, unstable_poles=0)
-    found = check_several([frf_of(F, satellite(F), loop="a+b")], BOTH, wished, wanted)
+    found = ls.check([frf_of(F, satellite(F), loop="a+b")], BOTH, wished, together=wanted)
     for verdict in found.each:
         assert verdict.passed
         assert [line.outcome for line in verdict.lines] == ["passed"] * 3

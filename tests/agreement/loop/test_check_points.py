@@ -9,7 +9,6 @@ from conversions import TWO_PI
 
 import loopshape as ls
 from loopshape.loop.points import margins_of, point_outcome, worst_of
-from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 200)
@@ -51,8 +50,8 @@ def test_the_outcome_of_the_verdicts_point_is_the_lines_outcome() -> None:
         complementary_peak_db=3.0, control_peak_db=2.0,
     )  # fmt: skip
     frfs = [frf(gain, f"r{k}", seed=k) for k, gain in enumerate((30.0, 36.0, 45.0))]
-    on_the_limit = check(frfs, controller, requirements).margins["r1"].bandwidth_hz
-    found = check(frfs, controller, replace(requirements, bandwidth_hz=on_the_limit))
+    on_the_limit = ls.check(frfs, controller, requirements).margins["r1"].bandwidth_hz
+    found = ls.check(frfs, controller, replace(requirements, bandwidth_hz=on_the_limit))
     outcomes = set()
     for line in found.lines:
         assert point_outcome(found.margins[line.recording], line.quantity, line.wished) == line.outcome

@@ -19,10 +19,8 @@ import loopshape as ls
 from loopshape.data.algebra.propagation import pick
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.determinant import closed_loops_stability
-from loopshape.loop.matrix.several import check_several
 from loopshape.loop.matrix.several_margins import several_margins
 from loopshape.loop.stability.stability import closed_loop_stability
-from loopshape.loop.verdict import check
 
 F = np.geomspace(0.01, 300.0, 900)
 S = 1j * TWO_PI * F
@@ -83,8 +81,8 @@ def test_a_check_of_uncoupled_loops_is_a_check_of_each():
     frf = frf_of(F, diagonal(servo(30.0, 0.02), servo(8.0, 0.05)), 0.02, loop="a+b")
     wished = [ls.Requirements(name, modulus_margin=0.5, integrators=1, unstable_poles=0) for name in "ab"]
     controllers = [gain("a"), gain("b")]
-    found = check_several([frf], controllers, wished, ls.SeveralRequirements(integrators=2, unstable_poles=0))
+    found = ls.check([frf], controllers, wished, together=ls.SeveralRequirements(integrators=2, unstable_poles=0))
     for k, verdict in enumerate(found.each):
-        alone = check([pick(frf, [k], [k])], controllers[k], wished[k])
+        alone = ls.check([pick(frf, [k], [k])], controllers[k], wished[k])
         assert verdict.lines == alone.lines
         assert verdict.outcome == alone.outcome

@@ -9,7 +9,6 @@ from two_axes import RATE, F, matrix
 import loopshape as ls
 from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
-from loopshape.loop.matrix.several import check_several
 
 
 def wished(name, **limits):
@@ -58,7 +57,7 @@ def test_coupled_loops_come_to_rest_and_pass_together(coupled):
     frfs, found = coupled
     assert found.converged
     assert found.feasible
-    assert check_several(frfs, found.controllers, WISHES, WHOLE).passed
+    assert ls.check(frfs, found.controllers, WISHES, together=WHOLE).passed
     moved = [turn.moved for turn in found.turns if turn.round > 1]
     assert moved[-1] < 3e-3 < moved[0]
 
@@ -66,7 +65,7 @@ def test_coupled_loops_come_to_rest_and_pass_together(coupled):
 def test_tuned_alone_they_fail_together(coupled):
     frfs, _ = coupled
     alone = tune_several([matrix(0.0), matrix(0.0, (0.005, 0.006), "two")], WISHES, **FEW)
-    assert not check_several(frfs, alone.controllers, WISHES).passed
+    assert not ls.check(frfs, alone.controllers, WISHES).passed
 
 
 def test_at_rest_no_loop_improves_alone(coupled):

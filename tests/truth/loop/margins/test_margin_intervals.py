@@ -10,7 +10,6 @@ from conversions import TWO_PI
 import loopshape as ls
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 400)
@@ -138,7 +137,7 @@ def wish(**words):
 
 
 def outcome(std, seed, **words):
-    verdict = check([draw(std, np.random.default_rng(seed))], CONTROLLER, wish(**words))
+    verdict = ls.check([draw(std, np.random.default_rng(seed))], CONTROLLER, wish(**words))
     return verdict.lines[0]
 
 
@@ -160,7 +159,7 @@ def test_an_undecided_line_says_how_much_more_measuring_would_decide():
 
 
 def test_the_verdict_is_as_undecided_as_its_lines():
-    verdict = check(
+    verdict = ls.check(
         [draw(0.05, np.random.default_rng(0))], CONTROLLER, wish(sensitivity_peak_db=8.4, gain_margin_db=1.0)
     )
     assert (verdict.outcome, verdict.passed) == ("undecided", False)

@@ -10,7 +10,7 @@ from conversions import TWO_PI
 import loopshape as ls
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.quality.quality import stayed_bounded
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import loops_of
 
 RATE = 20_000.0
 W = TWO_PI * 10.0
@@ -47,13 +47,13 @@ def test_both_poles_are_counted_and_the_weak_controller_fails():
     (loop,), notes = loops_of([recorded(HOLDING)], WEAK, WISH)
     assert loop.unstable_poles == 2
     assert "2 unstable poles, because the loop that was recorded was stable" in notes[0]
-    verdict = check([recorded(HOLDING)], WEAK, WISH)
+    verdict = ls.check([recorded(HOLDING)], WEAK, WISH)
     assert verdict.margins["r"].stable == "unstable"
     assert not verdict.passed
 
 
 def test_the_holding_controller_itself_is_stable():
-    assert check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
+    assert ls.check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
 
 
 @pytest.mark.parametrize("std", [1e-4, 0.03])
@@ -72,8 +72,8 @@ def test_a_single_unstable_pole_is_counted_too(std):
     assert loop.unstable_poles == 1
     assert "1 unstable pole, because the loop that was recorded was stable" in notes[0]
     weak = ls.Controller("l", (Block("gain", {"gain": 0.5}),), RATE)
-    assert check([frf], own, replace(WISH, integrators=0)).margins["r"].stable == "stable"
-    assert check([frf], weak, replace(WISH, integrators=0)).margins["r"].stable == "unstable"
+    assert ls.check([frf], own, replace(WISH, integrators=0)).margins["r"].stable == "stable"
+    assert ls.check([frf], weak, replace(WISH, integrators=0)).margins["r"].stable == "unstable"
 
 
 def test_a_record_with_the_wrong_sign_contradicts_itself():
@@ -81,7 +81,7 @@ def test_a_record_with_the_wrong_sign_contradicts_itself():
     f = np.geomspace(0.3, 400.0, 1500)
     G = -TransferFunction([20.0], [0.02, 1.0, 0.0]).response(f)[:, None, None]
     frf = replace(recorded(WEAK), response=G, covariance=(1e-4 * np.abs(G)) ** 2 + 0j)
-    verdict = check([frf], WEAK, replace(WISH, integrators=1))
+    verdict = ls.check([frf], WEAK, replace(WISH, integrators=1))
     assert verdict.margins["r"].stable != "stable"
 
 
@@ -91,7 +91,7 @@ def test_nothing_is_counted_where_the_lines_cannot_carry_it(held_by):
     frf = recorded(held_by, std=3.0) if held_by is not None else recorded(None)
     (loop,), _ = loops_of([frf], WEAK, replace(WISH, integrators=1))
     assert loop.unstable_poles is None
-    assert check([frf], WEAK, replace(WISH, integrators=1)).outcome == "undecided"
+    assert ls.check([frf], WEAK, replace(WISH, integrators=1)).outcome == "undecided"
 
 
 def test_a_resonance_above_the_trusted_band_is_not_overlooked():
@@ -109,7 +109,7 @@ def test_a_resonance_above_the_trusted_band_is_not_overlooked():
         trusted=f < 15.0,
     )
     unit = ls.Controller("l", (Block("gain", {"gain": 1.0}),), RATE)
-    margins = check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]
+    margins = ls.check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]
     assert margins.stable == "undecided"
     assert "above the band that is known well" in margins.stability_reason
 
