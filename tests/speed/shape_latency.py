@@ -11,6 +11,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers" / "loops"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers" / "nouns"))
 import page_in_browser
 import shaped_cases
 from firefox import firefox
