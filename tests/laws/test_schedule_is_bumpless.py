@@ -4,7 +4,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from bench_nouns import Follows
+from bench_nouns import Follows, GainScheduled, gain_scheduled
 from scipy.signal import lfilter
 
 import loopshape as ls
@@ -18,18 +18,16 @@ def node(gain: float, lead_hz: float, notch_hz: float, low_hz: float = 15.0) -> 
     return ls.controller(*blocks, rate_hz=RATE_HZ, loop="theta")
 
 
-def over_two(*controllers: ls.Controller, lag_s: float = 0.0) -> ls.schedules.GainScheduled:
+def over_two(*controllers: ls.Controller, lag_s: float = 0.0) -> GainScheduled:
     points = [{"theta_deg": t, "p_bar": p} for t in (-30.0, 30.0) for p in (0.8, 1.4)]
-    return ls.schedules.gain_scheduled(
-        controllers, points, {"theta_deg": "theta", "p_bar": ("p", "output")}, lag_s=lag_s
-    )
+    return gain_scheduled(controllers, points, {"theta_deg": "theta", "p_bar": ("p", "output")}, lag_s=lag_s)
 
 
-def tables(C: ls.schedules.GainScheduled) -> scheduled.Scheduled:
+def tables(C: GainScheduled) -> scheduled.Scheduled:
     return C.tables([("theta", Follows.REFERENCE), ("p", Follows.OUTPUT)])
 
 
-def ran(C: ls.schedules.GainScheduled, theta_deg: np.ndarray, p_bar: np.ndarray, error: np.ndarray) -> np.ndarray:
+def ran(C: GainScheduled, theta_deg: np.ndarray, p_bar: np.ndarray, error: np.ndarray) -> np.ndarray:
     return scheduled.run(tables(C), np.stack([np.radians(theta_deg), p_bar], axis=1), error)
 
 
@@ -100,7 +98,7 @@ def test_an_integrator_keeps_its_output_when_the_operating_point_jumps():
     def with_pi(gain: float, f_hz: float) -> ls.Controller:
         return ls.controller(ls.gain(gain), ls.pi(f_hz), ls.low_pass(20.0, 0.7), rate_hz=RATE_HZ, loop="theta")
 
-    C = ls.schedules.gain_scheduled(
+    C = gain_scheduled(
         [with_pi(2.0, 0.5), with_pi(5.0, 2.0)], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"}, lag_s=0.0
     )
     n = 4000

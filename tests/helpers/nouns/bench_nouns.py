@@ -2,7 +2,7 @@
 
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Precision, step
-from loopshape.data.control.gain_scheduled import Follows, Variable
+from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
 from loopshape.data.control.loop import Loop, LoopMatrix
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
@@ -31,6 +31,7 @@ __all__ = [
     "Experiment",
     "Follows",
     "Free",
+    "GainScheduled",
     "Indicators",
     "Integrator",
     "Line",
@@ -55,5 +56,6 @@ __all__ = [
     "ThirdOrder",
     "TransferFunction",
     "Variable",
+    "gain_scheduled",
     "step",
 ]
